@@ -1,0 +1,25 @@
+"""Every error a driver raises on purpose. Anything else out of ``drivers`` is our bug."""
+
+
+class DriverError(Exception):
+    """Base of them all. The message is a sentence that ends with the remedy."""
+
+
+class FrameError(DriverError, ValueError):
+    """Bytes that cannot be a frame of this device."""
+
+
+class WrongDeviceError(DriverError, LookupError):
+    """Something answers, and it is not the device the configuration names."""
+
+
+class NoAnswerError(DriverError, ConnectionError):
+    """Nothing answers at this address or node number."""
+
+
+class ConfigurationError(DriverError, ValueError):
+    """The device cannot be set up as asked (a range, rate or object it does not have)."""
+
+
+class UrlError(DriverError, ValueError):
+    """A bus URL that names no transport, or lacks a part that its transport needs."""

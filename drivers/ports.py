@@ -1,0 +1,84 @@
+"""What a device driver needs of a bus, and no more.
+
+``drivers.transports`` opens real ports behind these; ``hil_sim`` may import this module and nothing else of ours.
+Ports stamp what arrives; nothing above them reads a clock.
+"""
+
+from typing import NamedTuple, Protocol
+
+
+class I2cReply(NamedTuple):
+    """Bytes read, and CLOCK_MONOTONIC ns when the transfer had ended."""
+
+    data: bytes
+    host_ns: int
+
+
+class I2cPort(Protocol):
+    """An I2C master. Raises OSError with the kernel's errno (EREMOTEIO, ENXIO, ETIMEDOUT, EIO) when a transfer fails."""
+
+    def write(self, address: int, data: bytes) -> None:
+        """START, address+W, ``data``, STOP."""
+
+    def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
+        """START, address+W, ``data``, repeated START, address+R, ``count`` bytes, STOP: one indivisible transfer."""
+
+    def close(self) -> None:
+        """Give the bus back."""
+
+
+class CanFrame(NamedTuple):
+    """A received classic CAN frame. ``identifier`` is the 11-bit COB-ID, or the error class bits of an error frame."""
+
+    host_ns: int
+    identifier: int
+    data: bytes
+    is_error: bool = False
+
+
+class CanPort(Protocol):
+    """A CAN controller. Raises OSError when the bus is gone."""
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Queue one frame for sending."""
+
+    def receive(self, timeout_s: float) -> list[CanFrame]:
+        """All frames waiting; waits up to ``timeout_s`` for the first. Empty when none came."""
+
+    def close(self) -> None:
+        """Give the bus back."""
+
+
+class Edge(NamedTuple):
+    """A rising edge of the sync line: when the kernel saw it, when we read it, and its number on the line."""
+
+    edge_ns: int
+    host_ns: int
+    line_sequence: int
+
+
+class PulsePort(Protocol):
+    """An input line with edge events. Raises OSError when the line is gone."""
+
+    def receive(self, timeout_s: float) -> list[Edge]:
+        """All edges waiting; waits up to ``timeout_s`` for the first."""
+
+    def close(self) -> None:
+        """Give the line back."""
+
+
+class SerialPort(Protocol):
+    """What ``serial.Serial`` offers, as it is."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read without waiting."""
+
+    def read(self, size: int = 1) -> bytes:
+        """Up to ``size`` bytes."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send ``data``."""
+
+    def close(self) -> None:
+        """Give the port back."""

@@ -1,0 +1,116 @@
+"""One NumPy dtype per kind of channel: the ring stores it, the log carries its bytes, the dump names its columns.
+
+Rules of the room: little-endian, ``align=True`` (so that a row's own bytes are its CDR body), field name = quantity
+(+ frame) + unit, raw counts beside the scale they were taken with, never a converted value in place of a raw one.
+
+Every dtype begins with ``sequence`` and ``host_ns``:
+
+``sequence``
+    Number of this sample in its channel, from 0. Samples known to be lost are counted too, so a jump in ``sequence``
+    is a gap, and a ``GAP`` record names it.
+``host_ns``
+    ``CLOCK_MONOTONIC`` when the bytes were in the host's hands (for a frame: the kernel's stamp where there is one).
+    It is an arrival time and never the time of the sample.
+``tick``
+    The device's own clock: sample number since its start, SYNC number, timer count unwrapped. ``onboard.timebase``
+    turns it into vehicle time.
+"""
+
+from enum import IntEnum, IntFlag
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Rows = NDArray[np.void]
+
+_HEAD = [("sequence", "<u8"), ("host_ns", "<i8")]
+
+IMU = np.dtype(
+    [
+        *_HEAD,
+        ("tick", "<u8"),
+        ("accel_scale_m_s2", "<f4"),  # specific force (a - g) per count: not an acceleration
+        ("gyro_scale_rad_s", "<f4"),
+        ("accel_raw", "<i2", (3,)),  # sensor axes x, y, z
+        ("gyro_raw", "<i2", (3,)),
+        ("temperature_raw", "<i2"),
+        ("filter_code", "u1"),  # the device's own code of its low-pass filter (MPU-6050: DLPF_CFG)
+        ("sync", "u1"),  # 1: the sync pulse fell into this sample's period
+        ("status", "u1"),  # SampleStatus
+    ],
+    align=True,
+)
+
+SCALAR = np.dtype(
+    [
+        *_HEAD,
+        ("tick", "<u8"),
+        ("value_raw", "<i8"),  # counts, unwrapped where the device's counter wraps
+        ("scale", "<f8"),  # `unit` per count
+        ("unit", "S8"),  # "rad", "rad/s", "N", "N m", "A", "1"
+        ("sync_counter", "u1"),  # the SYNC counter the sample answered to; 0 where there is none
+        ("device_status", "u1"),  # the device's own status byte (CiA 404 6150h), 0 where there is none
+        ("status", "u1"),  # SampleStatus
+    ],
+    align=True,
+)
+
+CAN_SYNC = np.dtype([*_HEAD, ("tick", "<u8"), ("sync_counter", "u1")], align=True)
+
+PULSE = np.dtype([*_HEAD, ("edge_ns", "<i8"), ("line_sequence", "<u4")], align=True)
+
+GAP = np.dtype(
+    [
+        *_HEAD,
+        ("first_missing", "<u8"),  # sequence numbers in `channel`, both ends included
+        ("last_missing", "<u8"),
+        ("duration_ns", "<i8"),
+        ("channel", "S32"),
+        ("cause", "S24"),  # GapCause
+    ],
+    align=True,
+)
+
+EVENT = np.dtype(
+    [*_HEAD, ("severity", "u1"), ("code", "S31"), ("source", "S32"), ("text", "S160")],
+    align=True,
+)
+
+
+class SampleStatus(IntFlag):
+    """Why a sample may not be used; 0 is a good sample."""
+
+    OK = 0
+    SATURATED = 1
+    NOT_VALID = 2  # the device itself says so
+    AFTER_RESET = 4  # first sample after the device restarted: its tick began again
+
+
+class Severity(IntEnum):
+    """How loud an event is."""
+
+    INFO = 0
+    WARNING = 1
+    ERROR = 2
+
+
+class Batch(NamedTuple):
+    """Rows of one channel, in the order the device made them."""
+
+    channel: str
+    rows: Rows
+
+
+def event(now_ns: int, severity: Severity, code: str, source: str, text: str) -> Batch:
+    """An EVENT row as a batch of the channel ``event``; its sequence number is given by whoever writes the channel."""
+    row = np.zeros(1, EVENT)
+    row[0] = (0, now_ns, severity, code.encode(), source.encode(), text.encode()[:160])
+    return Batch("event", row)
+
+
+def gap(now_ns: int, channel: str, first_missing: int, last_missing: int, duration_ns: int, cause: str) -> Batch:
+    """A GAP row as a batch of the channel ``gap``: samples ``first_missing..last_missing`` of ``channel`` are lost."""
+    row = np.zeros(1, GAP)
+    row[0] = (0, now_ns, first_missing, last_missing, duration_ns, channel.encode(), cause.encode())
+    return Batch("gap", row)
