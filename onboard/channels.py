@@ -1,0 +1,83 @@
+"""Records that heft itself makes on board; what the devices say is in ``drivers.records``. The same rules hold."""
+
+import numpy as np
+
+_HEAD = [("sequence", "<u8"), ("host_ns", "<i8")]
+
+CLOCK = np.dtype(
+    [
+        *_HEAD,
+        ("reference_tick", "<f8"),
+        ("reference_ns", "<f8"),  # vehicle time of reference_tick
+        ("period_ns", "<f8"),
+        ("sigma_ns", "<f8"),
+        ("sigma_period_ns", "<f8"),
+        ("residual_rms_ns", "<f8"),
+        ("marks", "<u4"),
+        ("rejected", "<u4"),
+        ("state", "u1"),  # ClockState
+        ("channel", "S31"),
+    ],
+    align=True,
+)
+
+QUANTITY = np.dtype(
+    [
+        *_HEAD,
+        ("vehicle_ns", "<i8"),  # of the last row that went in
+        ("value", "<f8"),
+        ("sigma", "<f8"),
+        ("low", "<f8"),  # 95 % interval
+        ("high", "<f8"),
+        ("supported", "u1"),  # 0: the data do not hold this quantity (yet); value is not to be shown
+        ("unit", "S15"),
+        ("name", "S32"),
+    ],
+    align=True,
+)
+
+
+def tick_dtype(channels: int) -> np.dtype[np.void]:
+    """TICK: what one step of the estimator consumed of each of ``channels`` channels, so that replay is exact."""
+    return np.dtype(
+        [
+            *_HEAD,
+            ("first_sequence", "<u8", (channels,)),
+            ("last_sequence", "<u8", (channels,)),
+            ("consumed", "<u4", (channels,)),  # rows; 0: nothing, and the two sequence numbers mean nothing
+            ("final", "u1"),  # 1: the last step, which waits for nothing more
+        ],
+        align=True,
+    )
+
+
+def estimate_dtype(parameters: int, size: int) -> np.dtype[np.void]:
+    """ESTIMATE: the state of the recursive estimator over ``parameters`` parameters, its triangle ``size`` wide."""
+    return np.dtype(
+        [
+            *_HEAD,
+            ("vehicle_ns", "<i8"),
+            ("rows_used", "<u8"),
+            ("rows_gated", "<u8"),
+            ("mean", "<f8", (parameters,)),
+            ("triangle", "<f8", (size * (size + 1) // 2,)),  # square-root information [R z], upper triangle by rows
+        ],
+        align=True,
+    )
+
+
+def row_dtype(rows: int, joints: int) -> np.dtype[np.void]:
+    """ROW: the ``rows`` lines of the regression at one tick, the joints' motion, and why a line was left out."""
+    return np.dtype(
+        [
+            *_HEAD,
+            ("vehicle_ns", "<i8"),
+            ("joint_rad", "<f8", (joints,)),
+            ("joint_rad_s", "<f8", (joints,)),
+            ("joint_rad_s2", "<f8", (joints,)),
+            ("measured", "<f8", (rows,)),
+            ("sigma", "<f8", (rows,)),
+            ("gate", "<u4", (rows,)),  # onboard.estimation.gates.GateReason
+        ],
+        align=True,
+    )

@@ -1,0 +1,72 @@
+"""What every room's tests share: a seeded generator, a clock that moves when told, the recorded data sets."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: results do not hang on the core count
+
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import pytest
+
+SEED = 20190812  # the day RockSat-X 2019 flew
+DATASETS_BESIDE_THE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "datasets"
+
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
+hypothesis.settings.load_profile("repeatable")
+
+
+class VirtualClock:
+    """Stands where ``time.monotonic_ns`` is expected, and moves only when told."""
+
+    def __init__(self, now_ns: int = 1_000_000_000) -> None:
+        self.now_ns = now_ns
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+    def advance(self, duration_ns: int) -> int:
+        """Let ``duration_ns`` pass; the new time."""
+        if duration_ns < 0:
+            raise ValueError(f"CLOCK_MONOTONIC never goes back: {duration_ns} ns")
+        self.now_ns += duration_ns
+        return self.now_ns
+
+
+def locate_datasets(environment: str | None, beside_the_checkout: Path) -> Path | None:
+    """The data sets' folder; ``None`` where this machine has none. A HEFT_DATASETS that is no folder is an error."""
+    if environment:
+        folder = Path(environment).expanduser()
+        if not folder.is_dir():
+            raise NotADirectoryError(f"HEFT_DATASETS={environment} is no folder. Correct it, or unset it.")
+        return folder
+    return beside_the_checkout if beside_the_checkout.is_dir() else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A test that asks for the data sets is a ``realdata`` test without having to say so."""
+    for item in items:
+        if "datasets" in getattr(item, "fixturenames", ()):
+            item.add_marker("realdata")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A generator with the same seed in every test and every run."""
+    return np.random.default_rng(SEED)
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    """A clock of the test's own."""
+    return VirtualClock()
+
+
+@pytest.fixture(scope="session")
+def datasets() -> Path:
+    """The folder of recorded data sets."""
+    folder = locate_datasets(os.environ.get("HEFT_DATASETS"), DATASETS_BESIDE_THE_CHECKOUT)
+    if folder is None:
+        pytest.skip("no recorded data sets: neither $HEFT_DATASETS nor ../shared/datasets is there")
+    return folder

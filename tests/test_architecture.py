@@ -1,0 +1,351 @@
+"""The rooms, what each may import, who may read a clock. Read from the syntax trees; nothing is imported.
+
+Every rule is a function of a file's path and source, so that each is shown to fail on a snippet that breaks it.
+"""
+
+import ast
+import io
+import sys
+import tokenize
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+OURS = {"drivers", "onboard", "hil_sim", "tests", "bench"}
+BUS_LIBRARIES = {"smbus2", "can", "serial", "gpiod"}
+CODE_LINES = 400
+
+CLOCKS = {
+    *(f"time.{name}" for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time", "clock_gettime")),
+    *(
+        f"time.{name}_ns"
+        for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time", "clock_gettime")
+    ),
+    *(f"datetime.datetime.{name}" for name in ("now", "utcnow", "today")),
+    "datetime.date.today",
+}
+RUNNERS = ("onboard/flight/runner*.py", "onboard/flight/workers.py", "hil_sim/serve.py", "onboard/cli.py", "bench/*")
+CLOCK_READERS = ("drivers/transports/*", *RUNNERS)
+PRINTERS = ("onboard/cli.py", "bench/*")
+
+
+class Import(NamedTuple):
+    """One imported name: ``from a import b`` is ``a.b``. ``lazy`` when inside a function."""
+
+    line: int
+    name: str
+    lazy: bool
+
+
+def module_of(path: str) -> str:
+    """``drivers/mpu6050/__init__.py`` is ``drivers.mpu6050``."""
+    parts = PurePosixPath(path).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def within(name: str, *packages: str) -> bool:
+    """Is ``name`` one of these packages or inside one?"""
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+def allowed(path: str, patterns: tuple[str, ...]) -> bool:
+    return any(PurePosixPath(path).match(pattern) for pattern in patterns)
+
+
+def imports(path: str, source: str) -> Iterator[Import]:
+    """Every import of a file, relative ones resolved, ``importlib.import_module("a.b")`` included."""
+    package = module_of(path).split(".")
+    if not path.endswith("__init__.py"):
+        package = package[:-1]
+
+    def visit(node: ast.AST, lazy: bool) -> Iterator[Import]:
+        match node:
+            case ast.Import():
+                yield from (Import(node.lineno, alias.name, lazy) for alias in node.names)
+            case ast.ImportFrom():
+                base = package[: len(package) - node.level + 1] if node.level else []
+                prefix = ".".join([*base, *([node.module] if node.module else [])])
+                yield from (Import(node.lineno, f"{prefix}.{alias.name}", lazy) for alias in node.names)
+            case ast.Call(
+                func=ast.Attribute(attr="import_module") | ast.Name(id="import_module" | "__import__"),
+                args=[ast.Constant(value=str(name)), *_],
+            ):
+                yield Import(node.lineno, name, lazy)
+        inside = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        for child in ast.iter_child_nodes(node):
+            yield from visit(child, inside)
+
+    return visit(ast.parse(source, path), False)
+
+
+def drivers_import_nothing_of_ours(path: str, source: str) -> list[str]:
+    if not path.startswith("drivers/"):
+        return []
+    return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, *OURS - {"drivers"})]
+
+
+def transports_alone_open_buses(path: str, source: str) -> list[str]:
+    """Among what flies. hil_sim is the other end of those buses, and has to import the same libraries."""
+    if not path.startswith(("drivers/", "onboard/")) or path.startswith("drivers/transports/"):
+        return []
+    return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, *BUS_LIBRARIES)]
+
+
+def estimation_is_pure(path: str, source: str) -> list[str]:
+    """NumPy, SciPy, the standard library, and itself."""
+    if not path.startswith("onboard/estimation"):
+        return []
+    known = {"numpy", "scipy", *sys.stdlib_module_names}
+    return [
+        f"{path}:{i.line}: {i.name}"
+        for i in imports(path, source)
+        if not within(i.name, "onboard.estimation", *known) or within(i.name, "logging", "time", "pathlib", "os", "io")
+    ]
+
+
+def model_stands_on_estimation_at_most(path: str, source: str) -> list[str]:
+    if not path.startswith("onboard/model"):
+        return []
+    names = [i for i in imports(path, source) if within(i.name, *OURS)]
+    return [f"{path}:{i.line}: {i.name}" for i in names if not within(i.name, "onboard.model", "onboard.estimation")]
+
+
+def simulator_knows_the_ports_only(path: str, source: str) -> list[str]:
+    if not path.startswith("hil_sim/"):
+        return []
+    names = [i for i in imports(path, source) if within(i.name, *OURS)]
+    return [f"{path}:{i.line}: {i.name}" for i in names if not within(i.name, "hil_sim", "drivers.ports")]
+
+
+def flight_code_knows_no_simulator(path: str, source: str) -> list[str]:
+    """But for the command line, which fetches it when a command asks for it."""
+    if not path.startswith(("onboard/", "drivers/")):
+        return []
+    names = [i for i in imports(path, source) if within(i.name, "hil_sim")]
+    return [f"{path}:{i.line}: {i.name}" for i in names if not (path == "onboard/cli.py" and i.lazy)]
+
+
+def strangers_use_different_dynamics(path: str, source: str) -> list[str]:
+    """MuJoCo moves the simulated bodies, Pinocchio makes the regressor; neither side sees the other's."""
+    theirs = {"hil_sim": "pinocchio", "onboard": "mujoco", "drivers": "mujoco"}.get(path.split("/", maxsplit=1)[0])
+    return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if theirs and within(i.name, theirs)]
+
+
+def only_the_command_line_prints(path: str, source: str) -> list[str]:
+    if allowed(path, PRINTERS):
+        return []
+    calls = (node for node in ast.walk(ast.parse(source, path)) if isinstance(node, ast.Call))
+    return [f"{path}:{c.lineno}: print" for c in calls if isinstance(c.func, ast.Name) and c.func.id == "print"]
+
+
+def only_transports_and_runners_read_clocks(path: str, source: str) -> list[str]:
+    """A reference counts as a call: a clock handed on as an argument is read somewhere else."""
+    if allowed(path, CLOCK_READERS):
+        return []
+    tree = ast.parse(source, path)
+    bound: dict[str, str] = {}  # local name -> what it stands for
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            bound |= {alias.asname or alias.name.split(".")[0]: alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            bound |= {alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+
+    def dotted(node: ast.AST) -> str:
+        match node:
+            case ast.Name():
+                return bound.get(node.id, "")
+            case ast.Attribute():
+                return f"{dotted(node.value)}.{node.attr}"
+        return ""
+
+    nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute))
+    return [f"{path}:{node.lineno}: {dotted(node)}" for node in nodes if dotted(node) in CLOCKS]
+
+
+def files_stay_short(path: str, source: str) -> list[str]:
+    """Lines that hold code: not blank, not a comment, not a docstring."""
+    silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type not in silent:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(source, path)):
+        if (
+            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+            and ast.get_docstring(node, clean=False) is not None
+        ):
+            lines.difference_update(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
+    return [f"{path}: {len(lines)} lines of code"] if len(lines) > CODE_LINES else []
+
+
+def rooms_in_a_cycle(sources: Mapping[str, str]) -> list[list[str]]:
+    """Rooms that import each other, directly or around a corner. A room is what stands one level below the top."""
+    modules = {module_of(path) for path in sources}
+
+    def room(module: str) -> str:
+        return ".".join(module.split(".")[:2])
+
+    edges: dict[str, set[str]] = {room(module): set() for module in modules}
+    for path, source in sources.items():
+        here = room(module_of(path))
+        for name in (i.name for i in imports(path, source)):
+            target = name if name in modules else name.rpartition(".")[0]
+            if target in modules and room(target) != here:
+                edges[here].add(room(target))
+
+    def reachable(start: str) -> set[str]:
+        seen: set[str] = set()
+        waiting = [*edges[start]]
+        while waiting:
+            if (name := waiting.pop()) not in seen:
+                seen.add(name)
+                waiting += edges[name]
+        return seen
+
+    reach = {name: reachable(name) for name in edges}
+    tangles = {frozenset(b for b in reach[a] if a in reach[b]) for a in edges if a in reach[a]}
+    return sorted(sorted(tangle) for tangle in tangles)
+
+
+Rule = Callable[[str, str], list[str]]
+RULES: tuple[Rule, ...] = (
+    drivers_import_nothing_of_ours,
+    transports_alone_open_buses,
+    estimation_is_pure,
+    model_stands_on_estimation_at_most,
+    simulator_knows_the_ports_only,
+    flight_code_knows_no_simulator,
+    strangers_use_different_dynamics,
+    only_the_command_line_prints,
+    only_transports_and_runners_read_clocks,
+    files_stay_short,
+)
+
+
+@pytest.fixture(scope="module")
+def package_sources() -> dict[str, str]:
+    paths = [path for room in ("drivers", "onboard", "hil_sim") for path in sorted((ROOT / room).rglob("*.py"))]
+    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
+def test_the_tree_keeps(rule: Rule, package_sources: dict[str, str]) -> None:
+    assert {path.split("/")[0] for path in package_sources} == {"drivers", "onboard", "hil_sim"}
+    assert [broken for path, source in package_sources.items() for broken in rule(path, source)] == []
+
+
+def test_no_two_rooms_import_each_other(package_sources: dict[str, str]) -> None:
+    assert rooms_in_a_cycle(package_sources) == []
+
+
+BREACHES: list[tuple[Rule, str, str]] = [
+    (drivers_import_nothing_of_ours, "drivers/mpu6050/device.py", "import onboard.ring"),
+    (drivers_import_nothing_of_ours, "drivers/mpu6050/device.py", "from hil_sim.devices import mpu6050"),
+    (drivers_import_nothing_of_ours, "drivers/ports.py", "from onboard import ring"),
+    (drivers_import_nothing_of_ours, "drivers/ports.py", "def f():\n    from onboard import ring"),
+    (drivers_import_nothing_of_ours, "drivers/ports.py", "import importlib\nimportlib.import_module('onboard.ring')"),
+    (transports_alone_open_buses, "drivers/mpu6050/device.py", "import smbus2"),
+    (transports_alone_open_buses, "drivers/canopen_pdo/device.py", "from can.interfaces import virtual"),
+    (transports_alone_open_buses, "drivers/qsb/device.py", "import serial.tools.list_ports"),
+    (transports_alone_open_buses, "onboard/flight/acquisition.py", "from gpiod.line import Edge"),
+    (estimation_is_pure, "onboard/estimation/rls.py", "from onboard.model import rows"),
+    (estimation_is_pure, "onboard/estimation/rls.py", "from .. import ring"),
+    (estimation_is_pure, "onboard/estimation/rls.py", "import drivers.records"),
+    (estimation_is_pure, "onboard/estimation/rls.py", "import pinocchio"),
+    (estimation_is_pure, "onboard/estimation/rls.py", "import logging"),
+    (estimation_is_pure, "onboard/estimation/rls.py", "from pathlib import Path"),
+    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "from onboard.config import Vehicle"),
+    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "from ..flight import modes"),
+    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "from drivers import records"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "from drivers.mpu6050 import registers"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "from drivers import records"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "import drivers"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "import drivers.ports_of_call"),
+    (simulator_knows_the_ports_only, "hil_sim/plant.py", "from onboard.config import load"),
+    (flight_code_knows_no_simulator, "onboard/flight/runner.py", "def f():\n    import hil_sim.serve"),
+    (flight_code_knows_no_simulator, "onboard/cli.py", "from hil_sim import serve"),
+    (flight_code_knows_no_simulator, "onboard/cli.py", "if True:\n    import hil_sim"),
+    (strangers_use_different_dynamics, "hil_sim/plant.py", "import pinocchio as pin"),
+    (strangers_use_different_dynamics, "onboard/model/rows.py", "from mujoco import MjModel"),
+    (only_the_command_line_prints, "onboard/flight/runner.py", "print('tick')"),
+    (only_the_command_line_prints, "hil_sim/serve.py", "def f():\n    print()"),
+    (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time\ntime.monotonic_ns()"),
+    (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time as t\nt.time()"),
+    (only_transports_and_runners_read_clocks, "onboard/ring.py", "from time import monotonic\nmonotonic()"),
+    (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time\ndef f(now=time.time_ns): ..."),
+    (only_transports_and_runners_read_clocks, "onboard/ring.py", "from time import perf_counter_ns as now\nf(now)"),
+    (only_transports_and_runners_read_clocks, "drivers/ports.py", "import datetime\ndatetime.datetime.now()"),
+    (only_transports_and_runners_read_clocks, "hil_sim/plant.py", "from datetime import datetime as D\nD.utcnow()"),
+    (only_transports_and_runners_read_clocks, "hil_sim/plant.py", "import time\ntime.clock_gettime_ns(1)"),
+    (files_stay_short, "onboard/ring.py", "a = 1\n" * (CODE_LINES + 1)),
+    (files_stay_short, "onboard/ring.py", "a = [\n" + "1,\n" * CODE_LINES + "]"),
+]
+
+INNOCENT: list[tuple[Rule, str, str]] = [
+    (drivers_import_nothing_of_ours, "drivers/mpu6050/device.py", "from drivers import ports\nfrom ..errors import X"),
+    (drivers_import_nothing_of_ours, "onboard/ring.py", "import onboard"),
+    (transports_alone_open_buses, "drivers/transports/i2c.py", "import smbus2"),
+    (transports_alone_open_buses, "drivers/canopen_pdo/decode.py", "from drivers import canopen_pdo\nimport candid"),
+    (transports_alone_open_buses, "hil_sim/buses.py", "import can, serial, smbus2"),
+    (
+        estimation_is_pure,
+        "onboard/estimation/rls.py",
+        "import math\nimport numpy as np\nfrom scipy.linalg import lapack",
+    ),
+    (estimation_is_pure, "onboard/estimation/window.py", "from .rls import R\nfrom onboard.estimation import rls"),
+    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "import pinocchio\nfrom ..estimation import rls"),
+    (
+        simulator_knows_the_ports_only,
+        "hil_sim/devices/mpu6050.py",
+        "from drivers.ports import Edge\nfrom .. import faults",
+    ),
+    (simulator_knows_the_ports_only, "hil_sim/buses.py", "from drivers import ports"),
+    (flight_code_knows_no_simulator, "onboard/cli.py", "def hil():\n    from hil_sim import serve"),
+    (strangers_use_different_dynamics, "hil_sim/plant.py", "import mujoco"),
+    (only_the_command_line_prints, "onboard/cli.py", "print()"),
+    (only_the_command_line_prints, "onboard/offline/report.py", "console.print()\nprint_table()"),
+    (only_transports_and_runners_read_clocks, "drivers/transports/i2c.py", "import time\ntime.monotonic_ns()"),
+    (only_transports_and_runners_read_clocks, "onboard/flight/runner_real.py", "import time\ntime.monotonic_ns()"),
+    (
+        only_transports_and_runners_read_clocks,
+        "onboard/ring.py",
+        "import time\nclock.time()\nsample.time\ntime.sleep(1)",
+    ),
+    (files_stay_short, "onboard/ring.py", '"""Doc.\n' + "x\n" * CODE_LINES + '"""\n' + "# y\n\n" * CODE_LINES),
+]
+
+
+def snippet_id(value: object) -> str | None:
+    return getattr(value, "__name__", None)
+
+
+@pytest.mark.parametrize(("rule", "path", "source"), BREACHES, ids=snippet_id)
+def test_a_breach_is_seen(rule: Rule, path: str, source: str) -> None:
+    assert len(rule(path, source)) == 1
+
+
+@pytest.mark.parametrize(("rule", "path", "source"), INNOCENT, ids=snippet_id)
+def test_the_innocent_pass(rule: Rule, path: str, source: str) -> None:
+    assert rule(path, source) == []
+
+
+def test_every_rule_has_a_breach_and_an_innocent() -> None:
+    assert {rule for rule, *_ in BREACHES} == set(RULES)
+    assert {rule for rule, *_ in INNOCENT} == set(RULES)
+
+
+def test_cycles_are_seen_and_shared_ground_is_none() -> None:
+    around_the_corner = {
+        "onboard/a.py": "from onboard.b import deep",
+        "onboard/b/deep.py": "def f():\n    from .. import c",
+        "onboard/b/__init__.py": "",
+        "onboard/c.py": "import onboard.a",
+        "onboard/d.py": "from onboard import a, c",
+    }
+    assert rooms_in_a_cycle(around_the_corner) == [["onboard.a", "onboard.b", "onboard.c"]]
+    del around_the_corner["onboard/c.py"]
+    assert rooms_in_a_cycle(around_the_corner) == []
+    assert rooms_in_a_cycle({"onboard/b/x.py": "from .y import z", "onboard/b/y.py": "from . import x"}) == []
