@@ -23,3 +23,15 @@ class ConfigurationError(DriverError, ValueError):
 
 class UrlError(DriverError, ValueError):
     """A bus URL that names no transport, or lacks a part that its transport needs."""
+
+
+class SdoAbortError(DriverError, RuntimeError):
+    """A CANopen node refused an SDO transfer.
+
+    Attributes:
+        code: The abort code (CiA 301, section 7.2.4.3.17).
+    """
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code

@@ -45,6 +45,9 @@ class CanPort(Protocol):
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """All frames waiting; waits up to ``timeout_s`` for the first. Empty when none came."""
 
+    def mute(self) -> None:
+        """Take no more frames from the bus; those that have arrived can still be received."""
+
     def close(self) -> None:
         """Give the bus back."""
 

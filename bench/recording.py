@@ -1,0 +1,199 @@
+"""Writing, reading and dumping logs: ours beside the stock Python ``mcap`` package, in one run.
+
+::
+
+    python bench/recording.py [--records N] [--directory DIR]
+
+Records are those of a flight: two IMUs and two scalar channels in turn. Ours repeats the definitions in every chunk of
+16 KiB and syncs to the disk every 150 ms, as in flight; the batch is what the recorder finds in a ring at a step. Each
+line is measured in a process of its own, whose peak memory is given.
+"""
+
+import argparse
+import csv
+import multiprocessing
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from multiprocessing.queues import SimpleQueue
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
+from rich.console import Console
+from rich.table import Table
+
+from drivers import records
+from drivers.records import Rows
+from onboard.offline.dump import dump
+from onboard.recording.reader import LogReader
+from onboard.recording.schema import ros2msg
+from onboard.recording.writer import LogWriter
+
+CHANNELS = {"imu_0": records.IMU, "imu_1": records.IMU, "joint_1": records.SCALAR, "load_cell": records.SCALAR}
+BATCHES = (5, 20, 50, 200, 1000)
+Answer = SimpleQueue[tuple[float, float]]
+STOCK_SHARE = 4  # the stock reader gets this fraction of the records: it is that slow
+
+
+def rows_of(dtype: np.dtype[np.void], count: int) -> Rows:
+    """Rows as a device makes them: noise of some hundred counts, a period of 1 ms."""
+    rng = np.random.default_rng(1)
+    rows = np.zeros(count, dtype)
+    rows["sequence"] = rows["tick"] = np.arange(count)
+    rows["host_ns"] = 1_000_000_000 + np.arange(count) * 1_000_000 + rng.integers(0, 50_000, count)
+    if dtype == records.IMU:
+        rows["accel_raw"] = rng.normal([0, 0, 8192], 200, (count, 3)).astype(np.int16)
+        rows["gyro_raw"] = rng.normal(0, 300, (count, 3)).astype(np.int16)
+        rows["temperature_raw"] = rng.normal(-500, 5, count).astype(np.int16)
+        rows["accel_scale_m_s2"], rows["gyro_scale_rad_s"] = 9.80665 / 8192, np.deg2rad(1 / 131)
+    else:
+        rows["value_raw"] = np.cumsum(rng.integers(-30, 31, count))
+        rows["scale"], rows["unit"] = 1e-4, b"N"
+    return rows
+
+
+def write_ours(path: Path, count: int, batch: int) -> float:
+    """Seconds to write ``count`` records in batches of ``batch``."""
+    per_channel = count // len(CHANNELS)
+    rows = {name: rows_of(dtype, per_channel) for name, dtype in CHANNELS.items()}
+    start = time.perf_counter()
+    with LogWriter.create(path, overwrite=True) as writer:
+        for name, dtype in CHANNELS.items():
+            writer.register(name, dtype)
+        for first in range(0, per_channel, batch):
+            for name, part in rows.items():
+                writer.write(name, part[first : first + batch])
+            writer.sync(time.monotonic_ns())
+    return time.perf_counter() - start
+
+
+def write_stock(path: Path, count: int, chunk_bytes: int, compression: str) -> float:
+    """Seconds for the stock writer, which is handed messages that are bytes already."""
+    per_channel = count // len(CHANNELS)
+    messages = {
+        name: [b"\0\1\0\0" + row.tobytes() for row in rows_of(dtype, per_channel)] for name, dtype in CHANNELS.items()
+    }
+    start = time.perf_counter()
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=chunk_bytes, compression=CompressionType[compression])
+        writer.start(profile="ros2", library="stock")
+        numbers = {}
+        for name, dtype in CHANNELS.items():
+            schema = writer.register_schema(f"heft/msg/{name}", "ros2msg", ros2msg(dtype).encode())
+            numbers[name] = writer.register_channel(name, "cdr", schema)
+        for n in range(per_channel):
+            for name, number in numbers.items():
+                writer.add_message(number, n * 1_000_000, messages[name][n], n * 1_000_000, n)
+        writer.finish()  # type: ignore[no-untyped-call]  # the package annotates only in part
+    return time.perf_counter() - start
+
+
+def read_ours(path: Path) -> float:
+    """Seconds to read every row."""
+    start = time.perf_counter()
+    rows = sum(len(batch.rows) for batch in LogReader(path).batches())
+    assert rows
+    return time.perf_counter() - start
+
+
+def read_stock(path: Path) -> float:
+    """Seconds to read every message, without decoding it."""
+    start = time.perf_counter()
+    with path.open("rb") as file:
+        messages = sum(1 for _ in NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False))
+    assert messages
+    return time.perf_counter() - start
+
+
+def dump_ours(path: Path, directory: Path) -> float:
+    """Seconds to dump a log to CSV, raw and SI."""
+    start = time.perf_counter()
+    dump(path, directory)
+    return time.perf_counter() - start
+
+
+def dump_stock(path: Path, directory: Path) -> float:
+    """Seconds of the stock reader, ``mcap-ros2-support`` and the csv module, raw only."""
+    directory.mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter()
+    with path.open("rb") as file, (directory / "stock.csv").open("w", newline="") as out:
+        table = csv.writer(out)
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, _, _, message in reader.iter_decoded_messages():
+            cells: list[object] = []
+            for name in message.__slots__:
+                value = getattr(message, name)
+                cells += value if isinstance(value, list | tuple) else [value]
+            table.writerow(cells)
+    return time.perf_counter() - start
+
+
+def only_imu(path: Path, count: int) -> float:
+    """Seconds to write a log of one IMU, for the dumps."""
+    start = time.perf_counter()
+    with LogWriter.create(path, overwrite=True, durable=False) as writer:
+        writer.register("imu_0", records.IMU)
+        rows = rows_of(records.IMU, count)
+        for first in range(0, count, 100):
+            writer.write("imu_0", rows[first : first + 100])
+    return time.perf_counter() - start
+
+
+def _measure(
+    answer: "multiprocessing.SimpleQueue[tuple[float, float]]", work: Callable[..., float], *arguments: object
+) -> None:
+    seconds = work(*arguments)
+    answer.put((seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+
+
+def measured(work: Callable[..., float], *arguments: object) -> tuple[float, float]:
+    """Seconds that ``work`` says, and peak MiB, in a fresh process."""
+    context = multiprocessing.get_context("spawn")
+    answer: Answer = context.SimpleQueue()
+    process = context.Process(target=_measure, args=(answer, work, *arguments))
+    process.start()
+    process.join()
+    return answer.get()
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--records", type=int, default=1_000_000)
+    parser.add_argument("--directory", type=Path, help="where the logs go while measuring (default: a new one in /tmp)")
+    arguments = parser.parse_args()
+    count: int = arguments.records
+    table = Table("what", "how", "k records/s", "peak MiB", "file MB", box=None)
+
+    def line(what: str, how: str, records_done: int, result: tuple[float, float], path: Path | None = None) -> None:
+        size = "" if path is None else f"{path.stat().st_size / 1e6:.1f}"
+        table.add_row(what, how, f"{records_done / result[0] / 1e3:,.0f}", f"{result[1]:.0f}", size)
+
+    folder = Path(tempfile.mkdtemp(dir=arguments.directory))
+    try:
+        ours, stock, imu = folder / "ours.mcap", folder / "stock.mcap", folder / "imu.mcap"
+        for batch in BATCHES:
+            line("write", f"ours, {batch} rows a batch", count, measured(write_ours, ours, count, batch), ours)
+        for size, compression in ((16384, "NONE"), (1 << 20, "NONE"), (1 << 20, "ZSTD")):
+            result = measured(write_stock, stock, count, size, compression)
+            line("write", f"stock, {size >> 10} KiB chunks, {compression.lower()}", count, result, stock)
+        measured(write_ours, ours, count, 50)
+        line("read", "ours, decoded", count, measured(read_ours, ours))
+        line("read", "stock, not decoded", count, measured(read_stock, ours))
+        measured(only_imu, imu, count)
+        line("dump IMU to CSV", "ours, raw and SI", count, measured(dump_ours, imu, folder / "csv"))
+        measured(only_imu, imu, count // STOCK_SHARE)
+        share = count // STOCK_SHARE
+        line("dump IMU to CSV", "stock + csv module, raw", share, measured(dump_stock, imu, folder / "csv"))
+    finally:
+        shutil.rmtree(folder)
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

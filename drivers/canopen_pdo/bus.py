@@ -1,0 +1,297 @@
+"""A CAN bus of CANopen nodes as one device: dispatches frames, numbers SYNCs, hands rows over once a pump."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from drivers.canopen_pdo import frame
+from drivers.canopen_pdo.channel import Channel, EventChannel, ProcessData
+from drivers.canopen_pdo.cia404 import Cia404Config, LoadCell
+from drivers.canopen_pdo.cia406 import Cia406Config, Encoder
+from drivers.canopen_pdo.mapped_object import CanopenObjectConfig, MappedObject
+from drivers.canopen_pdo.node import Node
+from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
+from drivers.canopen_pdo.sync_channel import SyncChannel
+from drivers.errors import ConfigurationError, FrameError
+from drivers.ports import CanFrame, CanPort
+from drivers.records import CAN_SYNC, Batch, Severity
+from drivers.reporter import Reporter
+
+NodeConfig = Cia406Config | Cia404Config | CanopenObjectConfig
+
+OVERDUE = 2.5  # SYNC periods without SYNC after which held TPDOs are handed over
+STALLED = 100.0  # SYNC periods without SYNC after which arrival times are looked at as a whole
+MOST_RECEIVES = 64
+SYNC_LIMIT_NS = 1_000_000_000
+DRAINS, DRAIN_S = 16, 0.03  # receives at the end, until one is empty
+RETRY_NS = 20_000_000  # between two pumps while the port fails
+ERROR_CLASSES = {  # linux/can/error.h
+    0x001: "transmit timeout",
+    0x002: "arbitration lost",
+    0x004: "controller state",
+    0x008: "protocol violation",
+    0x010: "transceiver",
+    0x020: "no acknowledgement",
+    0x040: "bus off",
+    0x080: "bus error",
+    0x100: "restarted",
+}
+BUS_OFF = 0x040
+
+
+def process_data(config: NodeConfig) -> ProcessData:
+    """The kind of process data that a configuration names."""
+    if isinstance(config, Cia406Config):
+        return Encoder(config)
+    if isinstance(config, Cia404Config):
+        return LoadCell(config)
+    return MappedObject(config)
+
+
+@runtime_checkable
+class CountsLostFrames(Protocol):
+    """A port that knows how many frames it could not deliver."""
+
+    @property
+    def lost_frames(self) -> int:
+        """Since it was opened."""
+
+
+class CanopenBus:
+    """All CANopen nodes of one CAN bus, and its SYNC.
+
+    Args:
+        port: The bus.
+        nodes: What is on it; several entries may share a node.
+        sync: The SYNC producer.
+        name: Source of the events of the bus itself.
+
+    Attributes:
+        unclaimed: Frames nobody here asked for.
+
+    Raises:
+        ConfigurationError: Two channels of one name, or a node number that is none.
+    """
+
+    def __init__(self, port: CanPort, nodes: Sequence[NodeConfig], sync: SyncConfig, name: str = "canopen") -> None:
+        self.name = name
+        self.unclaimed = 0
+        self._port = port
+        self._report = Reporter(name)
+        self._sync_channel = sync.name
+        self._period_ns = sync.period_ns
+        self._sync = SyncCounter(sync.period_ns)
+        self._sync_sequence = 0
+        self._sync_rows: list[tuple[int, int, int, int]] = []
+        self._sync_sent_ns: int | None = None
+        self._sync_missed = False
+        self._started_ns = 0
+        self._failing_since_ns: int | None = None
+        self._now_ns = 0
+        self._lost_frames = 0
+        self._counting: CountsLostFrames | None = None
+        self._channels: list[Channel] = []
+        self._synchronous: list[SyncChannel] = []
+        names = [sync.name, *(config.name for config in nodes)]
+        if len(set(names)) < len(names):
+            raise ConfigurationError(
+                f"bus {name} has two channels of one name ({', '.join(sorted(names))}): rename one"
+            )
+        by_node: dict[int, list[Channel]] = {}
+        for config in nodes:
+            if not 1 <= config.node <= 127:
+                raise ConfigurationError(f"{config.name}: node = {config.node}: CANopen has 1..127")
+            data = process_data(config)
+            channel: Channel
+            if data.synchronous:
+                channel = SyncChannel(data, self._report, self._sync)
+                self._synchronous.append(channel)
+            else:
+                channel = EventChannel(data, self._report, self._sync)
+            self._channels.append(channel)
+            by_node.setdefault(config.node, []).append(channel)
+        self._nodes = [Node(number, channels, self._send, self._report) for number, channels in by_node.items()]
+        self._handlers = self._routes()
+
+    @property
+    def period_ns(self) -> int:
+        """0: pump waits on the port. While the port fails, the time to leave between two pumps."""
+        return 0 if self._failing_since_ns is None else RETRY_NS
+
+    def start(self, now_ns: int) -> list[Batch]:
+        """Begin setting all nodes up, side by side. See ``drivers.device.Device``."""
+        self._now_ns = self._started_ns = now_ns
+        self._counting = self._port if isinstance(self._port, CountsLostFrames) else None
+        for node in self._nodes:
+            node.begin(now_ns)
+        return self._report.take()
+
+    def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
+        """Take the frames waiting and hand over what they made; waits up to ``timeout_s`` for the first."""
+        self._now_ns = now_ns
+        self._dispatch(self._receive(now_ns, timeout_s))
+        for node in self._nodes:
+            node.poll(now_ns)
+        self._watch_sync(now_ns)
+        return self._handed_over()
+
+    def stop(self, now_ns: int) -> list[Batch]:
+        """Silence the nodes, take what is left, name what will not come."""
+        self._now_ns = now_ns
+        self._dispatch(self._receive(now_ns, 0.0))
+        last = self._sync.tick
+        for node in self._nodes:
+            node.stop()
+        self._dispatch(self._receive(now_ns, 2e-9 * self._period_ns))
+        try:
+            self._port.mute()
+        except OSError as error:
+            self._port_failed(error)
+        for _ in range(DRAINS):
+            frames = self._receive(now_ns, DRAIN_S)
+            if not frames:
+                break
+            self._dispatch(frames)
+        for channel in self._synchronous:
+            channel.finish(now_ns, last)
+        for each in self._channels:
+            each.live = False
+        text = f"stopped after {self._sync_sequence} SYNCs, {self.unclaimed} frames of others"
+        self._report.event(now_ns, Severity.INFO, "stopped", text)
+        self._report.flush(now_ns)
+        return self._handed_over()
+
+    # Frames
+
+    def _routes(self) -> dict[int, tuple[Callable[[int, bytes], None], ...]]:
+        routes: dict[int, tuple[Callable[[int, bytes], None], ...]] = {frame.SYNC: (self._on_sync,)}
+        for node in self._nodes:
+            routes[frame.EMERGENCY + node.number] = (node.on_emergency,)
+            routes[frame.SDO_REPLY + node.number] = (node.on_sdo,)
+            routes[frame.HEARTBEAT + node.number] = (node.on_heartbeat,)
+        for channel in self._channels:
+            cob_id = channel.data.cob_id
+            routes[cob_id] = (*routes.get(cob_id, ()), channel.accept)
+        return routes
+
+    def _dispatch(self, frames: list[CanFrame]) -> None:
+        handlers = self._handlers
+        for host_ns, identifier, data, is_error in frames:
+            if is_error:
+                self._on_error_frame(host_ns, identifier, data)
+                continue
+            routes = handlers.get(identifier)
+            if routes is None:
+                self.unclaimed += 1
+                continue
+            for route in routes:
+                route(host_ns, data)
+
+    def _on_sync(self, host_ns: int, data: bytes) -> None:
+        try:
+            counter = frame.decode_sync(data)
+        except FrameError as error:
+            self._report.event(host_ns, Severity.WARNING, "bad_sync", str(error))
+            return
+        if counter == 0:
+            text = "SYNC carries no counter, losses are told by arrival time alone: write 240 to 1019h of its producer"
+            self._report.event(host_ns, Severity.WARNING, "sync_uncounted", text)
+        before_tick, before_ns = self._sync.tick, self._sync.host_ns
+        tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns)
+        self._sync_sent_ns = None
+        if self._sync_missed:
+            self._sync_missed = False
+            self._report.event(host_ns, Severity.INFO, "sync_recovered", f"SYNC again, number {tick}")
+        if before_tick is not None:
+            next_tick = before_tick + 1 if restarted else tick
+            for channel in self._synchronous:
+                channel.close(before_tick, before_ns, next_tick)
+        if restarted:
+            text = f"SYNC counter {counter} does not go on from number {before_tick}: its producer began anew"
+            self._report.event(host_ns, Severity.ERROR, "sync_restarted", text)
+            for channel in self._synchronous:
+                channel.sync_restarted(tick)
+        if lost:
+            first = self._sync_sequence
+            duration_ns = lost * self._period_ns
+            self._report.gap(host_ns, self._sync_channel, first, first + lost - 1, duration_ns, "no_sync")
+            self._sync_sequence += lost
+        self._sync_rows.append((self._sync_sequence, host_ns, tick, counter))
+        self._sync_sequence += 1
+
+    def _on_error_frame(self, host_ns: int, classes: int, data: bytes) -> None:
+        named = [text for bit, text in ERROR_CLASSES.items() if classes & bit]
+        severity = Severity.ERROR if classes & BUS_OFF else Severity.WARNING
+        text = f"CAN error frame: {', '.join(named) or hex(classes)} ({data.hex()}): check wiring, ends and bit rate"
+        self._report.event(host_ns, severity, f"can_error_{classes & 0x1FF:03X}", text)
+
+    def _watch_sync(self, now_ns: int) -> None:
+        if self._sync.silence(now_ns) > OVERDUE:
+            for channel in self._synchronous:
+                channel.settle()
+        heard_ns = self._started_ns if self._sync.tick is None else self._sync.host_ns
+        if not self._sync_missed and now_ns - heard_ns > SYNC_LIMIT_NS:
+            self._sync_missed = True
+            text = f"no SYNC for {(now_ns - heard_ns) // 1_000_000} ms: check its producer"
+            self._report.event(now_ns, Severity.ERROR, "sync_lost", text)
+
+    # Port
+
+    def _send(self, identifier: int, data: bytes) -> None:
+        try:
+            self._port.send(identifier, data)
+        except OSError as error:
+            self._port_failed(error)
+
+    def _receive(self, now_ns: int, timeout_s: float) -> list[CanFrame]:
+        try:
+            frames = self._port.receive(timeout_s)
+            if frames and self._sync.silence(frames[-1].host_ns) > STALLED:
+                frames = self._all_of_a_stall(frames)
+        except OSError as error:
+            self._port_failed(error)
+            return []
+        if self._counting is not None and self._counting.lost_frames != self._lost_frames:
+            lost = self._counting.lost_frames - self._lost_frames
+            self._lost_frames += lost
+            text = f"the port lost {lost} frames: raise net.core.rmem_max, or check the adapter's baud rate"
+            self._report.event(now_ns, Severity.WARNING, "frames_lost", text)
+        if self._failing_since_ns is not None and frames:
+            down_ms = (now_ns - self._failing_since_ns) // 1_000_000
+            self._failing_since_ns = None
+            self._report.event(now_ns, Severity.INFO, "bus_recovered", f"CAN frames again after {down_ms} ms")
+        return frames
+
+    def _all_of_a_stall(self, frames: list[CanFrame]) -> list[CanFrame]:
+        """After a long silence: were SYNCs lost, or only read late?
+
+        A port that stamps when it reads (slcan) gives frames that waited the stamp of the end of the wait, which looks
+        like a loss. What is still waiting is fetched; then the first SYNC was sent a period for each that
+        follows it earlier than the last one arrived.
+        """
+        for _ in range(MOST_RECEIVES):
+            more = self._port.receive(0.0)
+            if not more:
+                break
+            frames += more
+        syncs = [host_ns for host_ns, identifier, _, is_error in frames if identifier == frame.SYNC and not is_error]
+        if syncs:
+            self._sync_sent_ns = min(syncs[0], syncs[-1] - (len(syncs) - 1) * self._period_ns)
+        return frames
+
+    def _port_failed(self, error: OSError) -> None:
+        if self._failing_since_ns is None:
+            self._failing_since_ns = self._now_ns
+            text = f"CAN bus fails ({error}): check that the interface is up; it is tried again"
+            self._report.event(self._now_ns, Severity.ERROR, "bus_error", text)
+
+    def _handed_over(self) -> list[Batch]:
+        if self._sync_rows:
+            rows = np.zeros(len(self._sync_rows), CAN_SYNC)
+            rows[:] = self._sync_rows
+            self._sync_rows.clear()
+            self._report.rows(self._sync_channel, rows)
+        for channel in self._channels:
+            channel.hand_over()
+        return self._report.take()

@@ -1,0 +1,94 @@
+"""CiA 406 encoder: position 6004h, unwrapped, on every SYNC."""
+
+import math
+from collections.abc import Generator
+from dataclasses import dataclass
+
+from drivers.canopen_pdo import frame
+from drivers.canopen_pdo.channel import ProcessData, Sample
+from drivers.canopen_pdo.sdo import Read, SdoData, Setup, Write, attempt, ensure_tpdo, read_unsigned
+from drivers.errors import ConfigurationError, FrameError, SdoAbortError
+
+POSITION_MAPPING = 0x6004_0020
+CYCLIC_TPDO, SYNC_TPDO = 1, 2  # CiA 406: TPDO1 by the cyclic timer, TPDO2 by SYNC
+SCALING_ENABLED = 1 << 2  # 6000h
+_WRAP, _HALF = 1 << 32, 1 << 31
+
+
+@dataclass(frozen=True)
+class Cia406Config:
+    """An encoder.
+
+    Attributes:
+        name: Channel.
+        node: Node number.
+        counts_per_revolution: Counts in a revolution of the joint (gear and quadrature included); checked at the node.
+    """
+
+    name: str
+    node: int
+    counts_per_revolution: int
+
+    def __post_init__(self) -> None:
+        if self.counts_per_revolution < 1:
+            raise ConfigurationError(f"{self.name}: counts_per_revolution = {self.counts_per_revolution}: 1 or more")
+
+
+class Encoder(ProcessData):
+    """Joint position, counts; 2 pi / ``counts_per_revolution`` rad a count.
+
+    6004h is unsigned 32 bits and wraps; ``value_raw`` does not: the step between two samples is taken as the shorter
+    way round, so it is right up to 2^31 counts between samples.
+    """
+
+    profile = 0x0196
+    unit = "rad"
+
+    def __init__(self, config: Cia406Config) -> None:
+        super().__init__(config.name, config.node, frame.TPDO[SYNC_TPDO] + config.node)
+        self.scale = 2.0 * math.pi / config.counts_per_revolution
+        self._counts = config.counts_per_revolution
+        self._position: int | None = None
+
+    def setup(self) -> Setup:
+        """Check the resolution, silence the event TPDO, map the position to the SYNC TPDO.
+
+        Raises:
+            ConfigurationError: Another resolution than configured, or a TPDO that cannot be silenced.
+        """
+        counts = yield from self._resolution()
+        if counts != self._counts:
+            raise ConfigurationError(
+                f"encoder has {counts} counts/rev, configured {self._counts}: mend counts_per_revolution, or 6001h"
+            )
+        cyclic = 0x1800 + CYCLIC_TPDO - 1
+        timer_off = yield from attempt(0x6200, 0, 0, 2)
+        cob_id = yield from read_unsigned(cyclic, 1)
+        pdo_off = yield from attempt(cyclic, 1, cob_id | frame.NOT_VALID, 4)
+        if not timer_off and not pdo_off:
+            raise ConfigurationError(
+                "encoder lets its event TPDO1 not be switched off (6200h, 1800h): do it by its tool"
+            )
+        yield from ensure_tpdo(SYNC_TPDO, self.cob_id, 1, (POSITION_MAPPING,))
+
+    def decode(self, data: bytes) -> Sample:
+        """Position as sent, unwrapped. Raises FrameError."""
+        if len(data) != 4:
+            raise FrameError(f"{self.name}: TPDO of {len(data)} bytes, 6004h has 4: check the mapping 1A01h")
+        raw = int.from_bytes(data, "little")
+        before = raw if self._position is None else self._position
+        self._position = before + (raw - before + _HALF) % _WRAP - _HALF
+        return Sample(self._position)
+
+    def _resolution(self) -> Generator[Read | Write, SdoData, int]:
+        """Counts in a revolution: 6001h where the encoder scales (6000h bit 2), else what it physically has, 6501h."""
+        try:
+            scaling = (yield from read_unsigned(0x6000)) & SCALING_ENABLED
+        except SdoAbortError:
+            scaling = 0
+        if not scaling:
+            try:
+                return (yield from read_unsigned(0x6501))
+            except SdoAbortError:
+                pass
+        return (yield from read_unsigned(0x6001))

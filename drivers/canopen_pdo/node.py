@@ -1,0 +1,193 @@
+"""One CANopen node seen from the master: set up, started, watched by its heartbeat, set up again when it rebooted."""
+
+from collections.abc import Callable, Sequence
+from enum import Enum, auto
+
+from drivers.canopen_pdo import frame
+from drivers.canopen_pdo.channel import Channel
+from drivers.canopen_pdo.frame import NmtCommand, NmtState
+from drivers.canopen_pdo.sdo import SdoClient, Setup, read_unsigned, write_unsigned
+from drivers.errors import ConfigurationError, DriverError, FrameError, NoAnswerError, SdoAbortError, WrongDeviceError
+from drivers.records import Severity
+from drivers.reporter import Reporter
+
+HEARTBEAT_MS = 500
+HEARTBEAT_LIMIT_NS = 1_500_000_000
+SETTLE_NS = 1_000_000_000  # heartbeats sent before a node took our NMT command may still arrive
+BACKOFF_NS = 500_000_000
+LONGEST_BACKOFF_NS = 8_000_000_000
+
+_CODES = {
+    WrongDeviceError: "wrong_device",
+    ConfigurationError: "configuration",
+    SdoAbortError: "configuration",
+    NoAnswerError: "no_answer",
+}
+
+
+class _State(Enum):
+    OFF = auto()
+    SETTING_UP = auto()
+    RUNNING = auto()
+    AWAY = auto()  # no answer: try again at the deadline
+    REFUSED = auto()  # not the device we want, or it cannot serve: left alone until it boots
+
+
+class Node:
+    """A node and the channels it feeds.
+
+    Set-up: pre-operational, identity 1000h, what each channel needs, heartbeat 1017h, NMT start.
+
+    Args:
+        number: Node number, 1..127.
+        channels: Its channels.
+        send: Sends a frame (COB-ID, data) and keeps bus faults to itself.
+        report: Where events go.
+    """
+
+    def __init__(
+        self, number: int, channels: Sequence[Channel], send: Callable[[int, bytes], None], report: Reporter
+    ) -> None:
+        self.number = number
+        self.channels = tuple(channels)
+        self._send = send
+        self._report = report
+        self._sdo = SdoClient(number, send)
+        self._state = _State.OFF
+        self._deadline_ns = 0
+        self._backoff_ns = BACKOFF_NS
+        self._started_ns = 0
+        self._heard_ns = 0
+        self._told = ""
+
+    @property
+    def source(self) -> str:
+        """Name in its events: that of its first channel."""
+        return self.channels[0].data.name
+
+    def begin(self, now_ns: int) -> None:
+        """Silence the node and set it up."""
+        for channel in self.channels:
+            channel.live = False
+        self._state = _State.SETTING_UP
+        self._command(NmtCommand.PRE_OPERATIONAL)
+        self._sdo.begin(self._setup(), now_ns)
+
+    def stop(self) -> None:
+        """Silence the node."""
+        if self._state is not _State.OFF:
+            self._command(NmtCommand.PRE_OPERATIONAL)
+        self._sdo.drop()
+        self._state = _State.OFF
+
+    def poll(self, now_ns: int) -> None:
+        """Repeat requests, retry after a back-off, notice a heartbeat that stopped."""
+        if self._state is _State.SETTING_UP:
+            self._guarded(lambda: self._sdo.poll(now_ns), now_ns)
+        elif self._state is _State.AWAY and now_ns >= self._deadline_ns:
+            self.begin(now_ns)
+        elif self._state is _State.RUNNING and now_ns - self._heard_ns > HEARTBEAT_LIMIT_NS:
+            text = f"node {self.number}: no heartbeat for {(now_ns - self._heard_ns) // 1_000_000} ms: set up anew"
+            self._report.event(now_ns, Severity.ERROR, "heartbeat_lost", text, self.source)
+            self._reset(now_ns)
+
+    def on_sdo(self, host_ns: int, data: bytes) -> None:
+        """An answer of its SDO server."""
+        if self._state is _State.SETTING_UP:
+            self._guarded(lambda: self._sdo.accept(data, host_ns), host_ns)
+
+    def on_heartbeat(self, host_ns: int, data: bytes) -> None:
+        """A heartbeat or boot-up message."""
+        try:
+            state = frame.decode_heartbeat(data)
+        except FrameError as error:
+            self._report.event(host_ns, Severity.WARNING, "bad_heartbeat", str(error), self.source)
+            return
+        self._heard_ns = host_ns
+        if self._state is _State.OFF:
+            return
+        if state is NmtState.BOOT_UP:
+            if self._state is _State.RUNNING:
+                text = f"node {self.number} rebooted: set up anew; check its supply"
+                self._report.event(host_ns, Severity.WARNING, "node_rebooted", text, self.source)
+            self._told = ""
+            self._reset(host_ns)
+        elif self._state is _State.AWAY:
+            self.begin(host_ns)
+        elif (
+            self._state is _State.RUNNING
+            and state is not NmtState.OPERATIONAL
+            and host_ns - self._started_ns > SETTLE_NS
+        ):
+            text = f"node {self.number} is {state.name.lower()}: started again; look for a second master"
+            self._report.event(host_ns, Severity.WARNING, "not_operational", text, self.source)
+            self._start(host_ns)
+
+    def on_emergency(self, host_ns: int, data: bytes) -> None:
+        """An EMCY message."""
+        try:
+            emergency = frame.decode_emergency(data)
+        except FrameError as error:
+            self._report.event(host_ns, Severity.WARNING, "bad_emergency", str(error), self.source)
+            return
+        severity = Severity.WARNING if emergency.code else Severity.INFO
+        what = f"{emergency.code:04X}h, register {emergency.register:02X}h, {emergency.vendor.hex()}"
+        text = f"node {self.number} EMCY {what}" if emergency.code else f"node {self.number} EMCY: errors are over"
+        self._report.event(host_ns, severity, f"emcy_{emergency.code:04X}", text, self.source)
+
+    def _setup(self) -> Setup:
+        device_type = yield from read_unsigned(0x1000)
+        for channel in self.channels:
+            profile = channel.data.profile
+            if profile is not None and device_type & 0xFFFF != profile:
+                raise WrongDeviceError(
+                    f"node {self.number} has device type {device_type:08X}h, {channel.data.name} needs "
+                    f"xxxx{profile:04X}h: check the node numbers"
+                )
+        yield from write_unsigned(0x1017, 0, HEARTBEAT_MS, 2)
+        for channel in self.channels:
+            yield from channel.data.setup()
+
+    def _guarded(self, step: Callable[[], None], now_ns: int) -> None:
+        """Take a step of the set-up; what ends it early becomes an event."""
+        try:
+            step()
+        except NoAnswerError as error:
+            self._tell(now_ns, error)
+            self._state, self._deadline_ns = _State.AWAY, now_ns + self._backoff_ns
+            self._backoff_ns = min(2 * self._backoff_ns, LONGEST_BACKOFF_NS)
+        except DriverError as error:
+            self._tell(now_ns, error)
+            self._state = _State.REFUSED
+        else:
+            if not self._sdo.busy:
+                self._run(now_ns)
+
+    def _run(self, now_ns: int) -> None:
+        self._state = _State.RUNNING
+        self._heard_ns = now_ns
+        self._backoff_ns = BACKOFF_NS
+        self._told = ""
+        for channel in self.channels:
+            channel.go_live()
+        self._start(now_ns)
+        text = f"node {self.number} set up and started"
+        self._report.event(now_ns, Severity.INFO, "started", text, self.source)
+
+    def _start(self, now_ns: int) -> None:
+        self._started_ns = now_ns
+        self._command(NmtCommand.START)
+
+    def _reset(self, now_ns: int) -> None:
+        for channel in self.channels:
+            channel.node_reset()
+        self.begin(now_ns)
+
+    def _tell(self, now_ns: int, error: DriverError) -> None:
+        code = _CODES.get(type(error), "error")
+        if code != self._told:
+            self._report.event(now_ns, Severity.ERROR, code, str(error), self.source)
+            self._told = code
+
+    def _command(self, command: NmtCommand) -> None:
+        self._send(frame.NMT, frame.encode_nmt(command, self.number))

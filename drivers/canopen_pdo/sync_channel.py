@@ -1,0 +1,117 @@
+"""TPDOs that answer SYNCs: each is given the number of the SYNC it answers, and a SYNC without answer is a gap."""
+
+from drivers.canopen_pdo.channel import Channel, ProcessData, Sample
+from drivers.canopen_pdo.sync import ROUND, SyncCounter
+from drivers.records import Severity
+from drivers.reporter import Reporter
+
+SILENT_AFTER = 20  # SYNCs without an answer before an event says so
+
+
+class SyncChannel(Channel):
+    """One row for each SYNC answered.
+
+    TPDOs are held until the next SYNC, for only then is it known whether a SYNC between was lost. Order decides:
+    what came between SYNC n and n + 1 answers n. Only where SYNCs are missing, host time decides which of them a
+    TPDO answers. ``sequence`` runs with the SYNC number from the first answer on.
+
+    """
+
+    def __init__(self, data: ProcessData, report: Reporter, sync: SyncCounter) -> None:
+        super().__init__(data, report, sync)
+        self._period_ns = sync.period_ns
+        self._held: list[tuple[int, bytes]] = []
+        self._last_tick = 0  # of the last row
+        self._unanswered = 0  # SYNCs seen since the last row and not answered
+        self._silent = 0  # the same, since the node went live or answered
+        self._reset_since_row = False
+
+    def go_live(self) -> None:
+        """The node has been started."""
+        super().go_live()
+        self._silent = 0
+
+    def node_reset(self) -> None:
+        """See ``Channel``. What it answered before is handed over first."""
+        self.settle()
+        super().node_reset()
+        self._reset_since_row = self.started
+
+    def accept(self, host_ns: int, data: bytes) -> None:
+        """See ``Channel``. An answer to a SYNC before the first one seen is no sample yet."""
+        if self.live and self._sync.tick is not None:
+            self._held.append((host_ns, data))
+
+    def close(self, tick: int, sync_ns: int, next_tick: int) -> None:
+        """The time between SYNC ``tick`` (arrived at ``sync_ns``) and the next one seen, ``next_tick``, is over."""
+        answers = next_tick - tick
+        held = self._held
+        lowest = max(0, self._last_tick + 1 - tick) if self.started else 0
+        if answers == 1 and len(held) == 1 and lowest == 0:
+            host_ns, data = held.pop()
+            self._answer(tick, host_ns, data)
+            return
+        for place, (host_ns, data) in enumerate(held):
+            if lowest >= answers:
+                text = f"{len(held) - place} TPDOs more than SYNCs: is another node sending {self.data.cob_id:03X}h?"
+                self._report.event(host_ns, Severity.WARNING, "pdo_extra", text, self.data.name)
+                break
+            by_time = (host_ns - sync_ns) // self._period_ns
+            highest = max(answers - (len(held) - place), lowest)  # leave a SYNC for each that follows
+            offset = min(max(by_time, lowest), highest)
+            self._answer(tick + offset, host_ns, data)
+            lowest = offset + 1
+        if not held:
+            self._unanswered += 1
+            self._count_silence(sync_ns)
+        held.clear()
+
+    def settle(self) -> None:
+        """The next SYNC is overdue: hand over what answered the last one, and those we did not see."""
+        tick = self._sync.tick
+        if self._held and tick is not None:
+            periods = (self._held[-1][0] - self._sync.host_ns) // self._period_ns
+            self.close(tick, self._sync.host_ns, tick + 1 + max(periods, 0))
+
+    def sync_restarted(self, tick: int) -> None:
+        """SYNC numbers jump to ``tick`` without that anything is known to be lost."""
+        self._last_tick = tick - 1
+
+    def finish(self, now_ns: int, last: int | None) -> None:
+        """Nothing more will come: name the SYNCs up to ``last`` that were not answered; later ones need not be."""
+        tick = self._sync.tick
+        if tick is None or last is None:
+            return
+        self.close(tick, self._sync.host_ns, tick + 1)
+        if self.started and last > self._last_tick:
+            self._lose(now_ns, last)
+
+    def _answer(self, tick: int, host_ns: int, data: bytes) -> None:
+        sample: Sample | None = self._decoded(host_ns, data)
+        if sample is None:
+            self._unanswered += 1
+            return
+        if self.started and tick > self._last_tick + 1:
+            self._lose(host_ns, tick - 1)
+        self._append(host_ns, tick, sample, 1 + tick % ROUND)
+        self._last_tick = tick
+        self._unanswered = self._silent = 0
+        self._reset_since_row = False
+
+    def _lose(self, now_ns: int, up_to_tick: int) -> None:
+        """Answers to the SYNCs after the last row, up to ``up_to_tick``, are missing."""
+        lost = up_to_tick - self._last_tick
+        cause = "node_reset" if self._reset_since_row else "no_pdo" if self._unanswered else "no_sync"
+        first = self._next
+        self._report.gap(now_ns, self.data.name, first, first + lost - 1, lost * self._period_ns, cause)
+        self._next += lost
+        self._last_tick = up_to_tick
+
+    def _count_silence(self, now_ns: int) -> None:
+        if self.live:
+            self._silent += 1
+            if self._silent == SILENT_AFTER:
+                text = (
+                    f"node {self.data.node} runs and does not answer SYNC with {self.data.cob_id:03X}h: check its TPDO"
+                )
+                self._report.event(now_ns, Severity.ERROR, "silent", text, self.data.name)

@@ -1,0 +1,65 @@
+"""FIFO bytes of the MPU-6050 into IMU rows. No port, no clock; a burst is decoded at once, never sample by sample.
+
+A packet is seven big-endian int16 in register order (RM 4.32, FIFO_R_W): accel x, y, z, temperature, gyro x, y, z.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import FrameError
+from drivers.mpu6050.registers import Mpu6050Config
+from drivers.records import IMU, Rows, SampleStatus
+
+PACKET_BYTES = 14
+TEMPERATURE_JUMP = 400  # counts, 1.2 degC: more than any die does in one sample period
+
+_ACCEL, _TEMPERATURE, _GYRO = slice(0, 3), 3, slice(4, 7)
+
+
+def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:
+    """Whole packets as IMU rows; ``sequence``, ``host_ns`` and ``tick`` are left 0 for the device to give.
+
+    Args:
+        data: Bytes of the FIFO, beginning with a packet.
+        config: What they were sampled with.
+
+    Returns:
+        Rows of ``records.IMU``, one a packet. ``sync`` is bit 0 of the temperature (EXT_SYNC_SET = 1), which stays
+        part of ``temperature_raw``; ``status`` is SATURATED where an inertial word is at either end of its range.
+
+    Raises:
+        FrameError: The length is not a whole number of packets.
+    """
+    if len(data) % PACKET_BYTES:
+        raise FrameError(f"{len(data)} bytes are no whole number of 14-byte FIFO packets: resynchronise the FIFO")
+    words = np.frombuffer(data, ">i2").astype("<i2").reshape(-1, 7)  # (n, 7)
+    at_limit = (words == 32767) | (words == -32768)
+    at_limit[:, _TEMPERATURE] = False
+    rows = np.zeros(len(words), IMU)
+    rows["accel_scale_m_s2"] = config.accel_scale_m_s2
+    rows["gyro_scale_rad_s"] = config.gyro_scale_rad_s
+    rows["accel_raw"] = words[:, _ACCEL]
+    rows["gyro_raw"] = words[:, _GYRO]
+    rows["temperature_raw"] = words[:, _TEMPERATURE]
+    rows["filter_code"] = config.filter_code
+    rows["sync"] = words[:, _TEMPERATURE] & 1
+    rows["status"] = at_limit.any(axis=1) * np.uint8(SampleStatus.SATURATED)
+    return rows
+
+
+def first_misaligned(temperature_raw: NDArray[np.int16], before: int | None) -> int | None:
+    """Place of the first sample whose temperature word cannot be one: the packet boundary has slipped.
+
+    Args:
+        temperature_raw: Temperature words of successive samples, shape (n,).
+        before: The word of the sample before them, None when there is none to compare with.
+
+    Returns:
+        Index of the first sample that differs by more than ``TEMPERATURE_JUMP`` from the one before; None if none.
+    """
+    words = temperature_raw.astype(np.int32)
+    if not len(words):
+        return None
+    first = words[0] if before is None else before
+    jumps = np.abs(np.diff(words, prepend=first)) > TEMPERATURE_JUMP
+    return int(jumps.argmax()) if jumps.any() else None

@@ -1,0 +1,64 @@
+"""Where a device collects its batches between two calls of its owner: rows, gaps, and events that do not flood."""
+
+from drivers.records import Batch, Rows, Severity, event, gap
+
+REPEAT_NS = 1_000_000_000
+
+
+class Reporter:
+    """Batches waiting to be handed over, in order.
+
+    The same event (code and source) is told at most once in ``REPEAT_NS``; what was held back is counted in the next
+    one, and in ``flush``. Nothing is dropped in silence.
+    """
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self._batches: list[Batch] = []
+        self._told_ns: dict[tuple[str, str], int] = {}
+        self._held: dict[tuple[str, str], int] = {}
+
+    def event(self, now_ns: int, severity: Severity, code: str, text: str, source: str | None = None) -> None:
+        """Tell an event, or count it when the same one was told less than a second ago.
+
+        Args:
+            now_ns: CLOCK_MONOTONIC, ns.
+            severity: How loud.
+            code: Short name of the kind of event, up to 31 ASCII characters.
+            text: A sentence with the remedy; cut at 160 bytes.
+            source: Name of the device, where it is not the reporter's own.
+        """
+        source = self.source if source is None else source
+        key = (code, source)
+        told_ns = self._told_ns.get(key)
+        if told_ns is not None and now_ns - told_ns < REPEAT_NS:
+            self._held[key] = self._held.get(key, 0) + 1
+            return
+        held = self._held.pop(key, 0)
+        self._told_ns[key] = now_ns
+        if held:
+            text = f"(+{held} before) {text}"
+        self._batches.append(event(now_ns, severity, code, source, text))
+
+    def gap(
+        self, now_ns: int, channel: str, first_missing: int, last_missing: int, duration_ns: int, cause: str
+    ) -> None:
+        """Name samples ``first_missing..last_missing`` of ``channel`` as lost. Gaps are never held back."""
+        self._batches.append(gap(now_ns, channel, first_missing, last_missing, duration_ns, cause))
+
+    def rows(self, channel: str, rows: Rows) -> None:
+        """Hand over rows, if there are any."""
+        if len(rows):
+            self._batches.append(Batch(channel, rows))
+
+    def flush(self, now_ns: int) -> None:
+        """Tell how often events were held back since they were last told."""
+        for (code, source), held in self._held.items():
+            text = f"{held} more of this event since it was last told"
+            self._batches.append(event(now_ns, Severity.INFO, code, source, text))
+        self._held.clear()
+
+    def take(self) -> list[Batch]:
+        """All batches since the last call."""
+        batches, self._batches = self._batches, []
+        return batches

@@ -1,0 +1,195 @@
+"""A device that speaks when it is spoken to: one question, one answer, and a stamp on either side of the sample.
+
+What the answer says was so at some time between the question and the answer. SCALAR rows of such a device carry both:
+``tick`` is CLOCK_MONOTONIC ns just before the question was written, ``host_ns`` when the last byte of the answer was in
+the host's hands. Half their difference bounds the error of their mean; the device's own filter delay comes on top.
+"""
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.errors import ConfigurationError, FrameError
+from drivers.records import SCALAR, Severity
+from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
+
+SETTLE_NS = 10 * MS  # silence to wait for after bytes that made no sense
+UNANSWERED_TO_TELL = 5
+UNANSWERED_TO_REOPEN = 20
+
+
+class Value(NamedTuple):
+    """One value out of an answer, as a SCALAR row holds it."""
+
+    channel: str
+    value_raw: int
+    scale: float
+    unit: str
+    device_status: int = 0
+    status: int = 0
+
+
+class PolledDevice(SerialDevice):
+    """Asks, waits, asks again. Every question is a sample: one that is not answered is named as a gap.
+
+    Args:
+        name: Source of its events.
+        open_port: Opens its port.
+        clock: CLOCK_MONOTONIC, ns.
+        poll_period_ms: Time between two pumps, ms; 0: the port waits.
+        sample_period_ms: Time between two questions, ms; 0: as fast as the link allows.
+        timeout_ms: How long an answer may take, ms.
+        pause_ms: Silence to keep between an answer and the next question, ms.
+
+    Raises:
+        ConfigurationError: A time is out of range.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_port: OpenPort,
+        clock: Clock,
+        poll_period_ms: float,
+        sample_period_ms: float,
+        timeout_ms: float,
+        pause_ms: float,
+    ) -> None:
+        if timeout_ms <= 0.0 or min(sample_period_ms, pause_ms) < 0.0:
+            raise ConfigurationError(f"{name}: timeout_ms is more than 0, sample_period_ms 0 or more: correct them")
+        super().__init__(name, open_port, clock, poll_period_ms, timeout_ms)
+        self._sample_period_ns = round(sample_period_ms * 1e6)
+        self._timeout_ns = round(timeout_ms * 1e6)
+        self._pause_ns = round(pause_ms * 1e6)
+        self._settle_ns = max(self._pause_ns, SETTLE_NS)
+        self._asked_ns: int | None = None  # stamp of the open question
+        self._due_ns = 0  # of the next question by the sample period
+        self._earliest_ns = 0  # of the next question by the silence it needs
+        self._deadline_ns = 0  # of the answer
+        self._next = 0  # sequence of the next row, if none is lost before it
+        self._unanswered = 0  # questions, since the last answer
+        self._cause = ""
+        self._last_ns: int | None = None  # of the last answer
+        self._was_down = False  # there was no port to ask through since the last answer
+
+    @property
+    def channels(self) -> Channels:
+        """See ``SerialDevice``."""
+        return dict.fromkeys(self._value_channels(), SCALAR)
+
+    @abstractmethod
+    def _value_channels(self) -> tuple[str, ...]:
+        """Channels of its values."""
+
+    @abstractmethod
+    def _question(self, retry: bool) -> bytes:
+        """The next question. ``retry``: the last one was not answered, and its answer may still come."""
+
+    @abstractmethod
+    def _missing(self) -> int:
+        """How many bytes the answer lacks, at least 1."""
+
+    @abstractmethod
+    def _answer(self, host_ns: int, data: bytes) -> list[Value] | None:
+        """Bytes after the question: its values, none when it was refused (told by an event); None: more to come.
+
+        Raises:
+            FrameError: They are not the answer.
+        """
+
+    def _opened(self, now_ns: int) -> None:
+        self._asked_ns = None
+        self._earliest_ns = self._due_ns = now_ns
+
+    def _closed(self, now_ns: int) -> None:
+        self._lose("port_lost")
+        self._was_down = True
+
+    def _wanted(self) -> int:
+        return 0 if self._asked_ns is None else self._missing()
+
+    def _act(self, now_ns: int) -> bool:
+        if self._asked_ns is not None:
+            if now_ns < self._deadline_ns:
+                return False
+            self._lose("no_answer")
+            if self._unanswered == UNANSWERED_TO_TELL:
+                text = f"{UNANSWERED_TO_TELL} questions without an answer: check power, address, baud rate and wiring"
+                self._report.event(now_ns, Severity.ERROR, "no_answer", text)
+            if self._unanswered % UNANSWERED_TO_REOPEN == 0:
+                text = f"{UNANSWERED_TO_REOPEN} questions without an answer ({self._last_error}): port is opened anew"
+                self._link.drop(now_ns, "silent", text)
+                return False
+        if now_ns < max(self._earliest_ns, self._due_ns):
+            return False
+        before_ns = self._link.write(now_ns, self._question(retry=self._unanswered > 0))
+        if before_ns is None:
+            return False
+        self._asked_ns, self._deadline_ns = before_ns, before_ns + self._timeout_ns
+        self._due_ns = max(self._due_ns + self._sample_period_ns, now_ns)
+        self._broken = False
+        return True
+
+    def _receive(self, now_ns: int, chunk: Chunk) -> None:
+        if self._asked_ns is None:
+            if not self._broken:
+                error = FrameError(f"{len(chunk.data)} bytes that nobody asked for: is another master on the line?")
+                self._bad_frame(chunk.host_ns, error)
+            self._earliest_ns = chunk.host_ns + self._settle_ns
+            return
+        try:
+            values = self._answer(chunk.host_ns, chunk.data)
+        except FrameError as error:
+            self._bad_frame(chunk.host_ns, error)
+            self._lose("bad_frame")
+            self._earliest_ns = chunk.host_ns + self._settle_ns
+            return
+        if values is None:
+            return
+        asked_ns, self._asked_ns = self._asked_ns, None
+        self._earliest_ns = chunk.host_ns + self._pause_ns
+        self._broken = False
+        self._heard(now_ns)
+        if values:
+            self._append(asked_ns, chunk.host_ns, values)
+        else:
+            self._asked_ns = asked_ns
+            self._lose("refused")
+
+    def _append(self, asked_ns: int, host_ns: int, values: list[Value]) -> None:
+        if self._last_ns is None:
+            self._report.event(host_ns, Severity.INFO, "started", "it answers")
+        self._name_gap(host_ns)
+        for value in values:
+            rows = np.zeros(1, SCALAR)
+            number = value.value_raw, value.scale, value.unit
+            rows[0] = (self._next, host_ns, asked_ns, *number, 0, value.device_status, value.status)
+            self._report.rows(value.channel, rows)
+        self._next += 1
+        self._last_ns = host_ns
+
+    def _lose(self, cause: str) -> None:
+        """The open question, if there is one, will not be answered."""
+        if self._asked_ns is not None:
+            self._unanswered += 1
+            self._cause = self._cause or cause
+            self._asked_ns = None
+
+    def _name_gap(self, now_ns: int) -> None:
+        """Name the questions without an answer, and those that could not be asked: one at least, without a period."""
+        elapsed_ns = 0 if self._last_ns is None else now_ns - self._last_ns
+        lost = self._unanswered
+        if self._was_down and self._last_ns is not None:
+            period_ns = self._sample_period_ns
+            lost = max(lost, round(elapsed_ns / period_ns) - 1 if period_ns else 1)
+        if lost:
+            first, last = self._next, self._next + lost - 1
+            for channel in self._value_channels():
+                self._report.gap(now_ns, channel, first, last, elapsed_ns, self._cause or "port_lost")
+            self._next = last + 1
+        self._unanswered, self._cause, self._was_down = 0, "", False
+
+    def _finish(self, now_ns: int) -> None:
+        self._lose("stopped")
+        self._name_gap(now_ns)

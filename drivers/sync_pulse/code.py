@@ -1,0 +1,94 @@
+"""The published code of the sync pulses: any three intervals in a row tell which pulse it is.
+
+The interval before pulse n is ``30 + c[n mod 32768]`` SYNC periods, c being the de Bruijn sequence B(32, 3) over 0..31
+in its lexicographically least form: the Lyndon words whose length divides 3, joined in lexicographic order
+(Fredricksen, Kessler and Maiorana, "Lexicographic compositions and deBruijn sequences", 1977). Every triple occurs
+once in a cycle, so a stream that starts late or misses edges is numbered after three good intervals. Pulse 0 rises
+with SYNC number 0; at 200 Hz the intervals are 150..305 ms and the code repeats after 2.07 h.
+
+A pulse rises a little after the start of its SYNC period: ``(7 c) mod 32`` thirty-seconds of a millisecond, c being the
+symbol of the interval before it. A 1 kHz recorder marks a pulse to the sample; were pulses whole milliseconds apart,
+they would all fall on one place in its sample period, and no number of them would average the quantisation out.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+SYMBOLS = 32
+WORD = 3
+CODE_LENGTH = SYMBOLS**WORD
+SHORTEST_INTERVAL = 30
+
+
+@cache
+def intervals() -> NDArray[np.int64]:
+    """The intervals of one cycle, SYNC periods, read-only, shape (32768,): entry n stands before pulse n."""
+    symbols: list[int] = []
+    word = [-1]
+    while word:  # Duval's generation of Lyndon words up to length 3, in lexicographic order
+        word[-1] += 1
+        if WORD % len(word) == 0:
+            symbols += word
+        word = [word[place % len(word)] for place in range(WORD)]
+        while word and word[-1] == SYMBOLS - 1:
+            word.pop()
+    code = np.array(symbols, np.int64) + SHORTEST_INTERVAL
+    code.setflags(write=False)
+    return code
+
+
+@cache
+def dither_ns() -> NDArray[np.int64]:
+    """How long after the start of its SYNC period each pulse of one cycle rises, ns. Read-only, shape (32768,)."""
+    delays = (7 * (intervals() - SHORTEST_INTERVAL) % 32) * (1_000_000 // 32)
+    delays.setflags(write=False)
+    return delays
+
+
+@cache
+def sync_numbers() -> NDArray[np.int64]:
+    """SYNC number with which each pulse of the first cycle rises; entry 0 is 0. Read-only, shape (32768,)."""
+    numbers = np.cumsum(intervals())
+    numbers -= numbers[0]
+    numbers.setflags(write=False)
+    return numbers
+
+
+@cache
+def cycle_sync_periods() -> int:
+    """SYNC periods in one cycle of the code: pulse n + 32768 rises this long after pulse n."""
+    return int(intervals().sum())
+
+
+@cache
+def _places() -> NDArray[np.int64]:
+    """Place of each triple: entry ``(a * 32 + b) * 32 + c`` is the pulse that ends the intervals a, b, c."""
+    symbols = intervals() - SHORTEST_INTERVAL
+    keys = (np.roll(symbols, 2) * SYMBOLS + np.roll(symbols, 1)) * SYMBOLS + symbols
+    places = np.empty(CODE_LENGTH, np.int64)
+    places[keys] = np.arange(CODE_LENGTH)
+    return places
+
+
+def pulse_number(intervals_in_sync_periods: Sequence[int]) -> int | None:
+    """Number of the pulse that ends the last of the intervals given, in 0..32767 (the code repeats after that).
+
+    Args:
+        intervals_in_sync_periods: Three or more intervals between successive pulses, none missing, SYNC periods.
+
+    Returns:
+        The pulse number, or None when the intervals are fewer than three or are no stretch of the code: an edge was
+        missed or added, or something else drives the line.
+    """
+    symbols = [interval - SHORTEST_INTERVAL for interval in intervals_in_sync_periods]
+    if len(symbols) < WORD or not all(0 <= symbol < SYMBOLS for symbol in symbols):
+        return None
+    first, second, third = symbols[:WORD]
+    start = int(_places()[(first * SYMBOLS + second) * SYMBOLS + third])
+    expected = intervals().take(range(start + 1, start + 1 + len(symbols) - WORD), mode="wrap")
+    if not np.array_equal(expected - SHORTEST_INTERVAL, symbols[WORD:]):
+        return None
+    return int((start + len(symbols) - WORD) % CODE_LENGTH)

@@ -1,0 +1,95 @@
+"""The sync line as a device: edges in, PULSE rows out, lost edges named."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.ports import Edge, PulsePort
+from drivers.records import PULSE, Batch, Severity
+from drivers.reporter import Reporter
+
+RETRY_NS = 20_000_000
+_WRAP = 1 << 32
+
+
+@dataclass(frozen=True)
+class SyncPulseConfig:
+    """What the line is told by.
+
+    Attributes:
+        sync_period_ms: SYNC period, ms: pulse intervals are whole numbers of it.
+    """
+
+    sync_period_ms: float = 5.0
+
+
+class SyncPulse:
+    """Rising edges of the sync line as PULSE rows; its channel carries its name.
+
+    ``sequence`` follows the line's own number, so edges that the kernel dropped are a jump in it and a GAP row with
+    cause ``edge_lost``. A line number that goes back says that the line was requested anew: an event, no gap.
+    """
+
+    def __init__(self, name: str, port: PulsePort) -> None:
+        self.name = name
+        self._port = port
+        self._report = Reporter(name)
+        self._sequence = 0
+        self._last: Edge | None = None
+        self._failing = False
+
+    @property
+    def period_ns(self) -> int:
+        """0: pump waits on the line. While the line fails, the time to leave between two pumps."""
+        return RETRY_NS if self._failing else 0
+
+    def start(self, now_ns: int) -> list[Batch]:
+        """Nothing to set up: edges since the line was opened wait in it and come with the first pump."""
+        del now_ns
+        return []
+
+    def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
+        """Edges waiting, as one batch; waits up to ``timeout_s`` for the first."""
+        edges = self._receive(now_ns, timeout_s)
+        rows = np.zeros(len(edges), PULSE)
+        for place, edge in enumerate(edges):
+            rows[place] = (self._number(edge), edge.host_ns, edge.edge_ns, edge.line_sequence)
+        self._report.rows(self.name, rows)
+        return self._report.take()
+
+    def stop(self, now_ns: int) -> list[Batch]:
+        """The edges left."""
+        batches = self.pump(now_ns)
+        self._report.flush(now_ns)
+        return batches + self._report.take()
+
+    def _receive(self, now_ns: int, timeout_s: float) -> list[Edge]:
+        try:
+            edges = self._port.receive(timeout_s)
+        except OSError as error:
+            if not self._failing:
+                text = f"sync line cannot be read ({error}): check its chip and line number"
+                self._report.event(now_ns, Severity.ERROR, "bus_error", text)
+            self._failing = True
+            return []
+        if self._failing:
+            self._failing = False
+            self._report.event(now_ns, Severity.INFO, "bus_recovered", "sync line can be read again")
+        return edges
+
+    def _number(self, edge: Edge) -> int:
+        """The sequence number of this edge, after naming those lost before it."""
+        last, self._last = self._last, edge
+        if last is not None:
+            lost = (edge.line_sequence - last.line_sequence) % _WRAP - 1
+            if 0 <= lost < _WRAP // 2:
+                if lost:
+                    first = self._sequence
+                    duration_ns = edge.edge_ns - last.edge_ns
+                    self._report.gap(edge.host_ns, self.name, first, first + lost - 1, duration_ns, "edge_lost")
+                    self._sequence += lost
+            else:
+                text = f"line number {edge.line_sequence} after {last.line_sequence}: the line was requested anew"
+                self._report.event(edge.host_ns, Severity.WARNING, "line_restarted", text)
+        self._sequence += 1
+        return self._sequence - 1

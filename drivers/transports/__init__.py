@@ -1,0 +1,108 @@
+"""Opens buses by URL: the only room that imports smbus2, can, serial and gpiod, and the only one that stamps arrivals.
+
+Rule of the room: thin, no decisions. A port moves bytes, stamps them with the clock it was given and turns whatever
+its library raises into OSError. Bus libraries are imported when a port is opened, never before.
+"""
+
+from collections.abc import Callable
+
+from drivers.ports import CanPort, I2cPort, PulsePort, SerialPort
+from drivers.transports.url import parse
+
+Clock = Callable[[], int]
+
+
+def open_i2c(url: str, clock: Clock) -> I2cPort:
+    """Open an I2C bus.
+
+    Args:
+        url: ``i2c:///dev/i2c-1`` (kernel node) or ``i2c+unix:///path.sock`` (stream socket; ``timeout_s=1``).
+        clock: CLOCK_MONOTONIC, ns.
+
+    Raises:
+        UrlError: The URL is not one of these.
+        OSError: The node or socket cannot be opened.
+    """
+    bus = parse(url, {"i2c": ("path",), "i2c+unix": ("path", "timeout_s")})
+    if bus.kind == "i2c":
+        from drivers.transports.i2c import SmbusPort  # noqa: PLC0415 - smbus2 only where it is used
+
+        return SmbusPort(bus.path, clock)
+    from drivers.transports.i2c_unix import UnixI2cPort  # noqa: PLC0415
+
+    return UnixI2cPort(bus.path, clock, bus.number("timeout_s", 1.0))
+
+
+def open_can(url: str, clock: Clock) -> CanPort:
+    """Open a CAN bus.
+
+    Args:
+        url: ``can+socketcan://can0?bitrate=500000`` (the bit rate is what ``ip link`` was told; it is not set here;
+            ``receive_buffer=4194304`` bytes are asked of the kernel), ``can+virtual://NAME?timestamps=monotonic``
+            (python-can's in-process bus; without ``timestamps`` its stamps are the wall clock's) or
+            ``can+slcan:///dev/ttyACM0?bitrate=500000`` (ASCII adapter on a tty; ``baud=115200``).
+        clock: CLOCK_MONOTONIC, ns.
+
+    Raises:
+        UrlError: The URL is not one of these.
+        OSError: The interface or tty cannot be opened.
+    """
+    bus = parse(
+        url,
+        {
+            "can+socketcan": ("host", "bitrate", "receive_buffer"),
+            "can+virtual": ("host", "timestamps"),
+            "can+slcan": ("path", "bitrate", "baud"),
+        },
+    )
+    if bus.kind == "can+socketcan":
+        from drivers.transports.can_socket import SocketcanPort  # noqa: PLC0415
+
+        bus.integer("bitrate", 0)
+        return SocketcanPort.open(bus.host, clock, bus.integer("receive_buffer", 4 << 20))
+    if bus.kind == "can+virtual":
+        from drivers.transports.can_virtual import VirtualCanPort  # noqa: PLC0415 - python-can takes 0.1 s
+
+        return VirtualCanPort.open(bus, clock)
+    from drivers.transports.can_slcan import SlcanPort  # noqa: PLC0415
+
+    return SlcanPort.open(bus, clock)
+
+
+def open_pulse(url: str, clock: Clock) -> PulsePort:
+    """Open the sync line.
+
+    Args:
+        url: ``gpio:///dev/gpiochip0?line=17`` (rising edges, stamped by the kernel with CLOCK_MONOTONIC) or
+            ``gpio+unix:///path.sock`` (edges as datagrams ``<qI``: edge ns, line sequence; bound here).
+        clock: CLOCK_MONOTONIC, ns.
+
+    Raises:
+        UrlError: The URL is not one of these.
+        OSError: The line or socket cannot be had.
+    """
+    bus = parse(url, {"gpio": ("path", "line"), "gpio+unix": ("path",)})
+    if bus.kind == "gpio":
+        from drivers.transports.gpio import GpiodPort  # noqa: PLC0415
+
+        return GpiodPort.open(bus.path, bus.integer("line"), clock)
+    from drivers.transports.gpio_unix import UnixPulsePort  # noqa: PLC0415
+
+    return UnixPulsePort(bus.path, clock)
+
+
+def open_serial(url: str) -> SerialPort:
+    """Open a serial port.
+
+    Args:
+        url: ``serial:///dev/ttyUSB0?baud=115200``; options ``parity`` (N, E, O), ``stop_bits`` (1, 2) and
+            ``timeout_s`` (how long a read waits for its first byte, default 0: not at all).
+
+    Raises:
+        UrlError: The URL is not of this form.
+        OSError: The port cannot be opened (``serial.SerialException`` is one).
+    """
+    bus = parse(url, {"serial": ("path", "baud", "parity", "stop_bits", "timeout_s")})
+    from drivers.transports.serial_port import open_port  # noqa: PLC0415
+
+    return open_port(bus)

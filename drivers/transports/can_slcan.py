@@ -1,0 +1,158 @@
+"""CAN over a tty: the ASCII protocol of Lawicel's CAN232 adapters ("slcan"), codec and port.
+
+Our own codec and not python-can's: that one reads byte by byte (60 us a frame against 4) and raises ValueError, the
+bytes gone, on a damaged line. Here a damaged line is counted and the next one is read.
+"""
+
+import contextlib
+import errno
+import re
+import select
+from collections.abc import Callable
+from typing import Self
+
+from drivers.errors import FrameError, UrlError
+from drivers.ports import CanFrame, SerialPort
+from drivers.transports.serial_port import open_port
+from drivers.transports.url import BusUrl
+
+BITRATES = {  # bit/s: the adapter's S command
+    10_000: "S0",
+    20_000: "S1",
+    50_000: "S2",
+    100_000: "S3",
+    125_000: "S4",
+    250_000: "S5",
+    500_000: "S6",
+    800_000: "S7",
+    1_000_000: "S8",
+}
+_LONGEST_LINE = 30  # a full extended frame with its time stamp
+_DATA_FRAME = re.compile(rb"t([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2})*)")
+
+
+def encode_line(identifier: int, data: bytes) -> bytes:
+    """A standard data frame as the line that makes the adapter send it.
+
+    Raises:
+        FrameError: The identifier or the length is not one of classic CAN.
+    """
+    if not 0 <= identifier <= 0x7FF or len(data) > 8:
+        raise FrameError(f"no standard CAN frame: identifier {identifier:#x}, {len(data)} bytes: give 11 bits, 0..8")
+    return f"t{identifier:03X}{len(data)}{data.hex().upper()}\r".encode()
+
+
+def decode_line(line: bytes) -> tuple[int, bytes] | None:
+    """A line of the adapter, without its end: identifier and data of a standard data frame.
+
+    A trailing time stamp (four digits, the adapter's own milliseconds) is allowed and left. None for everything that
+    is no standard data frame: acknowledgements, remote and extended frames, answers to V, N and F.
+
+    Raises:
+        FrameError: It begins as a data frame and is none.
+    """
+    if line[:1] != b"t":
+        return None
+    match = _DATA_FRAME.fullmatch(line)
+    if match is None or len(match[3]) not in {2 * int(match[2]), 2 * int(match[2]) + 4} or match[1][:1] > b"7":
+        raise FrameError(f"{line!r} is no slcan frame: check the adapter's baud rate")
+    return int(match[1], 16), bytes.fromhex(match[3][: 2 * int(match[2])].decode("ascii"))
+
+
+class SlcanDecoder:
+    """Bytes of the adapter in any pieces, frames out.
+
+    Attributes:
+        damaged_lines: Lines that began as a frame and were none.
+        refusals: BEL characters: the adapter refused a command or could not queue a frame.
+        foreign_frames: Remote and extended frames passed over.
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.damaged_lines = 0
+        self.refusals = 0
+        self.foreign_frames = 0
+
+    def feed(self, data: bytes) -> list[tuple[int, bytes]]:
+        """Identifier and data of every frame that ``data`` completes."""
+        self.refusals += data.count(b"\a")
+        *lines, self._rest = (self._rest + data.replace(b"\a", b"\r")).split(b"\r")
+        if len(self._rest) > _LONGEST_LINE:
+            self._rest = self._rest[-_LONGEST_LINE:]
+            self.damaged_lines += 1
+        frames = []
+        for line in lines:
+            try:
+                frame = decode_line(line)
+            except FrameError:
+                self.damaged_lines += 1
+                continue
+            if frame is not None:
+                frames.append(frame)
+            elif line[:1] in {b"T", b"r", b"R"}:
+                self.foreign_frames += 1
+        return frames
+
+
+class SlcanPort:
+    """A ``CanPort`` on an slcan adapter. Stamps are our clock's at the read: they lag the bus by what the tty takes.
+
+    Attributes:
+        decoder: Its counters say what did not come through.
+    """
+
+    def __init__(self, port: SerialPort, clock: Callable[[], int], wait: Callable[[float], object]) -> None:
+        self._port = port
+        self._clock = clock
+        self._wait = wait
+        self.decoder = SlcanDecoder()
+
+    @property
+    def lost_frames(self) -> int:
+        """Lines that began as a frame and could not be read."""
+        return self.decoder.damaged_lines
+
+    @classmethod
+    def open(cls, url: BusUrl, clock: Callable[[], int]) -> Self:
+        """Open the tty and put the adapter on the bus at the URL's bit rate.
+
+        Raises:
+            UrlError: The adapter has no such bit rate.
+            OSError: The tty cannot be opened.
+        """
+        bitrate = url.integer("bitrate")
+        if bitrate not in BITRATES:
+            known = ", ".join(str(rate) for rate in BITRATES)
+            raise UrlError(f"bus URL {url.text!r}: an slcan adapter has no {bitrate} bit/s: use one of {known}")
+        port = open_port(BusUrl(url.text, url.kind, "", url.path, {"baud": str(url.integer("baud", 115_200))}))
+        port.write(f"C\r{BITRATES[bitrate]}\rO\r".encode())
+        return cls(port, clock, lambda timeout_s: select.select([port], [], [], timeout_s))
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send one frame. Raises OSError."""
+        line = encode_line(identifier, data)
+        if self._port.write(line) != len(line):
+            raise OSError(errno.EIO, "the tty did not take the whole slcan line")
+
+    def receive(self, timeout_s: float) -> list[CanFrame]:
+        """All frames waiting; waits up to ``timeout_s`` for the first bytes. Raises OSError."""
+        waiting = self._port.in_waiting
+        if waiting == 0 and timeout_s > 0.0:
+            self._wait(timeout_s)
+            waiting = self._port.in_waiting
+        if waiting == 0:
+            return []
+        data = self._port.read(waiting)
+        host_ns = self._clock()
+        return [CanFrame(host_ns, identifier, payload) for identifier, payload in self.decoder.feed(data)]
+
+    def mute(self) -> None:
+        """Take the adapter off the bus. Raises OSError."""
+        self._port.write(b"C\r")
+
+    def close(self) -> None:
+        """Take the adapter off the bus, if it still listens, and close the tty."""
+        with contextlib.suppress(OSError):
+            self._port.write(b"C\r")
+        self._port.close()

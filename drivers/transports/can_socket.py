@@ -1,0 +1,109 @@
+"""CAN through the kernel's raw sockets.
+
+Plain ``socket`` and not python-can: its receive asserts that a frame carries one ancillary message, so SO_RXQ_OVFL
+(frames the kernel dropped for want of buffer) cannot be switched on beside its time stamp, and it passes the stamp
+through a float that resolves 238 ns.
+"""
+
+import contextlib
+import select
+import socket
+import struct
+from collections.abc import Callable
+from typing import Self
+
+from drivers.ports import CanFrame
+from drivers.transports.clock import realtime_minus_monotonic
+
+SO_TIMESTAMPNS = 35  # asm-generic/socket.h
+SO_RXQ_OVFL = 40
+CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h
+_FRAME = struct.Struct("=IB3x8s")  # linux/can.h, struct can_frame
+_TIMESPEC = struct.Struct("@ll")
+_DROPS = struct.Struct("=I")
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_DROPS.size)
+_EXTENDED, _REMOTE, _ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
+_ALL_ERRORS = 0x1FFF_FFFF
+_MOST_FRAMES = 4096
+
+
+class SocketcanPort:
+    """A ``CanPort`` on a SocketCAN interface.
+
+    Frames are stamped by the kernel (software, CLOCK_REALTIME) and the stamp is moved to CLOCK_MONOTONIC by an offset
+    taken at the receive. Error frames come as ``CanFrame(is_error=True)``; remote and extended frames are not CANopen
+    and are counted in ``foreign_frames``.
+
+    Attributes:
+        lost_frames: Frames the kernel dropped because we did not read fast enough, since the port was opened.
+        foreign_frames: Remote and extended frames passed over.
+        receive_buffer: Bytes the kernel really granted; ``net.core.rmem_max`` limits them.
+    """
+
+    def __init__(self, sock: socket.socket, clock: Callable[[], int]) -> None:
+        self._socket = sock
+        self._clock = clock
+        self.lost_frames = 0
+        self.foreign_frames = 0
+        self.receive_buffer = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        sock.setblocking(False)
+        self._poll = select.poll()
+        self._poll.register(sock, select.POLLIN)
+
+    @classmethod
+    def open(cls, interface: str, clock: Callable[[], int], receive_buffer: int) -> Self:
+        """Bind to ``interface`` (``can0``), with error frames, stamps and drop counts. Raises OSError."""
+        sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+            sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, _ALL_ERRORS)
+            with contextlib.suppress(OSError):  # what the kernel cannot grant shows in `receive_buffer`
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+            with contextlib.suppress(OSError):
+                sock.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+            sock.bind((interface,))
+        except OSError:
+            sock.close()
+            raise
+        return cls(sock, clock)
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Queue one frame. Raises OSError (ENOBUFS: the queue is full; ENETDOWN: the interface is down)."""
+        self._socket.send(_FRAME.pack(identifier, len(data), data))
+
+    def receive(self, timeout_s: float) -> list[CanFrame]:
+        """All frames waiting, up to 4096; waits up to ``timeout_s`` for the first. Raises OSError."""
+        if timeout_s > 0.0:
+            self._poll.poll(timeout_s * 1e3)
+        stamped: list[tuple[int, int, bytes, bool]] = []
+        while len(stamped) < _MOST_FRAMES:
+            try:
+                frame, ancillary, _, _ = self._socket.recvmsg(_FRAME.size, _ANCILLARY_BYTES)
+            except BlockingIOError:
+                break
+            identifier, size, data = _FRAME.unpack(frame)
+            if identifier & (_EXTENDED | _REMOTE) and not identifier & _ERROR:
+                self.foreign_frames += 1
+                continue
+            realtime_ns = 0
+            for level, kind, value in ancillary:
+                if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
+                    seconds, nanoseconds = _TIMESPEC.unpack(value)
+                    realtime_ns = seconds * 1_000_000_000 + nanoseconds
+                elif level == socket.SOL_SOCKET and kind == SO_RXQ_OVFL:
+                    (self.lost_frames,) = _DROPS.unpack(value)
+            is_error = bool(identifier & _ERROR)
+            stamped.append((realtime_ns, identifier & (_ALL_ERRORS if is_error else 0x7FF), data[:size], is_error))
+        if not stamped:
+            return []
+        offset = realtime_minus_monotonic(self._clock)
+        return [CanFrame(stamp - offset, identifier, data, error) for stamp, identifier, data, error in stamped]
+
+    def mute(self) -> None:
+        """Have the kernel pass no more frames to us. Raises OSError."""
+        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+        self._socket.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, 0)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()

@@ -1,0 +1,6 @@
+"""The world outside the flight computer: bodies moved by MuJoCo, sensors, and emulators of the devices on the buses.
+
+Rule of the room: nothing here is shared with ``drivers`` or ``onboard`` except ``drivers.ports``. Geometry, register
+maps and frames are typed from the tables and datasheets a second time, so that a mistake on one side cannot cancel
+itself.
+"""

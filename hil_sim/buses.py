@@ -1,0 +1,350 @@
+"""The media between the twins and the flight computer, and their ends in this process.
+
+``I2cBus``, ``CanBus`` and ``PulseLine`` are the wires: a mission plugs its twins into them and advances them; the
+runner chooses what is at the other end. ``InProcess`` is tier T0: smbus2 with its ioctl answered, python-can's
+``virtual`` interface, and pulse datagrams. Nothing here reads a clock or starts a thread, so a run is the same to the
+byte each time.
+"""
+
+import errno
+import os
+import socket
+import struct
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+import can
+import numpy as np
+
+from hil_sim.devices.can_wire import CanTalker, CanWire, WireFrame
+from hil_sim.devices.sync_line import EdgeCapture
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind
+from hil_sim.i2c_dev import InstalledI2c, install_i2c
+
+__all__ = [
+    "CanBus",
+    "CanLink",
+    "EdgeDatagrams",
+    "EdgeLink",
+    "I2cBus",
+    "I2cSlave",
+    "InProcess",
+    "InstalledI2c",
+    "PulseLine",
+    "VirtualCan",
+    "install_i2c",
+]
+
+_EDGE: Final = struct.Struct("<qI")  # edge_ns, line_sequence
+
+
+class I2cSlave(Protocol):
+    """A device with an I2C interface."""
+
+    address: int
+
+    def advance(self, now_ns: int) -> None:
+        """Do what is due."""
+
+    def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
+        """START, write, repeated START, read, STOP; raises OSError with the kernel's errno."""
+
+
+class I2cBus:
+    """Two wires with slaves on them. A transfer takes no time here: see ``transfer_ns``."""
+
+    def __init__(self) -> None:
+        self.transfers = 0
+        self.refused = 0
+        self._slaves: dict[int, I2cSlave] = {}
+        self._faults = NO_FAULTS
+
+    def add(self, slave: I2cSlave) -> None:
+        """Connect a slave.
+
+        Raises:
+            ValueError: its address is taken.
+        """
+        if slave.address in self._slaves:
+            raise ValueError(f"Address {slave.address:#04x} is taken on this bus; give the slave another.")
+        self._slaves[slave.address] = slave
+
+    def inject(self, faults: DeviceFaults) -> None:
+        """Set what breaks.
+
+        Raises:
+            FaultError: a fault that an I2C bus cannot have.
+        """
+        self._faults = faults.require(FaultKind.NACK)
+
+    def advance(self, now_ns: int) -> None:
+        """Let every slave do what is due."""
+        for slave in self._slaves.values():
+            slave.advance(now_ns)
+
+    def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
+        """One transaction.
+
+        Raises:
+            OSError: EREMOTEIO when nobody acknowledges, or what the slave or a fault says.
+        """
+        self.transfers += 1
+        fault = self._faults.active(FaultKind.NACK, now_ns) if self._faults else None
+        slave = self._slaves.get(address)
+        if fault is not None or slave is None:
+            self.refused += 1
+            code = int(fault.value) if fault is not None and fault.value else errno.EREMOTEIO
+            raise OSError(code, os.strerror(code))
+        try:
+            return slave.transfer(address, write, read_count, now_ns)
+        except OSError:
+            self.refused += 1
+            raise
+
+    @staticmethod
+    def transfer_ns(write_count: int, read_count: int, bit_rate: int = 400_000) -> int:
+        """How long a transaction occupies real wires: nine bits a byte, addresses, START and STOP conditions."""
+        bits = 2 + 9 * (1 + write_count) if write_count or not read_count else 1
+        bits += 1 + 9 * (1 + read_count) if read_count else 0
+        return bits * 1_000_000_000 // bit_rate
+
+
+class CanLink(Protocol):
+    """The flight computer's CAN interface, seen from the wire."""
+
+    def take(self) -> list[tuple[int, bytes]]:
+        """Frames the flight computer sent since the last call: (identifier, data)."""
+
+    @property
+    def listening(self) -> bool:
+        """Whether the flight computer has its end open."""
+
+    def give(self, frames: Sequence[WireFrame]) -> None:
+        """Frames it receives, with the stamp of its kernel in ``end_ns``."""
+
+
+class CanBus:
+    """A CAN bus with nodes on it and the flight computer at one end.
+
+    A received frame is stamped later than the end of its last bit by a fixed latency and an exponential one.
+
+    Args:
+        link: The flight computer's end.
+        bit_rate: bit/s.
+        seed: Of the stamp jitter.
+        latency_ns: Fixed part of the interrupt latency.
+        jitter_ns: Mean of its random part.
+    """
+
+    def __init__(
+        self,
+        link: CanLink,
+        bit_rate: int = 500_000,
+        seed: int = 0,
+        *,
+        latency_ns: int = 5_000,
+        jitter_ns: int = 3_000,
+    ) -> None:
+        self.dropped = 0
+        self.delivered = 0
+        self.heard: Counter[int] = Counter()  # frames by identifier, sent while the flight computer listened
+        self._link = link
+        self._wire = CanWire(bit_rate)
+        self._rng = np.random.default_rng([seed, 0xCA])
+        self._latency_ns = latency_ns
+        self._jitter_ns = jitter_ns
+        self._faults = NO_FAULTS
+        self._now_ns = 0
+        self._last_stamp_ns = 0
+
+    @property
+    def due_ns(self) -> int:
+        """When something next happens on the bus."""
+        return self._wire.due_ns
+
+    def add(self, node: CanTalker) -> None:
+        """Connect a node."""
+        self._wire.add(node)
+
+    def inject(self, faults: DeviceFaults) -> None:
+        """Set what breaks.
+
+        Raises:
+            FaultError: a fault that a CAN bus cannot have.
+        """
+        self._faults = faults.require(FaultKind.FRAME_DROP)
+
+    def advance(self, now_ns: int) -> None:
+        """Send what the flight computer sent since the last call, let nodes and wire go on, deliver what arrived."""
+        for identifier, data in self._link.take():
+            self._wire.send(identifier, data, self._now_ns)
+        frames = self._wire.advance(now_ns)
+        self._now_ns = now_ns
+        if self._link.listening:
+            self.heard.update(frame.identifier for frame in frames)
+        if self._faults:
+            kept = [frame for frame in frames if not self._is_dropped(frame)]
+            self.dropped += len(frames) - len(kept)
+            frames = kept
+        if frames:
+            self.delivered += len(frames)
+            self._link.give([self._stamped(frame) for frame in frames])
+
+    def _is_dropped(self, frame: WireFrame) -> bool:
+        fault = self._faults.active(FaultKind.FRAME_DROP, frame.end_ns)
+        return fault is not None and fault.value in (0, frame.identifier)
+
+    def _stamped(self, frame: WireFrame) -> WireFrame:
+        late_ns = self._latency_ns + int(self._rng.standard_exponential() * self._jitter_ns)
+        self._last_stamp_ns = max(self._last_stamp_ns + 1, frame.end_ns + late_ns)
+        return WireFrame(self._last_stamp_ns, frame.identifier, frame.data)
+
+
+class EdgeLink(Protocol):
+    """Where stamped edges go."""
+
+    def give(self, edge_ns: int, line_sequence: int) -> bool:
+        """One edge, as the kernel reports it; returns whether anybody was there to take it."""
+
+
+class PulseLine:
+    """The pulse line's input at the flight computer.
+
+    Args:
+        link: Where its edges go.
+        seed: Of the stamp jitter.
+        capture: The input; None: one that sees every edge a few microseconds late.
+    """
+
+    def __init__(self, link: EdgeLink, seed: int = 0, capture: EdgeCapture | None = None) -> None:
+        self.capture = capture or EdgeCapture(seed)
+        self.seen = 0
+        self.heard = 0  # of these, taken by somebody
+        self._link = link
+
+    def inject(self, faults: DeviceFaults) -> None:
+        """Set what breaks.
+
+        Raises:
+            FaultError: a fault that the line cannot have.
+        """
+        self.capture.inject(faults)
+
+    def edge(self, edge_ns: int, high_ns: int) -> None:
+        """The line goes high."""
+        self.capture.edge(edge_ns, high_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """Report the edges stamped up to ``now_ns``."""
+        for edge_ns, line_sequence in self.capture.advance(now_ns):
+            self.seen += 1
+            self.heard += self._link.give(edge_ns, line_sequence)
+
+
+class EdgeDatagrams:
+    """Edges as datagrams to a Unix socket that the receiver binds.
+
+    Args:
+        path: The receiver's socket. An edge that finds no receiver, or one that is full, is counted in ``lost``.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.lost = 0
+        self._path = str(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+
+    def give(self, edge_ns: int, line_sequence: int) -> bool:
+        """Send one edge."""
+        try:
+            self._socket.sendto(_EDGE.pack(edge_ns, line_sequence), self._path)
+        except (BlockingIOError, ConnectionError, FileNotFoundError):
+            self.lost += 1
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the sending end."""
+        self._socket.close()
+
+
+class VirtualCan:
+    """The far end of a python-can ``virtual`` channel; ``timestamp`` is ``CLOCK_MONOTONIC`` in seconds.
+
+    Args:
+        channel: Its name in this process.
+    """
+
+    def __init__(self, channel: str) -> None:
+        self._bus = can.Bus(channel, interface="virtual", preserve_timestamps=True)
+
+    @property
+    def listening(self) -> bool:
+        """Always: in one process nobody can be late."""
+        return True
+
+    def take(self) -> list[tuple[int, bytes]]:
+        """Data frames with 11-bit identifiers sent by others on the channel."""
+        frames = []
+        while (message := self._bus.recv(0)) is not None:
+            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+                frames.append((message.arbitration_id, bytes(message.data)))
+        return frames
+
+    def give(self, frames: Sequence[WireFrame]) -> None:
+        """Send frames with their stamps."""
+        for end_ns, identifier, data in frames:
+            self._bus.send(
+                can.Message(timestamp=end_ns * 1e-9, arbitration_id=identifier, is_extended_id=False, data=data)
+            )
+
+    def close(self) -> None:
+        """Leave the channel."""
+        self._bus.shutdown()
+
+
+class InProcess:
+    """Tier T0: three buses in this process on a virtual clock.
+
+    Args:
+        directory: Where the flight computer binds its pulse socket, as ``sync_line.sock``.
+        clock: The virtual ``CLOCK_MONOTONIC``, ns; read at each I2C transfer.
+        name: Distinguishes several in one process.
+        seed: Of all stamp jitter.
+    """
+
+    def __init__(self, directory: Path | str, clock: Callable[[], int], *, name: str = "hil", seed: int = 0) -> None:
+        i2c_path = f"/dev/i2c-{name}"
+        edges = Path(directory) / "sync_line.sock"
+        self.urls = {
+            "i2c_1": f"i2c://{i2c_path}",
+            "can_0": f"can+virtual://{name}_can_0?timestamps=monotonic",
+            "sync_line": f"gpio+unix://{edges}",
+        }
+        self.i2c = I2cBus()
+        self._installed = install_i2c(i2c_path, self.i2c, clock)
+        self._can_link = VirtualCan(f"{name}_can_0")
+        self.can = CanBus(self._can_link, seed=seed)
+        self._edges = EdgeDatagrams(edges)
+        self.pulse = PulseLine(self._edges, seed=seed)
+
+    @property
+    def lost_edges(self) -> int:
+        """Edges that found nobody listening."""
+        return self._edges.lost
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Take the buses away."""
+        self._installed.uninstall()
+        self._can_link.close()
+        self._edges.close()

@@ -1,0 +1,197 @@
+"""The CAN wire: frames take their true time, one after the other, the lowest identifier first.
+
+Frame lengths are exact: the CRC is computed and stuff bits are counted (ISO 11898-1), so the time at which a frame
+ends depends on its content, as on a real bus. A frame is received at the end of its end-of-frame field; three bits of
+intermission follow. Talkers never lose arbitration bit by bit: whoever is ready when the bus falls idle takes part.
+Error frames and retransmission are not modelled, nor remote frames and 29-bit identifiers.
+"""
+
+import heapq
+from typing import Final, NamedTuple, Protocol
+
+from hil_sim.faults import NEVER
+
+_CRC_POLYNOMIAL: Final = 0x4599  # ISO 11898-1: CRC-15-CAN
+_TAIL_BITS: Final = 10  # CRC delimiter, ACK slot, ACK delimiter, seven bits of end-of-frame
+_INTERMISSION_BITS: Final = 3
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        crc = byte << 7
+        for _ in range(8):
+            crc = (crc << 1 ^ _CRC_POLYNOMIAL if crc & 0x4000 else crc << 1) & 0x7FFF
+        table.append(crc)
+    return tuple(table)
+
+
+def _stuff_table() -> tuple[tuple[int, int], ...]:
+    """By state * 256 + byte: the next state and the stuff bits inserted; state = 2 * run length + last bit."""
+    table = []
+    for state in range(12):
+        for byte in range(256):
+            run, last, stuffed = state >> 1, state & 1, 0
+            for shift in range(7, -1, -1):
+                bit = byte >> shift & 1
+                run = run + 1 if bit == last and run else 1
+                last = bit
+                if run == 5:  # the stuff bit is the opposite one, and begins a run of its own
+                    stuffed += 1
+                    run, last = 1, 1 - bit
+            table.append((run << 1 | last, stuffed))
+    return tuple(table)
+
+
+_CRC: Final = _crc_table()
+_STUFF: Final = _stuff_table()
+
+
+def crc15(bits: int, n_bytes: int) -> int:
+    """CRC-15-CAN of a bit string held in the low ``8 * n_bytes`` bits; leading zero bits do not change it."""
+    crc = 0
+    for byte in bits.to_bytes(n_bytes, "big"):
+        crc = _CRC[crc >> 7 ^ byte] ^ (crc << 8 & 0x7FFF)
+    return crc
+
+
+def frame_bits(identifier: int, data: bytes) -> int:
+    """Length of a data frame with an 11-bit identifier, start-of-frame to end-of-frame, stuff bits included."""
+    n = len(data)
+    head = identifier << 7 | n  # SOF, 11 identifier bits, RTR, IDE, r0, 4 bits DLC: 19 bits
+    body = head << 8 * n | int.from_bytes(data, "big")
+    stuffed_bits = 34 + 8 * n
+    stream = body << 15 | crc15(body, n + 3)
+    padding = 0b010101 if stream & 1 else 0b101010  # to a whole byte; alternating bits are never stuffed
+    state = stuff_bits = 0
+    for byte in (stream << 6 | padding).to_bytes(n + 5, "big"):
+        state, more = _STUFF[state << 8 | byte]
+        stuff_bits += more
+    return stuffed_bits + stuff_bits + _TAIL_BITS
+
+
+class WireFrame(NamedTuple):
+    """A frame that has been on the wire, and when its last bit was there."""
+
+    end_ns: int
+    identifier: int
+    data: bytes
+
+
+class Transmit(Protocol):
+    """What a talker is given to send with."""
+
+    def __call__(self, identifier: int, data: bytes, ready_ns: int) -> None:
+        """Offer a frame to the bus, to be sent not before ``ready_ns``."""
+
+
+class CanTalker(Protocol):
+    """A node on the wire."""
+
+    @property
+    def due_ns(self) -> int:
+        """When it next wants to do something of its own accord; ``NEVER`` when it does not."""
+
+    def connect(self, transmit: Transmit) -> None:
+        """Give it the wire."""
+
+    def act(self, now_ns: int) -> None:
+        """Do what is due."""
+
+    def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
+        """A frame of another node has ended."""
+
+
+class _Waiting(NamedTuple):
+    identifier: int
+    order: int
+    data: bytes
+    sender: int
+
+
+_HOST: Final = -1
+
+
+class CanWire:
+    """The wire, its nodes, and the flight computer's controller.
+
+    Args:
+        bit_rate: bit/s.
+    """
+
+    def __init__(self, bit_rate: int = 500_000) -> None:
+        self._bit_ns = 1e9 / bit_rate
+        self._nodes: list[CanTalker] = []
+        self._later: list[tuple[int, _Waiting]] = []  # by ready time
+        self._ready: list[_Waiting] = []  # by arbitration
+        self._on_wire: tuple[int, _Waiting] | None = None
+        self._idle_ns = 0
+        self._order = 0
+        self._received: list[WireFrame] = []
+
+    @property
+    def due_ns(self) -> int:
+        """When something next happens on the wire or in a node."""
+        return min(self._wire_due_ns(), min((node.due_ns for node in self._nodes), default=NEVER))
+
+    def add(self, node: CanTalker) -> None:
+        """Connect a node."""
+        index = len(self._nodes)
+        self._nodes.append(node)
+
+        def transmit(identifier: int, data: bytes, ready_ns: int) -> None:
+            self._offer(identifier, data, ready_ns, index)
+
+        node.connect(transmit)
+
+    def send(self, identifier: int, data: bytes, ready_ns: int) -> None:
+        """Offer a frame of the flight computer to the bus."""
+        self._offer(identifier, data, ready_ns, _HOST)
+
+    def advance(self, now_ns: int) -> list[WireFrame]:
+        """Let everything happen that is due at ``now_ns``; returns what the flight computer's controller received."""
+        while True:
+            wire_ns = self._wire_due_ns()
+            node_ns = min((node.due_ns for node in self._nodes), default=NEVER)
+            if min(wire_ns, node_ns) > now_ns:
+                break
+            if node_ns <= wire_ns:
+                for node in self._nodes:
+                    if node.due_ns <= node_ns:
+                        node.act(node_ns)
+            elif self._on_wire is not None:
+                self._end()
+            else:
+                self._begin(wire_ns)
+        received, self._received = self._received, []
+        return received
+
+    def _offer(self, identifier: int, data: bytes, ready_ns: int, sender: int) -> None:
+        self._order += 1
+        heapq.heappush(self._later, (ready_ns, _Waiting(identifier, self._order, data, sender)))
+
+    def _wire_due_ns(self) -> int:
+        if self._on_wire is not None:
+            return self._on_wire[0]
+        if self._ready:
+            return self._idle_ns
+        return max(self._idle_ns, self._later[0][0]) if self._later else NEVER
+
+    def _begin(self, start_ns: int) -> None:
+        while self._later and self._later[0][0] <= start_ns:
+            heapq.heappush(self._ready, heapq.heappop(self._later)[1])
+        frame = heapq.heappop(self._ready)
+        end_ns = start_ns + round(frame_bits(frame.identifier, frame.data) * self._bit_ns)
+        self._on_wire = (end_ns, frame)
+        self._idle_ns = end_ns + round(_INTERMISSION_BITS * self._bit_ns)
+
+    def _end(self) -> None:
+        if self._on_wire is None:
+            return
+        end_ns, frame = self._on_wire
+        self._on_wire = None
+        for index, node in enumerate(self._nodes):
+            if index != frame.sender:
+                node.receive(frame.identifier, frame.data, end_ns)
+        if frame.sender != _HOST:
+            self._received.append(WireFrame(end_ns, frame.identifier, frame.data))

@@ -1,0 +1,88 @@
+"""The flight computer's end of the pulse line: edges as its kernel stamps and numbers them."""
+
+import heapq
+
+import numpy as np
+
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind
+
+
+class EdgeCapture:
+    """A GPIO line with edge detection.
+
+    A stamp is later than its edge by a fixed latency and an exponential one. Edges are numbered from 1 in the order of
+    their stamps; a dropped edge leaves no hole in the numbers, as the kernel never saw it.
+
+    Args:
+        seed: Of the jitter and of random misses and extra edges.
+        latency_ns: Fixed part of the latency.
+        jitter_ns: Mean of the random part.
+        miss_probability: Share of edges that are not seen.
+        spurious_rate_hz: Mean rate of edges that nobody sent.
+    """
+
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        latency_ns: int = 3_000,
+        jitter_ns: int = 2_000,
+        miss_probability: float = 0.0,
+        spurious_rate_hz: float = 0.0,
+    ) -> None:
+        self.missed = 0
+        self.spurious = 0
+        self._rng = np.random.default_rng([seed, 0x9E])
+        self._latency_ns = latency_ns
+        self._jitter_ns = jitter_ns
+        self._miss_probability = miss_probability
+        self._spurious_mean_ns = 1e9 / spurious_rate_hz if spurious_rate_hz else 0.0
+        self._faults = NO_FAULTS
+        self._stamps: list[int] = []
+        self._sequence = 0
+        self._now_ns: int | None = None
+        self._next_spurious_ns = 0.0
+
+    def inject(self, faults: DeviceFaults) -> None:
+        """Set what breaks.
+
+        Raises:
+            FaultError: a fault that the line cannot have.
+        """
+        self._faults = faults.require(FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS)
+
+    def edge(self, edge_ns: int, high_ns: int) -> None:
+        """The line goes high at ``edge_ns``."""
+        del high_ns
+        dropped = self._faults.active(FaultKind.PULSE_DROP, edge_ns) is not None
+        if dropped or (self._miss_probability and self._rng.random() < self._miss_probability):
+            self.missed += 1
+        else:
+            self._stamp(edge_ns)
+
+    def advance(self, now_ns: int) -> list[tuple[int, int]]:
+        """(stamp in ns, line sequence) of the edges stamped up to ``now_ns``, in order."""
+        since_ns = now_ns if self._now_ns is None else self._now_ns
+        for extra_ns in self._extra_edges(since_ns, now_ns):
+            self.spurious += 1
+            self._stamp(extra_ns)
+        self._now_ns = now_ns
+        seen = []
+        while self._stamps and self._stamps[0] <= now_ns:
+            self._sequence += 1
+            seen.append((heapq.heappop(self._stamps), self._sequence))
+        return seen
+
+    def _stamp(self, edge_ns: int) -> None:
+        late_ns = self._latency_ns + round(self._rng.exponential(self._jitter_ns))
+        heapq.heappush(self._stamps, edge_ns + late_ns)
+
+    def _extra_edges(self, since_ns: int, now_ns: int) -> list[int]:
+        edges = self._faults.spurious_edges(since_ns, now_ns) if self._faults else []
+        if self._spurious_mean_ns:
+            if not self._next_spurious_ns:
+                self._next_spurious_ns = since_ns + self._rng.exponential(self._spurious_mean_ns)
+            while self._next_spurious_ns <= now_ns:
+                edges.append(int(self._next_spurious_ns))
+                self._next_spurious_ns += self._rng.exponential(self._spurious_mean_ns)
+        return edges

@@ -1,0 +1,340 @@
+"""The flight computer's ends of a serial bus: a port object in this process (T0), and a pseudo-terminal (T1).
+
+``VirtualSerial`` behaves as pyserial 3.5 does on Linux with ``timeout=0``: ``read`` returns what is there, a port whose
+adapter is gone raises ``serial.SerialException`` in the words of pyserial, and opening throws away what came before.
+What arrives while nobody has the port open is lost.
+"""
+
+import errno
+import fcntl
+import os
+import select
+import struct
+import tty
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import serial
+
+from hil_sim.devices.serial_wire import LineFormat
+
+_QUEUE_BYTES: Final = 65_536  # a tty's buffers, before it throws characters away
+_TCGETS2: Final = 0x802C_542A  # linux asm-generic/ioctls.h
+_TERMIOS2: Final = struct.Struct("=IIIIB19sII")  # iflag, oflag, cflag, lflag, line, cc, ispeed, ospeed
+
+
+class VirtualSerial:
+    """An adapter in this process.
+
+    Args:
+        path: Its name, as of a tty.
+        on_dtr: Told when the open port's DTR line changes.
+    """
+
+    def __init__(self, path: str, on_dtr: Callable[[bool], None] | None = None) -> None:
+        self.path = path
+        self.overrun = 0  # characters for which there was no room
+        self._on_dtr = on_dtr
+        self._port: VirtualPort | None = None
+        self._plugged = True
+
+    @property
+    def line(self) -> LineFormat | None:
+        """Speed and format of the open port; None when nobody has it open."""
+        return None if self._port is None else self._port.line
+
+    def open(self, line: LineFormat) -> "VirtualPort":
+        """Open it for one user.
+
+        Raises:
+            serial.SerialException: it is not plugged in, or open already.
+        """
+        if not self._plugged:
+            text = f"[Errno {errno.ENOENT}] could not open port {self.path}: [Errno 2] No such file or directory"
+            raise serial.SerialException(errno.ENOENT, text)
+        if self._port is not None:
+            raise serial.SerialException(errno.EAGAIN, f"Could not exclusively lock port {self.path}")
+        self._port = VirtualPort(self, line)
+        return self._port
+
+    def take(self) -> bytes:
+        """Characters the port sent since the last call."""
+        if self._port is None:
+            return b""
+        sent = bytes(self._port.outgoing)
+        self._port.outgoing.clear()
+        return sent
+
+    def give(self, data: bytes) -> None:
+        """Characters it received."""
+        if self._port is not None:
+            room = _QUEUE_BYTES - len(self._port.incoming)
+            self._port.incoming += data[:room]
+            self.overrun += max(0, len(data) - room)
+
+    def unplug(self) -> None:
+        """Pull the adapter out: the open port is dead from now on."""
+        self._plugged = False
+        if self._port is not None:
+            self._port.gone = True
+            self._port = None
+
+    def plug(self) -> None:
+        """Put it back in."""
+        self._plugged = True
+
+    def release(self, port: "VirtualPort") -> None:
+        """``port`` was closed."""
+        if self._port is port:
+            self._port = None
+
+    def drive_dtr(self, level: bool) -> None:
+        """The open port drives its DTR line."""
+        if self._on_dtr is not None:
+            self._on_dtr(level)
+
+
+class VirtualPort:
+    """An open port: what of ``serial.Serial`` a driver may use.
+
+    Args:
+        adapter: What it is a port of.
+        line: Speed and format.
+    """
+
+    def __init__(self, adapter: VirtualSerial, line: LineFormat) -> None:
+        self.line = line
+        self.incoming = bytearray()
+        self.outgoing = bytearray()
+        self.gone = False
+        self.is_open = True
+        self.port = adapter.path
+        self.timeout: float | None = 0.0
+        self._adapter = adapter
+        self._dtr = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def in_waiting(self) -> int:
+        """Characters that can be read.
+
+        Raises:
+            OSError: EIO when the adapter is gone.
+        """
+        self._check_open()
+        if self.gone:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return len(self.incoming)
+
+    @property
+    def baudrate(self) -> int:
+        """Speed; it can be changed while open."""
+        return self.line.baud_rate
+
+    @baudrate.setter
+    def baudrate(self, value: int) -> None:
+        self.line = self.line._replace(baud_rate=value)
+
+    @property
+    def dtr(self) -> bool:
+        """The DTR line."""
+        return self._dtr
+
+    @dtr.setter
+    def dtr(self, level: bool) -> None:
+        self._dtr = level
+        self._adapter.drive_dtr(level)
+
+    def read(self, size: int = 1) -> bytes:
+        """Up to ``size`` characters, without waiting.
+
+        Raises:
+            serial.SerialException: the port is closed, or its adapter gone.
+        """
+        self._check_open()
+        if self.gone:
+            raise serial.SerialException(
+                "device reports readiness to read but returned no data "
+                "(device disconnected or multiple access on port?)"
+            )
+        data = bytes(self.incoming[:size])
+        del self.incoming[:size]
+        return data
+
+    def write(self, data: bytes, /) -> int:
+        """Send.
+
+        Raises:
+            serial.SerialException: the port is closed, or its adapter gone.
+        """
+        self._check_open()
+        if self.gone:
+            raise serial.SerialException(f"write failed: [Errno {errno.EIO}] {os.strerror(errno.EIO)}")
+        self.outgoing += data
+        return len(data)
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what was received."""
+        self._check_open()
+        self.incoming.clear()
+
+    def reset_output_buffer(self) -> None:
+        """Throw away what was not sent yet."""
+        self._check_open()
+        self.outgoing.clear()
+
+    def flush(self) -> None:
+        """There is nothing to wait for: the line takes everything at once and paces it."""
+        self._check_open()
+
+    def set_low_latency_mode(self, enabled: bool) -> None:
+        """There is no latency timer here."""
+        del enabled
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.is_open = False
+        self._adapter.release(self)
+
+    def _check_open(self) -> None:
+        if not self.is_open:
+            raise serial.PortNotOpenError
+
+
+class InstalledSerial:
+    """Paths that ``serial.Serial`` opens in this process until ``uninstall``."""
+
+    def __init__(self, adapters: Mapping[str, VirtualSerial]) -> None:
+        real: Any = serial.Serial
+
+        class Serial(real):  # type: ignore[misc]  # pyserial picks its base by platform at run time
+            """``serial.Serial`` that knows the simulated paths."""
+
+            def __new__(cls, port: str | None = None, baudrate: int = 9600, *args: Any, **options: Any) -> Any:
+                adapter = adapters.get(port) if port is not None else None
+                if adapter is None:
+                    return super().__new__(cls)
+                line = LineFormat(baudrate, options.get("parity", "N"), int(options.get("stopbits", 1)))
+                return adapter.open(line)
+
+        self._real = real
+        self._ours = Serial
+        serial.Serial = Serial  # type: ignore[misc]  # for the length of a simulated run
+
+    def uninstall(self) -> None:
+        """Give ``serial.Serial`` back."""
+        if serial.Serial is self._ours:
+            serial.Serial = self._real  # type: ignore[misc]  # as it was
+
+
+def install_serial(*adapters: VirtualSerial) -> InstalledSerial:
+    """Let ``serial.Serial(path, ...)`` open ``adapters`` by their paths; all other paths stay what they were."""
+    return InstalledSerial({adapter.path: adapter for adapter in adapters})
+
+
+class PtySerial:
+    """An adapter whose far end is a pseudo-terminal, found under a symbolic link as by ``/dev/serial/by-id``.
+
+    Args:
+        link: The symbolic link to make, also after each ``plug``; None: ``path`` is the terminal's own name.
+    """
+
+    def __init__(self, link: Path | None = None) -> None:
+        self.overrun = 0  # characters for which there was no room
+        self._link = link
+        self._output = bytearray()
+        self._master = -1
+        self._terminal = ""
+        self._poll = select.poll()
+        self.plug()
+
+    @property
+    def path(self) -> str:
+        """What to open."""
+        return self._terminal if self._link is None else str(self._link)
+
+    @property
+    def line(self) -> LineFormat | None:
+        """Speed that the user has set; None while nobody has the terminal open."""
+        if self._master < 0 or self._is_hung_up():
+            return None
+        settings = _TERMIOS2.unpack(fcntl.ioctl(self._master, _TCGETS2, bytes(_TERMIOS2.size)))
+        return LineFormat(max(settings[-1], 1))
+
+    @property
+    def files(self) -> list[int]:
+        """File descriptors worth waiting for; none while nobody has the terminal open."""
+        return [] if self._master < 0 or self._is_hung_up() else [self._master]
+
+    def take(self) -> bytes:
+        """Characters the user sent since the last call."""
+        if self._master < 0:
+            return b""
+        self._flush()
+        try:
+            return os.read(self._master, _QUEUE_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno != errno.EIO:  # EIO: nobody has it open
+                raise
+            self._output.clear()
+            return b""
+
+    def give(self, data: bytes) -> None:
+        """Characters for the user."""
+        room = _QUEUE_BYTES - len(self._output)
+        self._output += data[:room]
+        self.overrun += max(0, len(data) - room)
+        self._flush()
+
+    def unplug(self) -> None:
+        """Pull the adapter out: who has the terminal open gets an end of file."""
+        self.close()
+
+    def plug(self) -> None:
+        """Put it back in, on a terminal of its own."""
+        self.close()
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self._terminal = os.ttyname(slave)
+        os.close(slave)
+        self._poll.register(self._master, 0)
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(self._terminal)
+
+    def close(self) -> None:
+        """Take it away."""
+        if self._master >= 0:
+            self._poll.unregister(self._master)
+            os.close(self._master)
+            self._master = -1
+            self._output.clear()
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
+
+    def _is_hung_up(self) -> bool:
+        return any(events & select.POLLHUP for _, events in self._poll.poll(0))
+
+    def _flush(self) -> None:
+        if not self._output or self._master < 0:
+            return
+        try:
+            del self._output[: os.write(self._master, self._output)]
+        except BlockingIOError:
+            return
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            self._output.clear()

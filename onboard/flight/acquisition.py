@@ -1,0 +1,60 @@
+"""The acquisition worker: pumps every device into its ring, and waits for nobody.
+
+A device that cannot be started is reported by name and left out; the others fly.
+"""
+
+from collections.abc import Sequence
+
+from drivers.device import Device
+from drivers.errors import DriverError
+from drivers.records import Batch, Severity, event
+from onboard.flight.publisher import Publisher
+
+
+class Acquisition:
+    """Steps a set of devices. The simulated runner calls :meth:`step`; the real one a thread per device :meth:`pump`."""
+
+    def __init__(self, devices: Sequence[Device], publisher: Publisher) -> None:
+        self._publisher = publisher
+        self.devices = list(devices)
+        self._due_ns = dict.fromkeys((device.name for device in devices), 0)
+
+    def start(self, now_ns: int) -> None:
+        """Set every device up; those that fail are dropped, with an event that says why."""
+        self.devices = [device for device in self.devices if self.start_device(device, now_ns)]
+
+    def start_device(self, device: Device, now_ns: int) -> bool:
+        """Set one device up; returns whether it may be pumped."""
+        try:
+            self._publisher.publish(device.start(now_ns))
+        except (DriverError, OSError) as error:
+            self._publisher.publish([event(now_ns, Severity.ERROR, "device_failed", device.name, str(error))])
+            return False
+        return True
+
+    def pump(self, device: Device, now_ns: int, timeout_s: float) -> None:
+        """Publish what one device has."""
+        self._publisher.publish(device.pump(now_ns, timeout_s))
+
+    def step(self, now_ns: int) -> None:
+        """Pump every device that is due, without waiting."""
+        for device in self.devices:
+            if now_ns >= self._due_ns[device.name]:
+                self.pump(device, now_ns, 0.0)
+                self._due_ns[device.name] = now_ns + device.period_ns
+
+    def stop_device(self, device: Device, now_ns: int) -> None:
+        """Stop one device and publish what it still held."""
+        try:
+            self._publisher.publish(device.stop(now_ns))
+        except (DriverError, OSError) as error:
+            self._publisher.publish([event(now_ns, Severity.ERROR, "stop_failed", device.name, str(error))])
+
+    def stop(self, now_ns: int) -> None:
+        """Stop every device."""
+        for device in self.devices:
+            self.stop_device(device, now_ns)
+
+    def report(self, batches: list[Batch]) -> None:
+        """Publish what the app itself has to say."""
+        self._publisher.publish(batches)

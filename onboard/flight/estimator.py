@@ -1,0 +1,237 @@
+"""The estimator as a function of records: what a step consumed in, clocks, rows and answers out.
+
+It owns no ring, log or clock, so the flight (:mod:`onboard.flight.estimation`), the replay and ``heft identify`` all
+run this very code. Rows are made at whole multiples of the row period in vehicle time, a fixed lag after the fact.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Batch, Rows, Severity, event
+from onboard import channels, config
+from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate
+from onboard.estimation.smoothing import correlation_inflation
+from onboard.flight.identification import build_identifier
+from onboard.flight.phases import PhaseTrack
+from onboard.flight.signals import Signals
+from onboard.flight.zeroing import Zeroing
+from onboard.model.identify import Estimate
+from onboard.model.identify import Signals as ModelSignals
+from onboard.model.rows import base_motion
+from onboard.timebase.timebase import (
+    ChannelClock,
+    FollowerChannel,
+    RecordedChannel,
+    SampledChannel,
+    SyncChannel,
+    Timebase,
+)
+
+Floats = NDArray[np.float64]
+
+
+def timebase_of(vehicle: config.Vehicle) -> Timebase:
+    """The clocks of a vehicle's channels."""
+    clocks: dict[str, ChannelClock] = {}
+    pulse, sync_ns = None, 5e6
+    devices = vehicle.file.device
+    sync = {device.bus: name for name, device in devices.items() if isinstance(device, config.CanopenSyncDevice)}
+    for name, device in devices.items():
+        match device:
+            case config.Mpu6050Device():
+                clocks[name] = SampledChannel(1e9 / device.sample_rate_hz)
+            case config.CanopenSyncDevice():
+                clocks[name] = SyncChannel(device.period_ms * 1e6, device.delay_ms * 1e6)
+            case config.Cia406Device() | config.Cia404Device():
+                clocks[name] = FollowerChannel(sync[device.bus])
+            case config.RecordedImu() | config.RecordedRate():
+                clocks[name] = RecordedChannel(0.0)
+            case config.SyncPulseDevice():
+                pulse, sync_ns = name, device.sync_period_ms * 1e6
+    return Timebase(clocks, pulse, sync_ns)
+
+
+class Estimator:
+    """Identifies one vehicle from its records.
+
+    Attributes:
+        inputs: channels it consumes, in the order that TICK records count them.
+        outputs: dtype of every channel it makes.
+    """
+
+    def __init__(self, vehicle: config.Vehicle) -> None:
+        self.vehicle = vehicle
+        settings = vehicle.file.estimation
+        self.inputs = tuple(vehicle.file.device)
+        self._identifier, self.model = build_identifier(vehicle)
+        self._timebase = timebase_of(vehicle)
+        self._signals = Signals(vehicle)
+        self._phases = PhaseTrack(settings.phases)
+        self._zeroing = Zeroing(settings.zero)
+        self._period_ns = round(1e9 / settings.row_rate_hz)
+        self._lag_ns = round(settings.lag_ms * 1e6)
+        self._next_ns: int | None = None
+        self._inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz)
+        devices = vehicle.file.device.items()
+        self._imu = next((n, d.frame) for n, d in devices if isinstance(d, config.Mpu6050Device | config.RecordedImu))
+        self._joints = {d.joint: n for n, d in devices if isinstance(d, config.Cia406Device | config.RecordedRate)}
+        self._rates = {n for n, d in devices if isinstance(d, config.RecordedRate)}
+        self._cells = [n for n, d in devices if isinstance(d, config.Cia404Device)]
+        rows = len(self._identifier.model.rows)
+        parameters = len(self._identifier.base.names)
+        size = len(self._identifier.rls.state().triangle)
+        self.outputs: dict[str, np.dtype[np.void]] = {
+            "clock": channels.CLOCK,
+            "row": channels.row_dtype(rows, len(self.model.joints)),
+            "estimate": channels.estimate_dtype(parameters, size),
+            "quantity": channels.QUANTITY,
+        }
+        self._sequence = dict.fromkeys(self.outputs, 0)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the base parameters, in the order of ESTIMATE's ``mean``."""
+        return self._identifier.base.names
+
+    def process(self, now_ns: int, batches: Mapping[str, Rows], lag_ns: int | None = None) -> list[Batch]:
+        """One step: take in ``batches`` by channel, make the rows that are due, answer.
+
+        Args:
+            now_ns: time of the step; rows up to ``now_ns - lag`` are made.
+            batches: what has arrived since the last step.
+            lag_ns: another lag than the vehicle's (at the end of a flight nothing more arrives).
+        """
+        made: list[Batch] = []
+        clocks = self._timebase.update(now_ns, dict(batches))
+        if len(clocks):
+            made.append(self._numbered("clock", clocks))
+        self._signals.append(batches)
+        made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
+        at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
+        if len(at_ns):
+            made += self._rows(now_ns, at_ns)
+        return made
+
+    def _due(self, until_ns: int) -> NDArray[np.int64]:
+        """Ticks up to ``until_ns``; the first lies at the first whole period after the first step."""
+        if self._next_ns is None:
+            self._next_ns = -(-until_ns // self._period_ns) * self._period_ns
+        at_ns: NDArray[np.int64] = np.arange(self._next_ns, until_ns + 1, self._period_ns, dtype=np.int64)
+        self._next_ns += len(at_ns) * self._period_ns
+        return at_ns
+
+    def _rows(self, now_ns: int, at_ns: NDArray[np.int64]) -> list[Batch]:
+        n = len(at_ns)
+        channel, frame = self._imu
+        imu = self._signals.at(channel, self._timebase, at_ns, 1)
+        refused = imu.refused.copy()
+        values, rates = imu.derivatives
+        specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), imu.refused == 0)
+        motion = base_motion(self.model, frame, values[:, :3], rates[:, :3], specific_force)
+        joints: Floats = np.zeros((3, n, len(self.model.joints)))
+        for column, joint in enumerate(self.model.joints):
+            channel = self._joints[joint.name]
+            rate = channel in self._rates
+            smoothed = self._signals.at(channel, self._timebase, at_ns, 1 if rate else 2)
+            for order, values_of_order in enumerate(smoothed.derivatives, start=1 if rate else 0):
+                joints[order, :, column] = values_of_order[:, 0]
+            refused |= smoothed.refused
+        measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
+        refused |= refused_rows | self._gates(at_ns, joints[0], specific_force)
+        signals = ModelSignals(
+            (at_ns * 1e-9).astype(np.float64),
+            joints[0],
+            joints[1],
+            joints[2],
+            motion,
+            measured,
+            sigma * self._inflation,
+            measured_rate,
+        )
+        found = self._identifier.update(signals, self._phases.attached(at_ns), refused)
+        estimate = self._identifier.estimate()
+        made = [self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found)]
+        if self._identifier.rows_used:
+            made += self._answers(now_ns, int(at_ns[-1]), estimate)
+        return made
+
+    def _measured(
+        self, at_ns: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+        """Left-hand sides of the rows, their rates, their sigmas, each (n, rows), and reasons (n,)."""
+        rows = self._identifier.model.rows
+        n = len(at_ns)
+        measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.ones((n, len(rows)))
+        refused = np.zeros(n, np.int64)
+        for column, row in enumerate(rows):
+            if row.name in self._cells:
+                cell = self._signals.at(row.name, self._timebase, at_ns, 1)
+                measured[:, column], rate[:, column] = cell.derivatives[0][:, 0], cell.derivatives[1][:, 0]
+                sigma[:, column] = cell.sigma[0][:, 0]
+                refused |= cell.refused
+        return measured, rate, sigma, refused
+
+    def _gates(
+        self, at_ns: NDArray[np.int64], q: NDArray[np.float64], specific_force: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        settings = self.vehicle.file.estimation
+        refused = np.zeros(len(at_ns), np.int64)
+        if settings.phases:
+            changes_ns, codes = self._phases.changes
+            refused |= phase_gate(
+                at_ns * 1e-9,
+                changes_ns * 1e-9,
+                codes,
+                settings.phases.identify,
+                settings.phases.settle_ms * 1e-3,
+                0.5 * settings.smoothing_ms * 1e-3,
+            )
+        if settings.gates.joint_limits_deg:
+            low, high = np.radians(settings.gates.joint_limits_deg)
+            refused |= range_gate(q, low, high, GateReason.CONTACT)
+        if settings.gates.specific_force_m_s2:
+            refused |= magnitude_gate(specific_force, settings.gates.specific_force_m_s2, GateReason.DRAG)
+        return refused
+
+    def _row_batch(
+        self,
+        now_ns: int,
+        at_ns: NDArray[np.int64],
+        joints: NDArray[np.float64],
+        measured: NDArray[np.float64],
+        sigma: NDArray[np.float64],
+        found: NDArray[np.int64],
+    ) -> Batch:
+        made = np.zeros(len(at_ns), self.outputs["row"])
+        made["host_ns"], made["vehicle_ns"] = now_ns, at_ns
+        for field, values in zip(("joint_rad", "joint_rad_s", "joint_rad_s2"), joints, strict=True):
+            made[field] = values
+        made["measured"], made["sigma"], made["gate"] = measured, sigma, found
+        return self._numbered("row", made)
+
+    def _answers(self, now_ns: int, vehicle_ns: int, estimate: Estimate) -> list[Batch]:
+        state = np.zeros(1, self.outputs["estimate"])
+        state["host_ns"], state["vehicle_ns"] = now_ns, vehicle_ns
+        state["rows_used"], state["rows_gated"] = estimate.rows_used, sum(estimate.refused.values())
+        state["mean"] = estimate.mean
+        triangle = self._identifier.rls.state().triangle
+        state["triangle"] = triangle[np.triu_indices(len(triangle))]
+        answers = np.zeros(len(estimate.names) + len(estimate.quantities), channels.QUANTITY)
+        answers["host_ns"], answers["vehicle_ns"] = now_ns, vehicle_ns
+        p = len(estimate.names)
+        for field in ("low", "high", "sigma", "supported"):
+            answers[field][:p] = getattr(estimate, field)
+        answers["value"][:p] = estimate.mean
+        answers["name"][:p] = [name.encode() for name in estimate.names]
+        for row, quantity in zip(answers[p:], estimate.quantities, strict=True):
+            row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
+            row["supported"], row["unit"], row["name"] = quantity.supported, quantity.unit, quantity.name
+        return [self._numbered("estimate", state), self._numbered("quantity", answers)]
+
+    def _numbered(self, channel: str, rows: Rows) -> Batch:
+        first = self._sequence[channel]
+        rows["sequence"] = np.arange(first, first + len(rows), dtype=np.uint64)
+        self._sequence[channel] = first + len(rows)
+        return Batch(channel, rows)

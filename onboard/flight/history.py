@@ -1,0 +1,53 @@
+"""The last few seconds of a channel, as arrays: append a batch, look at the tail, never shift on every append."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class History:
+    """Ticks (n,), values (n, columns) and validity (n,) of the newest samples, at least ``capacity`` of them.
+
+    Args:
+        capacity: samples that are kept for certain; memory for twice as many is held.
+        columns: values of one sample.
+    """
+
+    def __init__(self, capacity: int, columns: int) -> None:
+        self._capacity = capacity
+        self._ticks = np.zeros(2 * capacity, np.int64)
+        self._values = np.zeros((2 * capacity, columns))
+        self._valid = np.zeros(2 * capacity, np.bool_)
+        self._end = 0
+
+    def append(self, ticks: NDArray[np.int64], values: NDArray[np.float64], valid: NDArray[np.bool_]) -> None:
+        """Add samples: ticks (n,), values (n, columns), valid (n,)."""
+        ticks, values, valid = ticks[-self._capacity :], values[-self._capacity :], valid[-self._capacity :]
+        count = len(ticks)
+        if self._end + count > len(self._ticks):
+            keep = slice(self._end - min(self._end, self._capacity), self._end)
+            kept = keep.stop - keep.start
+            for array in self._ticks, self._values, self._valid:
+                array[:kept] = array[keep].copy()
+            self._end = kept
+        here = slice(self._end, self._end + count)
+        self._ticks[here], self._values[here], self._valid[here] = ticks, values, valid
+        self._end += count
+
+    def clear(self) -> None:
+        """Forget everything: the device's ticks began again."""
+        self._end = 0
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        """Device ticks (n,), oldest first."""
+        return self._ticks[: self._end]
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Values (n, columns)."""
+        return self._values[: self._end]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Whether each sample may be used (n,)."""
+        return self._valid[: self._end]

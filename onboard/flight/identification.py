@@ -1,0 +1,72 @@
+"""From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
+
+import numpy as np
+
+from onboard import config
+from onboard.model.base_parameters import base_parameters, named_relative_sigma
+from onboard.model.identify import Considered, Identifier, Quantity, mass_quantities
+from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
+from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
+
+NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
+BLOCKS_PER_KERNEL = 5
+
+
+def build_model(vehicle: config.Vehicle) -> Vehicle:
+    """The Pinocchio model of a vehicle file.
+
+    Raises:
+        UrdfError: the URDF cannot be used.
+        UnknownFrameError: a name that the URDF does not have.
+    """
+    section = vehicle.file.vehicle
+    spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link)
+    return Vehicle(vehicle.urdf_path.read_text(encoding="utf-8"), spec)
+
+
+def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
+    """The identifier of a vehicle file, and the model under it.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF.
+    """
+    settings = vehicle.file.estimation
+    try:
+        model = build_model(vehicle)
+        rows: list[WrenchRow] = []
+        considered: list[Considered] = []
+        for name, device in vehicle.file.device.items():
+            if isinstance(device, config.Cia404Device):
+                rows.append(load_cell_row(name, device.frame, device.axis, device.measures, device.lever_m))
+                considered += _considered(name, device)
+        if "force" in settings.base_rows:
+            rows += base_force_rows(model)
+        if "moment" in settings.base_rows:
+            rows += base_moment_rows(model)
+        row_model = RowModel(model, rows)
+        base = base_parameters(row_model, np.random.default_rng(NAMING_SEED))
+        prior = named_relative_sigma(row_model, settings.prior.relative, settings.prior.absolute)
+        quantities: tuple[Quantity, ...] = ()
+        if settings.masses:
+            quantities = mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link)
+    except ValueError as error:
+        raise config.ConfigError(f"{vehicle.path}: {error}") from error
+    identifier = Identifier(
+        row_model,
+        base,
+        prior,
+        BLOCKS_PER_KERNEL * settings.smoothing_ms * 1e-3,
+        quantities,
+        considered,
+        settings.gates.residual_sigma,
+    )
+    return identifier, model
+
+
+def _considered(name: str, device: config.Cia404Device) -> list[Considered]:
+    """A cell's calibration and its lever scale every reading alike; no flight can tell them from mass."""
+    lever = device.lever_sigma_m / device.lever_m if device.measures == "moment" else 0.0
+    return [
+        Considered(f"scale of {name}", name, "scale", float(np.hypot(device.scale_sigma, lever))),
+        Considered(f"delay of {name}", name, "delay", device.delay_sigma_ms * 1e-3),
+    ]

@@ -1,0 +1,57 @@
+"""The simulated runner: every worker's step, in a fixed order, under a virtual clock. Deterministic to the byte."""
+
+from collections.abc import Callable
+
+from onboard.flight.acquisition import Acquisition
+from onboard.flight.estimation import EstimationWorker
+from onboard.recording.recorder import Recorder
+
+STEP_NS = 5_000_000
+SLOW_STEPS = 10  # estimation and recording run every so many
+
+
+class VirtualClock:
+    """Time that somebody sets."""
+
+    def __init__(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+
+    def __call__(self) -> int:
+        """Now [ns]."""
+        return self.now_ns
+
+
+def fly(
+    clock: VirtualClock,
+    end_ns: int,
+    advance_world: Callable[[int], None],
+    acquisition: Acquisition,
+    estimation: EstimationWorker,
+    recorder: Recorder,
+    progress: Callable[[int], None] = lambda _: None,
+) -> None:
+    """Fly until ``end_ns``; then stop the devices, drain every queue and close the log.
+
+    Args:
+        clock: the virtual clock that the transports were opened with.
+        end_ns: when to stop the devices.
+        advance_world: brings the simulated devices to a time.
+        acquisition: the acquisition worker, not started.
+        estimation: the estimation worker.
+        recorder: the recording worker.
+        progress: told the time after each slow step.
+    """
+    acquisition.start(clock.now_ns)
+    step = 0
+    while clock.now_ns < end_ns:
+        step += 1
+        clock.now_ns += STEP_NS
+        advance_world(clock.now_ns)
+        acquisition.step(clock.now_ns)
+        if step % SLOW_STEPS == 0:
+            estimation.step(clock.now_ns)
+            recorder.step(clock.now_ns)
+            progress(clock.now_ns)
+    acquisition.stop(clock.now_ns)
+    estimation.finish(clock.now_ns)
+    recorder.close(clock.now_ns)

@@ -1,0 +1,413 @@
+"""CAN ports: the kernel's socket (a datagram pair stands for it), python-can's virtual bus, slcan beside python-can."""
+
+import errno
+import os
+import pty
+import select
+import socket
+import struct
+import time
+import tty
+
+import can
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given
+
+from drivers.errors import FrameError
+from drivers.transports import open_can
+from drivers.transports.can_slcan import SlcanDecoder, decode_line, encode_line
+from drivers.transports.can_socket import SO_RXQ_OVFL, SO_TIMESTAMPNS, SocketcanPort
+from drivers.transports.clock import realtime_minus_monotonic
+
+
+def kernel_frame(identifier, data):
+    """struct can_frame of linux/can.h."""
+    return struct.pack("=IB3x", identifier, len(data)) + data.ljust(8, b"\0")
+
+
+# SocketCAN
+
+
+@pytest.fixture
+def pair():
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    ours.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    with ours, theirs:
+        yield ours, theirs
+
+
+def test_frames_of_the_kernel_are_stamped_by_the_kernel_in_our_clock(pair):
+    ours, theirs = pair
+    port = SocketcanPort(ours, time.monotonic_ns)
+    before = time.monotonic_ns()
+    theirs.send(kernel_frame(0x281, b"\x01\x02\x03\x04"))
+    after = time.monotonic_ns()
+    time.sleep(0.05)
+    theirs.send(kernel_frame(0x080, b""))
+    frames = port.receive(1.0)
+    assert [(frame.identifier, frame.data, frame.is_error) for frame in frames] == [
+        (0x281, b"\x01\x02\x03\x04", False),
+        (0x080, b"", False),
+    ]
+    one_millisecond = 1_000_000
+    assert before - one_millisecond <= frames[0].host_ns <= after + one_millisecond
+    assert frames[1].host_ns - frames[0].host_ns > 40 * one_millisecond
+
+
+def test_error_frames_keep_their_classes_and_foreign_frames_are_counted(pair):
+    ours, theirs = pair
+    port = SocketcanPort(ours, time.monotonic_ns)
+    theirs.send(kernel_frame(0x2000_0040, bytes(8)))
+    theirs.send(kernel_frame(0x8000_0281, b"\1"))
+    theirs.send(kernel_frame(0x4000_0281, b""))
+    (frame,) = port.receive(1.0)
+    assert frame[1:] == (0x040, bytes(8), True)
+    assert port.foreign_frames == 2
+
+
+def test_nothing_waiting_is_nothing_and_a_frame_is_sent_as_the_kernel_wants_it(pair):
+    ours, theirs = pair
+    port = SocketcanPort(ours, time.monotonic_ns)
+    assert port.receive(0.0) == []
+    assert port.receive(0.01) == []
+    port.send(0x601, b"\x40\x00\x10\x00\x00\x00\x00\x00")
+    assert theirs.recv(64) == kernel_frame(0x601, b"\x40\x00\x10\x00\x00\x00\x00\x00")
+
+
+class KernelThatDrops:
+    """A socket that reports drops, as a raw CAN socket does and a datagram pair does not."""
+
+    def __init__(self, real, messages):
+        self.messages = messages
+        self.fileno, self.getsockopt, self.setblocking = real.fileno, real.getsockopt, real.setblocking
+
+    def recvmsg(self, size, ancillary_size):
+        assert size == 16
+        if not self.messages:
+            raise BlockingIOError
+        message = self.messages.pop(0)
+        if isinstance(message, OSError):
+            raise message
+        return message
+
+
+def test_frames_dropped_by_the_kernel_are_counted(pair):
+    stamp = (socket.SOL_SOCKET, SO_TIMESTAMPNS, struct.pack("@ll", 5, 7))
+    drops = (socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("=I", 41))
+    frame = kernel_frame(0x080, b"\1")
+    kernel = KernelThatDrops(pair[0], [(frame, [stamp], 0, None), (frame, [stamp, drops], 0, None)])
+    port = SocketcanPort(kernel, lambda: 0)
+    assert len(port.receive(0.0)) == 2
+    assert port.lost_frames == 41
+
+
+class RawSocket:
+    """Notes how it is set up. ``refuse`` names options that this kernel does not know."""
+
+    made: "RawSocket"
+
+    def __init__(self, *kind, refuse=()):
+        self.kind, self.refuse, self.options, self.bound, self.closed = kind, set(refuse), {}, None, False
+        RawSocket.made = self
+
+    def setsockopt(self, level, option, value):
+        if option in self.refuse:
+            raise OSError(errno.ENOPROTOOPT, os.strerror(errno.ENOPROTOOPT))
+        self.options[level, option] = value
+
+    def getsockopt(self, level, option):
+        return 425_984
+
+    def bind(self, address):
+        if address == ("can9",):
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        self.bound = address
+
+    def setblocking(self, flag):
+        self.blocking = flag
+
+    def fileno(self):
+        return 0
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_raw_socket_is_asked_for_stamps_errors_buffer_and_drop_counts(monkeypatch, clock):
+    monkeypatch.setattr(socket, "socket", RawSocket)
+    port = open_can("can+socketcan://can0?bitrate=500000&receive_buffer=1000000", clock)
+    raw = RawSocket.made
+    assert raw.kind == (socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    assert raw.bound == ("can0",)
+    assert not raw.blocking
+    assert raw.options == {
+        (socket.SOL_SOCKET, SO_TIMESTAMPNS): 1,
+        (socket.SOL_CAN_RAW, 2): 0x1FFF_FFFF,  # CAN_RAW_ERR_FILTER: all classes
+        (socket.SOL_SOCKET, socket.SO_RCVBUF): 1_000_000,
+        (socket.SOL_SOCKET, SO_RXQ_OVFL): 1,
+    }
+    assert port.receive_buffer == 425_984
+    port.close()
+    assert raw.closed
+
+
+def test_a_kernel_without_drop_counts_will_do_and_an_absent_interface_is_closed_again(monkeypatch, clock):
+    monkeypatch.setattr(socket, "socket", lambda *kind: RawSocket(*kind, refuse={SO_RXQ_OVFL, socket.SO_RCVBUF}))
+    open_can("can+socketcan://can0", clock)
+    assert RawSocket.made.bound == ("can0",)
+    with pytest.raises(OSError, match="No such device"):
+        open_can("can+socketcan://can9", clock)
+    assert RawSocket.made.closed
+
+
+def test_an_interface_that_goes_down_is_an_os_error(pair):
+    port = SocketcanPort(KernelThatDrops(pair[0], [OSError(errno.ENETDOWN, "down")]), lambda: 0)
+    with pytest.raises(OSError, match="down") as caught:
+        port.receive(0.0)
+    assert caught.value.errno == errno.ENETDOWN
+
+
+def test_the_offset_of_the_clocks_is_that_of_the_narrowest_bracket():
+    monotonic = iter([0, 100_000, 200_000, 230_000, 300_000, 390_000, 400_000, 500_000])
+    wall = iter([1_000_090_000, 1_000_215_000, 1_000_301_000, 1_000_499_000])
+    assert realtime_minus_monotonic(lambda: next(monotonic), lambda: next(wall)) == 1_000_000_000
+    quick = iter([0, 10_000])
+    assert realtime_minus_monotonic(lambda: next(quick), lambda: 77_005_000) == 77_000_000
+
+
+# python-can's virtual bus
+
+
+@pytest.fixture
+def stranger():
+    buses = []
+
+    def join(name):
+        buses.append(can.Bus(interface="virtual", channel=name, preserve_timestamps=True, ignore_config=True))
+        return buses[-1]
+
+    yield join
+    for bus in buses:
+        bus.shutdown()
+
+
+def message(identifier, data=b"", stamp_s=0.0, **flags):
+    return can.Message(stamp_s, identifier, is_extended_id=flags.pop("extended", False), data=data, **flags)
+
+
+def test_virtual_frames_carry_the_simulators_stamp_to_the_nanosecond(stranger, clock):
+    bus = stranger("stamps")
+    port = open_can("can+virtual://stamps?timestamps=monotonic", clock)
+    stamps = [1_000_000_000, 1_000_000_001, 86_400_123_456_789]
+    for stamp in stamps:
+        bus.send(message(0x281, b"\1\2\3\4", stamp * 1e-9))
+    bus.send(message(0x281, b"", extended=True))
+    bus.send(message(0x281, is_remote_frame=True))
+    bus.send(message(0x040, bytes(8), is_error_frame=True))
+    frames = port.receive(0.0)
+    port.close()
+    assert [frame.host_ns for frame in frames[:3]] == stamps
+    assert frames[0][1:] == (0x281, b"\1\2\3\4", False)
+    assert frames[3][1:] == (0x040, bytes(8), True)
+    assert port.foreign_frames == 2
+
+
+def test_what_we_send_on_the_virtual_bus_is_stamped_with_our_clock(stranger, clock):
+    bus = stranger("sent")
+    port = open_can("can+virtual://sent?timestamps=monotonic", clock)
+    port.send(0x000, b"\x01\x05")
+    assert port.receive(0.0) == []
+    got = bus.recv(0.0)
+    port.close()
+    assert (got.arbitration_id, bytes(got.data), got.is_extended_id) == (0, b"\x01\x05", False)
+    assert round(got.timestamp * 1e9) == clock()
+
+
+def test_virtual_frames_with_wall_clock_stamps_are_moved_to_ours(stranger):
+    bus = stranger("wall")
+    port = open_can("can+virtual://wall", time.monotonic_ns)
+    bus.send(message(0x080, b"\1", time.time()))
+    (frame,) = port.receive(0.0)
+    port.close()
+    assert abs(frame.host_ns - time.monotonic_ns()) < 1_000_000_000
+
+
+def test_a_closed_virtual_bus_is_an_os_error(clock):
+    port = open_can("can+virtual://closed", clock)
+    port.close()
+    with pytest.raises(OSError, match="CAN receive failed"):
+        port.receive(0.0)
+    with pytest.raises(OSError, match="CAN send failed"):
+        port.send(0x000, b"")
+
+
+# slcan
+
+
+LINES = [  # Lawicel CAN232 manual; python-can's own spelling
+    (b"t1811AA", 0x181, b"\xaa"),
+    (b"t08001234", 0x080, b""),  # with the adapter's time stamp
+    (b"t0800", 0x080, b""),
+    (b"t7FF81122334455667788", 0x7FF, bytes.fromhex("1122334455667788")),
+    (b"t28140a0B0c0D1F40", 0x281, b"\x0a\x0b\x0c\x0d"),
+]
+
+
+@pytest.mark.parametrize(("line", "identifier", "data"), LINES)
+def test_lines_of_the_adapter(line, identifier, data):
+    assert decode_line(line) == (identifier, data)
+
+
+@pytest.mark.parametrize(
+    "line", [b"t", b"t18", b"t181", b"t1819", b"t1811", b"t1811A", b"t1811AAB", b"t8001AA", b"t1_02AABB", b"t 811AA"]
+)
+def test_damaged_lines_are_frame_errors(line):
+    with pytest.raises(FrameError, match="check the adapter's baud rate"):
+        decode_line(line)
+
+
+@pytest.mark.parametrize("line", [b"", b"z", b"V1013", b"NA123", b"F00", b"T000001811AA", b"r1810", b"R000001810"])
+def test_what_is_no_data_frame_is_none(line):
+    assert decode_line(line) is None
+
+
+STREAM = b"".join(line + b"\r" for line, _, _ in LINES)
+FRAMES = [(identifier, data) for _, identifier, data in LINES]
+
+
+def three_ways(stream):
+    """Whole, one byte at a time, with junk behind."""
+    whole = SlcanDecoder()
+    yield whole.feed(stream)
+    bytewise = SlcanDecoder()
+    yield [frame for byte in stream for frame in bytewise.feed(bytes([byte]))]
+    junk = SlcanDecoder()
+    yield junk.feed(stream + b"t12")
+
+
+def test_a_stream_is_read_in_any_pieces():
+    assert list(three_ways(STREAM)) == [FRAMES] * 3
+
+
+@given(st.lists(st.sampled_from([*(line for line, _, _ in LINES), b"t18", b"\a", b"T000001811AA", b"z"]), max_size=9))
+def test_any_pieces_of_lines_give_the_same(pieces):
+    results = list(three_ways(b"\r".join(pieces) + b"\r"))
+    assert results[0] == results[1] == results[2]
+
+
+@given(st.lists(st.binary(max_size=40), max_size=10))
+def test_any_bytes_give_frames_or_nothing_and_the_next_good_line_is_read(pieces):
+    decoder = SlcanDecoder()
+    for piece in pieces:
+        for identifier, data in decoder.feed(piece):
+            assert 0 <= identifier <= 0x7FF
+            assert len(data) <= 8
+    decoder.feed(b"\r")
+    assert decoder.feed(STREAM) == FRAMES
+
+
+def test_what_does_not_come_through_is_counted():
+    decoder = SlcanDecoder()
+    decoder.feed(b"t18\rT000001811AA\rr1810\r\a\a" + b"x" * 200)
+    assert (decoder.damaged_lines, decoder.foreign_frames, decoder.refusals) == (2, 2, 2)
+
+
+@given(st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_lines_go_there_and_back(identifier, data):
+    assert SlcanDecoder().feed(encode_line(identifier, data)) == [(identifier, data)]
+
+
+@pytest.mark.parametrize(("identifier", "data"), [(0x800, b""), (-1, b""), (0, bytes(9))])
+def test_no_line_for_what_is_no_frame(identifier, data):
+    with pytest.raises(FrameError):
+        encode_line(identifier, data)
+
+
+class Adapter:
+    """The far end of a pty, where the adapter's firmware would be."""
+
+    def __init__(self):
+        self.fd, slave = pty.openpty()
+        tty.setraw(self.fd)
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        self._slave = slave
+
+    def read(self, size):
+        data = b""
+        while len(data) < size and select.select([self.fd], [], [], 5.0)[0]:
+            data += os.read(self.fd, size - len(data))
+        return data
+
+    def close(self):
+        os.close(self.fd)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def adapter():
+    far_end = Adapter()
+    yield far_end
+    far_end.close()
+
+
+def test_an_adapter_is_set_to_its_bit_rate_and_opened_and_closed(adapter, clock):
+    port = open_can(f"can+slcan://{adapter.path}?bitrate=500000", clock)
+    assert adapter.read(7) == b"C\rS6\rO\r"
+    port.send(0x601, b"\x40\x00\x10\x00\x00\x00\x00\x00")
+    assert adapter.read(22) == b"t60184000100000000000\r"
+    os.write(adapter.fd, b"\rz\rt1811AA\rt0801")
+    clock.now_ns = 5_000
+    frames = []
+    while not frames:
+        frames = port.receive(1.0)
+    os.write(adapter.fd, b"07\r")
+    clock.now_ns = 9_000
+    while len(frames) < 2:
+        frames += port.receive(1.0)
+    assert port.lost_frames == 0
+    assert frames == [(5_000, 0x181, b"\xaa", False), (9_000, 0x080, b"\x07", False)]
+    assert port.receive(0.0) == port.receive(0.01) == []
+    port.close()
+    assert adapter.read(2) == b"C\r"
+
+
+def test_python_can_and_our_port_understand_each_other(clock):
+    """Two adapters back to back: python-can on one pty, we on another, bytes carried across by hand."""
+    left, right = Adapter(), Adapter()
+    bus = can.Bus(
+        interface="slcan", channel=left.path, bitrate=500_000, sleep_after_open=0, ignore_config=True, timeout=0
+    )
+    port = open_can(f"can+slcan://{right.path}?bitrate=500000", clock)
+    left.read(len(b"C\rS6\r\rO\rO\r"))
+    right.read(len(b"C\rS6\rO\r"))
+    sent = [(0x000, b""), (0x181, b"\x01\x02\x03\x04"), (0x7FF, bytes(range(8)))]
+    for identifier, data in sent:
+        bus.send(message(identifier, data))
+        line = left.read(5 + 2 * len(data) + 1)
+        os.write(right.fd, line)
+        port.send(identifier, data)
+        assert right.read(len(line)) == line
+        os.write(left.fd, line)
+    frames = []
+    while len(frames) < len(sent):
+        frames += port.receive(1.0)
+    assert [(frame.identifier, frame.data) for frame in frames] == sent
+    theirs = [bus.recv(5.0) for _ in sent]
+    assert [(got.arbitration_id, bytes(got.data)) for got in theirs] == sent
+    bus.shutdown()
+    port.close()
+    left.close()
+    right.close()
+
+
+def test_an_adapter_pulled_out_is_an_os_error(clock):
+    far_end = Adapter()
+    port = open_can(f"can+slcan://{far_end.path}?bitrate=500000", clock)
+    far_end.close()
+    with pytest.raises(OSError, match=r"."):
+        port.receive(0.05)
+    with pytest.raises(OSError, match=r"."):
+        port.send(0x080, b"")
+    port.close()

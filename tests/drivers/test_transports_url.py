@@ -1,0 +1,72 @@
+"""Bus URLs: what opens what, and every wrong one answered with what would be right."""
+
+import subprocess
+import sys
+
+import pytest
+
+from drivers.errors import DriverError, UrlError
+from drivers.transports import open_can, open_i2c, open_pulse, open_serial
+
+
+def clock():
+    return 0
+
+
+@pytest.mark.parametrize(
+    ("opener", "url", "remedy"),
+    [
+        (open_i2c, "spi:///dev/spidev0.0", "begin it with one of i2c, i2c\\+unix"),
+        (open_i2c, "/dev/i2c-1", "begin it with"),
+        (open_i2c, "i2c://dev/i2c-1", "before the path: write i2c:///dev"),
+        (open_i2c, "i2c://", "with three slashes"),
+        (open_i2c, "i2c:///dev/i2c-1?speed=400000", "unknown options speed: it takes none"),
+        (open_i2c, "i2c+unix:///x?timeout_s=soon", "timeout_s=soon is not a number"),
+        (open_can, "can+usb://can0", "can\\+socketcan, can\\+virtual, can\\+slcan"),
+        (open_can, "can+socketcan:///can0", "needs one name and no path"),
+        (open_can, "can+socketcan://", "needs one name"),
+        (open_can, "can+socketcan://can0?bitrate=fast", "bitrate=fast is not a whole number"),
+        (open_can, "can+socketcan://can0?bit_rate=5", "use only bitrate, receive_buffer"),
+        (open_can, "can+virtual://x?timestamps=sundial", "use monotonic or realtime"),
+        (open_can, "can+slcan:///dev/ttyS0", "lacks bitrate: add '\\?bitrate="),
+        (open_can, "can+slcan:///dev/ttyS0?bitrate=333333", "use one of 10000, 20000"),
+        (open_pulse, "gpio:///dev/gpiochip0", "lacks line"),
+        (open_pulse, "pps:///dev/pps0", "gpio, gpio\\+unix"),
+        (open_serial, "serial:///dev/ttyUSB0", "lacks baud"),
+        (open_serial, "serial:///dev/ttyUSB0?baud=9600&parity=X", "parity=N, E or O"),
+        (open_serial, "serial:///dev/ttyUSB0?baud=9600&stop_bits=3", "stop_bits=1 or 2"),
+        (open_serial, "serial:///dev/null?baud=-5", "choose a rate"),
+    ],
+)
+def test_a_wrong_url_is_answered_with_the_right_one(opener, url, remedy):
+    with pytest.raises(UrlError, match=remedy) as caught:
+        opener(url) if opener is open_serial else opener(url, clock)
+    assert url in str(caught.value)
+    assert isinstance(caught.value, DriverError)
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("opener", "url"),
+    [
+        (open_i2c, "i2c:///dev/no-such-i2c"),
+        (open_can, "can+socketcan://no_such_can?bitrate=500000"),
+        (open_can, "can+slcan:///dev/no-such-tty?bitrate=500000"),
+        (open_pulse, "gpio:///dev/no-such-gpiochip?line=3"),
+        (open_pulse, "gpio+unix:///no-such-folder/edges"),
+        (open_serial, "serial:///dev/no-such-tty?baud=9600"),
+    ],
+)
+def test_what_is_not_there_is_an_os_error(opener, url):
+    with pytest.raises(OSError, match=r".") as caught:
+        opener(url) if opener is open_serial else opener(url, clock)
+    assert not isinstance(caught.value, UrlError)
+
+
+def test_importing_drivers_loads_no_bus_library():
+    program = (
+        "import sys, drivers, drivers.transports, drivers.mpu6050, drivers.canopen_pdo, drivers.sync_pulse\n"
+        "sys.exit(str({'smbus2', 'can', 'serial', 'gpiod', 'canopen'} & set(sys.modules)))"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert run.stderr.strip() == "set()"
