@@ -111,11 +111,11 @@ class SerialLink:
         return before_ns
 
     def drop(self, now_ns: int, code: str, text: str) -> None:
-        """Close the port, say why (once for the same reason) and open it again later."""
+        """Close the port, say why (once for the same code) and open it again later."""
         self.close()
-        if text != self._told:
+        if code != self._told:
             self._report.event(now_ns, Severity.ERROR, code, text)
-            self._told = text
+            self._told = code
         if self._away_since_ns is None:
             self._away_since_ns = now_ns
         self._retry_ns = now_ns + self._backoff_ns
@@ -201,8 +201,9 @@ class SerialDevice(ABC):
     def stop(self, now_ns: int) -> list[Batch]:
         """Take what is left, silence the device, name what is missing, close the port."""
         if self._running:
-            if self._link.is_open:
-                self._turn(now_ns)
+            chunk = self._link.read(now_ns, self._wanted())
+            if chunk is not None:
+                self._receive(now_ns, chunk)
             self._finish(now_ns)
             self._link.close()
             self._connected = self._running = False

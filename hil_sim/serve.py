@@ -9,8 +9,10 @@ and when mission time 0 is (``start_ns``). At the end of the mission, or on SIGT
 """
 
 import argparse
+import contextlib
 import gc
 import json
+import os
 import select
 import signal
 import sys
@@ -27,6 +29,7 @@ from hil_sim.i2c_socket import I2cSocket
 from hil_sim.slcan import SlcanAdapter
 
 _LONGEST_NAP_NS: Final = 5_000_000
+_PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
 _SHORTEST_NAP_S: Final = 50e-6  # events closer than this go out together
 
 
@@ -159,6 +162,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stops: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: stops.append(number))
+    with contextlib.suppress(OSError):  # devices do not wait for processes; without the right to this they may be late
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     with Server(options.directory, options.seed) as server:
         gc.collect()
         gc.freeze()

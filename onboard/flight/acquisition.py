@@ -12,7 +12,7 @@ from onboard.flight.publisher import Publisher
 
 
 class Acquisition:
-    """Steps a set of devices. The simulated runner calls :meth:`step`; the real one a thread per device :meth:`pump`."""
+    """Steps a set of devices. The simulated runner calls :meth:`step`; in the real one each bus has a thread."""
 
     def __init__(self, devices: Sequence[Device], publisher: Publisher) -> None:
         self._publisher = publisher

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -71,12 +72,14 @@ def fly_simulated(
     """
     flying = vehicle.with_urls(dict(urls))
     directory = rings.new_directory()
-    try:
-        clock = simulated.VirtualClock(world.start_ns)
+    clock = simulated.VirtualClock(world.start_ns)
+    with ExitStack() as stack:
+        stack.callback(shutil.rmtree, directory)
         estimator = Estimator(flying)
         devices = rings.create(directory, flying, rings.device_channels(flying))
         answers = rings.create(directory, flying, estimation_channels(estimator))
         opened = open_devices(flying, clock)
+        stack.callback(opened.close)
         acquisition = Acquisition(opened.devices, Publisher(devices))
         acquisition.report(opened.problems)
         inputs = rings.readers(directory, estimator.inputs)
@@ -92,9 +95,6 @@ def fly_simulated(
             recorder,
             lambda now_ns: progress((now_ns - world.start_ns) / span_ns),
         )
-        opened.close()
-    finally:
-        shutil.rmtree(directory)
     return Flown(log, world.produced(), world.truth())
 
 
@@ -112,10 +112,12 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
         FlightError: the devices or a worker did not start.
         ConfigError: the vehicle cannot be used.
     """
-    with tempfile.TemporaryDirectory(prefix="heft-hil-") as directory:
-        devices = subprocess.Popen(
+    with (
+        tempfile.TemporaryDirectory(prefix="heft-hil-") as directory,
+        subprocess.Popen(
             [sys.executable, *serve, "--directory", directory], stdout=subprocess.PIPE, text=True
-        )
+        ) as devices,
+    ):
         assert devices.stdout is not None
         try:
             ready = devices.stdout.readline()
@@ -128,7 +130,6 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
             end = json.loads(devices.stdout.readline())
         finally:
             devices.terminate()
-            devices.wait()
     if flight.died:
         raise runner.FlightError(f"died in flight: {', '.join(flight.died)}; the log holds what they said")
     return Flown(log, end["produced"], end["truth"])

@@ -47,6 +47,7 @@ def acquire(vehicle: config.Vehicle, directory: Path, ready: Event, stop: Event)
     ready.set()
     for thread in threads:
         thread.join()
+    stop.wait()  # with no bus at all there is still a flight to log
     opened.close()
 
 

@@ -1,0 +1,126 @@
+"""A flight's answer beside the truth and beside what was published: the table that ``heft hil`` ends with.
+
+The numbers are the last the onboard estimator said before it landed, read back from the log; nothing is computed again.
+"""
+
+import tomllib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from drivers import records
+from onboard import config
+from onboard.flight.hil import Flown
+from onboard.recording.reader import LogReader
+
+Result = dict[str, Any]
+
+
+def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
+    """The last QUANTITY of each name in a log; empty when the estimator never answered."""
+    answers: dict[str, dict[str, Any]] = {}
+    for _, rows in log.batches(["quantity"]):
+        for row in rows[-256:]:
+            answers[row["name"].decode()] = {
+                "value": float(row["value"]),
+                "low": float(row["low"]),
+                "high": float(row["high"]),
+                "sigma": float(row["sigma"]),
+                "unit": row["unit"].decode(),
+                "supported": bool(row["supported"]),
+            }
+    return answers
+
+
+def result(flown: Flown) -> Result:
+    """Everything the table shows, as plain JSON values."""
+    log = LogReader(flown.log)
+    name = log.metadata["flight"]["vehicle"]
+    published = tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
+    answers = last_answers(log)
+    masses = [_compared(row, answers, flown.truth) for row in published["row"]]
+    channels = dict(_accounts(log, flown.produced))
+    return {
+        "vehicle": name,
+        "title": published["title"],
+        "seed": flown.truth["seed"],
+        "log": str(flown.log),
+        "masses": masses,
+        "inertias": [_compared(row, answers, flown.truth) for row in published["inertia"]],
+        "channels": channels,
+        "identified": all(mass["supported"] for mass in masses),
+        "accounted": all(c["recorded"] + c["missing"] == c["produced"] for c in channels.values()),
+        "events": _troubles(log),
+    }
+
+
+def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: dict[str, Any]) -> dict[str, Any]:
+    answer = answers.get(row["quantity"])
+    supported = answer is not None and answer["supported"]
+    true = float(truth[row["truth"]])
+    made: dict[str, Any] = {**row, "truth": true, "supported": supported}
+    if answer is not None and supported:
+        made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "unit")}
+        made["our_error_percent"] = 100 * (answer["value"] / true - 1)
+        made["covered"] = answer["low"] <= true <= answer["high"]
+    return made
+
+
+def _accounts(log: LogReader, produced: dict[str, int]) -> Iterator[tuple[str, dict[str, int]]]:
+    """Samples produced, recorded, and named as missing by GAP records, for each channel of the devices."""
+    recorded = dict.fromkeys(produced, 0)
+    missing = dict.fromkeys(produced, 0)
+    for channel, rows in log.batches():
+        if channel in recorded:
+            recorded[channel] += len(rows)
+        elif rows.dtype == records.GAP:
+            for row in rows:
+                missing[row["channel"].decode()] += int(row["last_missing"] - row["first_missing"]) + 1
+    for name, count in produced.items():
+        yield name, {"produced": count, "recorded": recorded[name], "missing": missing[name]}
+
+
+def _troubles(log: LogReader) -> list[str]:
+    """Warnings and errors, as sentences."""
+    return [
+        f"{row['source'].decode()}: {row['text'].decode()}"
+        for _, rows in log.batches()
+        if rows.dtype == records.EVENT
+        for row in rows[rows["severity"] >= records.Severity.WARNING]
+    ]
+
+
+def render(table: Result) -> RenderableType:
+    """The table as people see it; 80 columns are enough."""
+    title = f"{table['title']} (seed {table['seed']})"
+    shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    shown.add_column("", no_wrap=True)
+    for heading in ("truth", "theirs", "err %", "heft", "95 % interval", "err %"):
+        shown.add_column(heading, justify="right", no_wrap=True)
+    for row in table["masses"]:
+        theirs = f"{row['identified_g']:.1f}", f"{row['error_percent']:.2f}"
+        shown.add_row(f"{row['label']}, g", f"{1e3 * row['truth']:.1f}", *theirs, *_ours(row, 1e3, 1))
+    shown.add_section()
+    for row in table["inertias"]:
+        shown.add_row(f"{row['label']}, g m²", f"{1e3 * row['truth']:.3f}", "", "", *_ours(row, 1e3, 3))
+    counted = ", ".join(
+        f"{name} {c['recorded']}" + (f" (and {c['missing']} missing)" if c["missing"] else "")
+        for name, c in table["channels"].items()
+    )
+    verdict = "every sample accounted for" if table["accounted"] else "SAMPLES UNACCOUNTED FOR"
+    troubles = [Text(f"! {text}", style="yellow") for text in table["events"][:8]]
+    if len(table["events"]) > len(troubles):
+        troubles.append(Text(f"! and {len(table['events']) - len(troubles)} more: heft info", style="yellow"))
+    return Group(shown, Text(f"{verdict}: {counted}"), *troubles)
+
+
+def _ours(row: dict[str, Any], factor: float, digits: int) -> tuple[str, str, str]:
+    if not row["supported"] or not np.isfinite(row["value"]):
+        return "—", "not determined", ""
+    value, low, high = (f"{factor * row[key]:.{digits}f}" for key in ("value", "low", "high"))
+    return value, f"{low} .. {high}", f"{row['our_error_percent']:+.2f}"

@@ -1,0 +1,122 @@
+"""The records of a chunk to rows, one run of messages at a time."""
+
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from drivers.records import Rows
+from onboard.recording import mcap_format
+from onboard.recording.chunk import BODY_AT
+from onboard.recording.errors import LogFormatError, SchemaError
+from onboard.recording.schema import CDR_HEADER, dtype_from_ros2msg, units_from_ros2msg
+
+_HEAD = mcap_format.RECORD_HEAD
+_KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: alike for all messages of a run
+
+
+class KnownChannel(NamedTuple):
+    """A channel as its definitions describe it."""
+
+    number: int
+    name: str
+    dtype: np.dtype[np.void]
+    units: dict[str, str]
+
+
+class Run(NamedTuple):
+    """Consecutive messages of one channel: their records (n, record size), still in the chunk's own memory."""
+
+    channel: KnownChannel
+    records: NDArray[np.uint8]
+
+
+def rows_of(runs: list[Run]) -> Rows:
+    """The rows (n,) of ``runs``, which are all of one channel."""
+    bodies = np.concatenate([run.records[:, BODY_AT:] for run in runs])
+    rows: Rows = bodies.view(runs[0].channel.dtype).reshape(len(bodies))
+    return rows
+
+
+def _run_length(keys: NDArray[np.uint8]) -> int:
+    """How many of ``keys`` (n, key size), from the first on, are alike; looks ever further ahead."""
+    done, ahead = 1, 16
+    while done < len(keys):
+        same = (keys[done : done + ahead] == keys[0]).all(axis=1)
+        if not same.all():
+            return done + int(np.argmin(same))
+        done, ahead = done + len(same), ahead * 4
+    return done
+
+
+class Decoder:
+    """Knows the channels of a log so far, and takes chunks apart."""
+
+    def __init__(self) -> None:
+        self.channels: dict[str, KnownChannel] = {}
+        self._by_number: dict[int, KnownChannel] = {}
+        self._schemas: dict[int, str] = {}
+        self._seen: set[bytes] = set()
+
+    def runs(self, records: bytes) -> list[Run]:
+        """The messages of a chunk in the order they stand; learns the definitions on the way.
+
+        Raises:
+            LogFormatError: the records contradict each other or the definitions.
+        """
+        runs: list[Run] = []
+        data = np.frombuffer(records, np.uint8)
+        at = 0
+        while at < len(records):
+            if len(records) - at < _HEAD.size:
+                raise LogFormatError("chunk ends inside a record")
+            opcode, length = _HEAD.unpack_from(records, at)
+            end = at + _HEAD.size + length
+            if end > len(records):
+                raise LogFormatError("chunk ends inside a record")
+            if opcode == Opcode.MESSAGE:
+                runs.append(self._run(data[at:], int(end - at)))
+                at += runs[-1].records.size
+            else:
+                self._learn(opcode, records[at + _HEAD.size : end])
+                at = end
+        return runs
+
+    def _run(self, data: NDArray[np.uint8], size: int) -> Run:
+        number = int.from_bytes(data[_HEAD.size : _KEY_BYTES].tobytes(), "little")
+        channel = self._by_number.get(number)
+        if channel is None:
+            raise LogFormatError(f"message of channel {number}, which the chunk does not define")
+        if size != BODY_AT + channel.dtype.itemsize:
+            raise LogFormatError(f"channel {channel.name!r}: message and definition differ in size")
+        records = data[: len(data) // size * size].reshape(-1, size)
+        records = records[: _run_length(records[:, :_KEY_BYTES])]
+        if records[0, BODY_AT - len(CDR_HEADER) : BODY_AT].tobytes() != CDR_HEADER:
+            raise LogFormatError(f"channel {channel.name!r}: message is not little-endian CDR")
+        return Run(channel, records)
+
+    def _learn(self, opcode: int, body: bytes) -> None:
+        key = bytes([opcode]) + body
+        if key in self._seen:
+            return
+        if opcode == Opcode.SCHEMA:
+            schema = mcap_format.Schema.parse(body)
+            self._schemas[schema.number] = schema.text
+        elif opcode == Opcode.CHANNEL:
+            self._define(mcap_format.Channel.parse(body))
+        else:
+            raise LogFormatError(f"a record of type {opcode} has no place in a chunk")
+        self._seen.add(key)
+
+    def _define(self, channel: mcap_format.Channel) -> None:
+        text = self._schemas.get(channel.schema)
+        if text is None:
+            raise LogFormatError(f"channel {channel.topic!r} is defined before its schema")
+        try:
+            known = KnownChannel(channel.number, channel.topic, dtype_from_ros2msg(text), units_from_ros2msg(text))
+        except SchemaError as error:
+            raise LogFormatError(f"channel {channel.topic!r}: {error}") from error
+        if self.channels.setdefault(channel.topic, known).dtype != known.dtype:
+            raise LogFormatError(f"channel {channel.topic!r} is defined twice, with different fields")
+        self._by_number[channel.number] = known

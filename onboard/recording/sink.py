@@ -1,0 +1,75 @@
+"""Where a log's bytes go. The writer names every offset, so a write that failed half-way is simply made again."""
+
+import errno
+import os
+from pathlib import Path
+from typing import Protocol
+
+
+class Sink(Protocol):
+    """A file, as far as the writer is concerned. Raises OSError with the kernel's errno."""
+
+    def write_at(self, offset: int, data: bytes) -> None:
+        """Put ``data`` at ``offset``; all of it, or OSError."""
+
+    def sync(self) -> None:
+        """Everything written is on the medium when this returns."""
+
+    def close(self) -> None:
+        """Give the file back."""
+
+
+def sync_directory(path: Path) -> None:
+    """Bring the entries of directory ``path`` to the medium.
+
+    Raises:
+        OSError: the kernel refused.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+class FileSink:
+    """A new file. Its directory entry is on the medium when the constructor returns.
+
+    Args:
+        path: file to create; its directory must exist.
+        durable: False makes ``sync`` do nothing, for runs on a virtual clock that no power cut can meet.
+        overwrite: replace an existing file.
+
+    Raises:
+        FileExistsError: there is one and ``overwrite`` is False.
+        OSError: it cannot be created.
+    """
+
+    def __init__(self, path: str | Path, *, durable: bool = True, overwrite: bool = False) -> None:
+        self._durable = durable
+        existing = os.O_TRUNC if overwrite else os.O_EXCL
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | existing, 0o644)
+        if durable:
+            try:
+                sync_directory(Path(path).parent)
+            except OSError:
+                os.close(self._descriptor)
+                raise
+
+    def write_at(self, offset: int, data: bytes) -> None:
+        """See ``Sink``."""
+        view = memoryview(data)
+        while view:
+            written = os.pwrite(self._descriptor, view, offset)
+            if not written:
+                raise OSError(errno.ENOSPC, "the kernel took no bytes")
+            view, offset = view[written:], offset + written
+
+    def sync(self) -> None:
+        """See ``Sink``."""
+        if self._durable:
+            os.fsync(self._descriptor)
+
+    def close(self) -> None:
+        """See ``Sink``."""
+        os.close(self._descriptor)

@@ -1,0 +1,337 @@
+"""The thin MCAP writer: batches of rows in, chunks of at most 16 KiB out, definitions at the head of every chunk.
+
+Nothing is lost by a disk that refuses: every byte stays in memory until an ``fsync`` after it has returned, and is
+written again when that fails (a failed ``fsync`` leaves Linux pages clean and unwritten). The caller bounds the
+backlog by not handing over more while it grows.
+
+The same calls give the same bytes: no clock is read, padding is zeroed.
+"""
+
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from drivers.records import GAP, Rows
+from onboard.recording import mcap_format
+from onboard.recording.chunk import ChunkBuilder, PackedChannel
+from onboard.recording.errors import ChannelError, RecordingError
+from onboard.recording.schema import message_name, ros2msg
+from onboard.recording.sink import FileSink, Sink
+
+LIBRARY = "heft"
+CHUNK_BYTES = 16384
+SYNC_INTERVAL_NS = 150_000_000  # with steps of up to 50 ms nothing un-synced is ever older than 200 ms
+_NAME_BYTES = GAP["channel"].itemsize
+_MAX_UNSYNCED_BYTES = 4 << 20  # kept in memory; beyond it an fsync comes early
+
+
+class LogWriter:
+    """Writes one log.
+
+    ``OSError`` out of any method means that the disk refused, and nothing more: what was handed over is kept and goes
+    out with the next call that succeeds.
+
+    Args:
+        sink: an empty file.
+        chunk_bytes: bytes of records in a chunk.
+        sync_interval_ns: least time between two fsyncs, on the clock given to ``sync``.
+    """
+
+    def __init__(self, sink: Sink, *, chunk_bytes: int = CHUNK_BYTES, sync_interval_ns: int = SYNC_INTERVAL_NS) -> None:
+        self._sink, self._sync_interval_ns = sink, sync_interval_ns
+        self._chunk = ChunkBuilder(chunk_bytes)
+        self._channels: dict[str, PackedChannel] = {}
+        self._schemas: dict[tuple[str, str], mcap_format.Schema] = {}
+        self._blocks: list[bytes] = []  # since the last fsync
+        self._written = 0  # blocks of these that the sink has taken
+        self._synced_offset = self._offset = self._end = 0
+        self._data_crc = 0
+        self._last_sync_ns: int | None = None
+        self._failing = False
+        self._chunk_indexes: list[bytes] = []
+        self._attachment_indexes: list[bytes] = []
+        self._metadata_indexes: list[bytes] = []
+        self._counts: dict[int, int] = {}
+        self._span: tuple[int, int] | None = None
+        self._ended = self._closed = False
+        self._append(mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, LIBRARY).pack())
+
+    @classmethod
+    def create(
+        cls,
+        path: str | Path,
+        *,
+        durable: bool = True,
+        overwrite: bool = False,
+        sync_interval_ns: int = SYNC_INTERVAL_NS,
+    ) -> Self:
+        """A writer of a new file at ``path``; see ``FileSink`` for the other arguments and the errors."""
+        return cls(FileSink(path, durable=durable, overwrite=overwrite), sync_interval_ns=sync_interval_ns)
+
+    @property
+    def channels(self) -> dict[str, np.dtype[np.void]]:
+        """The registered channels and their dtypes."""
+        return {name: channel.dtype for name, channel in self._channels.items()}
+
+    @property
+    def rows_written(self) -> int:
+        """Rows accepted so far."""
+        return sum(self._counts.values())
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes that the sink has taken."""
+        return self._offset
+
+    @property
+    def backlog_bytes(self) -> int:
+        """Bytes of whole chunks that the sink has not taken: more than 0 only while the disk refuses."""
+        return self._end - self._offset
+
+    @property
+    def ended(self) -> bool:
+        """The summary is made, nothing more can be written; ``close`` was called."""
+        return self._ended
+
+    @property
+    def failing(self) -> bool:
+        """The disk has refused, and no ``sync`` or ``flush`` has succeeded since.
+
+        Meanwhile ``write`` keeps what it is given without trying the disk again; ``sync`` tries whenever it is due.
+        """
+        return self._failing
+
+    def register(
+        self,
+        channel: str,
+        dtype: np.dtype[np.void],
+        *,
+        schema: str | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> None:
+        """Make ``channel`` known; at any time before its first rows. Doing it again changes nothing.
+
+        Args:
+            channel: topic.
+            dtype: its rows'. Must have ``sequence`` (u8) and ``host_ns`` (i8).
+            schema: ROS 2 message name (``pkg/msg/Name``); by default that of the record in ``drivers.records``.
+            units: field name to unit, written beside the fields of the message definition.
+
+        Raises:
+            SchemaError: ROS 2 cannot say this dtype.
+            ChannelError: the channel is registered with another dtype, or its name is too long.
+        """
+        known = self._channels.get(channel)
+        if known is not None:
+            if known.dtype != dtype:
+                raise ChannelError(f"channel {channel!r} is registered with fields {known.dtype.names}; use a new name")
+            return
+        if not 0 < len(channel.encode()) <= _NAME_BYTES:
+            raise ChannelError(
+                f"channel {channel!r}: give it a name of 1 to {_NAME_BYTES} bytes, as gap records hold it"
+            )
+        text = ros2msg(dtype, units)
+        fields = dtype.fields
+        assert fields is not None
+        if [fields[name][0].str if name in fields else "" for name in ("sequence", "host_ns")] != ["<u8", "<i8"]:
+            raise ChannelError(f"channel {channel!r} needs the fields sequence (u8) and host_ns (i8) of every record")
+        packed_schema = self._schema(schema or message_name(channel, dtype), text)
+        number = len(self._channels) + 1
+        packed = PackedChannel(packed_schema, mcap_format.Channel(number, packed_schema.number, channel), dtype)
+        self._channels[channel] = packed
+        self._counts[number] = 0
+        if not self._chunk.define(packed):
+            self._seal()
+            self._chunk.define(packed)
+
+    def _schema(self, name: str, text: str) -> mcap_format.Schema:
+        number = len(self._schemas) + 1
+        if (name, text) not in self._schemas and name in {other for other, _ in self._schemas}:
+            name = f"{name}{number}"  # two definitions may not share a name
+        return self._schemas.setdefault((name, text), mcap_format.Schema(number, name, text))
+
+    def write(self, channel: str, rows: Rows) -> None:
+        """Accept ``rows`` (n,) of ``channel``; chunks that are full go to the sink.
+
+        Raises:
+            ChannelError: no such channel, or rows of another dtype.
+            OSError: the disk refused; the rows are kept.
+        """
+        self._refuse_after_end()
+        packed_channel = self._channels.get(channel)
+        if packed_channel is None:
+            raise ChannelError(f"channel {channel!r} is not registered; register it with its dtype first")
+        packed = packed_channel.pack(rows)
+        while len(packed.records):
+            taken = self._chunk.add(packed_channel, packed)
+            if not taken:
+                self._seal()
+            packed = type(packed)(packed.records[taken:], packed.log_times[taken:])
+        self._counts[packed_channel.number] += len(rows)
+        self._drain_unless_failing()
+
+    def sync(self, now_ns: int) -> bool:
+        """When it is due, write the chunk in the making and whatever the sink refused before, and ``fsync``.
+
+        Returns:
+            Whether everything accepted so far was synced by this call.
+
+        Raises:
+            OSError: the disk refused; everything not synced is kept and written again.
+        """
+        due = self._last_sync_ns is None or now_ns - self._last_sync_ns >= self._sync_interval_ns
+        if not due or not (self._blocks or self._chunk.has_messages or self._failing):
+            return False
+        self._last_sync_ns = now_ns  # before the attempt: a disk that refuses is not asked in every step
+        self.flush()
+        return True
+
+    def flush(self) -> None:
+        """Write the chunk in the making and whatever the sink refused before, and ``fsync``, due or not.
+
+        Raises:
+            OSError: the disk refused; everything not synced is kept and written again.
+        """
+        if self._chunk.has_messages:
+            self._seal()
+        self._drain()
+        self._fsync()
+        self._failing = False
+
+    def attach(self, name: str, media_type: str, data: bytes, log_time_ns: int = 0) -> None:
+        """Put a file into the log, after what has been written so far.
+
+        Raises:
+            OSError: the disk refused; it is kept.
+        """
+        self._refuse_after_end()
+        attachment = mcap_format.Attachment(name, media_type, data, log_time_ns)
+        packed = attachment.pack()
+        if self._chunk.has_messages:
+            self._seal()
+        self._attachment_indexes.append(attachment.pack_index(self._end, len(packed)))
+        self._append(packed)
+        self._drain_unless_failing()
+
+    def add_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Put a named map of strings into the log, after what has been written so far.
+
+        Raises:
+            OSError: the disk refused; it is kept.
+        """
+        self._refuse_after_end()
+        metadata = mcap_format.Metadata(name, dict(items))
+        packed = metadata.pack()
+        if self._chunk.has_messages:
+            self._seal()
+        self._metadata_indexes.append(metadata.pack_index(self._end, len(packed)))
+        self._append(packed)
+        self._drain_unless_failing()
+
+    def close(self) -> None:
+        """Write what is left and the summary, sync, give the file back. Doing it again does nothing.
+
+        Raises:
+            OSError: the disk refused; everything is kept, and the writer may be closed again, or abandoned.
+        """
+        if self._closed:
+            return
+        if not self._ended:
+            self.flush()
+            if not self._chunk.is_empty:
+                self._seal()
+            self._append(mcap_format.pack_end(self._end, self._data_crc, self._summary()))
+            self._ended = True
+        self._drain()
+        self._fsync()
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Give the file back as it is, without a summary. Doing it again does nothing."""
+        if not self._closed:
+            self._ended = self._closed = True
+            self._sink.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _refuse_after_end(self) -> None:
+        if self._ended:
+            raise RecordingError("the log is closed; open a new one")
+
+    def _seal(self) -> None:
+        chunk, indexes = self._chunk.seal()
+        packed = chunk.pack()
+        at, positions = self._end + len(packed), {}
+        for number, index in indexes.items():
+            positions[number] = at
+            at += len(index)
+        length = at - self._end - len(packed)
+        self._chunk_indexes.append(mcap_format.pack_chunk_index(chunk, self._end, len(packed), positions, length))
+        if indexes:
+            start_ns, end_ns = self._span or (chunk.start_ns, chunk.end_ns)
+            self._span = min(start_ns, chunk.start_ns), max(end_ns, chunk.end_ns)
+        self._append(b"".join((packed, *indexes.values())))
+
+    def _append(self, block: bytes) -> None:
+        self._blocks.append(block)
+        self._end += len(block)
+        self._data_crc = zlib.crc32(block, self._data_crc)
+
+    def _drain_unless_failing(self) -> None:
+        if not self._failing:
+            self._drain()
+
+    def _drain(self) -> None:
+        while self._written < len(self._blocks):
+            block = self._blocks[self._written]
+            try:
+                self._sink.write_at(self._offset, block)
+            except OSError:
+                self._failing = True
+                raise
+            self._offset += len(block)
+            self._written += 1
+            if self._offset - self._synced_offset > _MAX_UNSYNCED_BYTES:
+                self._fsync()
+
+    def _fsync(self) -> None:
+        try:
+            self._sink.sync()
+        except OSError:
+            self._offset, self._written = self._synced_offset, 0
+            self._failing = True
+            raise
+        del self._blocks[: self._written]
+        self._synced_offset, self._written = self._offset, 0
+
+    def _summary(self) -> dict[int, bytes]:
+        start_ns, end_ns = self._span or (0, 0)
+        statistics = mcap_format.Statistics(
+            schemas=len(self._schemas),
+            channels=len(self._channels),
+            attachments=len(self._attachment_indexes),
+            metadata=len(self._metadata_indexes),
+            chunks=len(self._chunk_indexes),
+            start_ns=start_ns,
+            end_ns=end_ns,
+            messages=self._counts,
+        )
+        return {
+            Opcode.SCHEMA: b"".join(schema.pack() for schema in self._schemas.values()),
+            Opcode.CHANNEL: b"".join(channel.channel.pack() for channel in self._channels.values()),
+            Opcode.STATISTICS: statistics.pack(),
+            Opcode.CHUNK_INDEX: b"".join(self._chunk_indexes),
+            Opcode.ATTACHMENT_INDEX: b"".join(self._attachment_indexes),
+            Opcode.METADATA_INDEX: b"".join(self._metadata_indexes),
+        }

@@ -1,0 +1,39 @@
+"""Missions flown in virtual time for tests: a scenario, perhaps changed, and what came of it."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hil_sim.mission import open_in_process
+from hil_sim.scenario import Scenario, load
+from onboard import config
+from onboard.flight import hil
+from onboard.offline import table
+from onboard.recording.reader import LogReader
+
+
+class Result(NamedTuple):
+    """A flown mission."""
+
+    path: Path
+    flown: hil.Flown
+    table: dict[str, Any]
+
+    @property
+    def log(self) -> LogReader:
+        return LogReader(self.path)
+
+    def mass(self, quantity: str) -> dict[str, Any]:
+        return next(row for row in self.table["masses"] if row["quantity"] == quantity)
+
+    def events(self, code: str) -> list[str]:
+        rows = [row for _, rows in self.log.batches() if "severity" in rows.dtype.names for row in rows]
+        return [f"{r['source'].decode()}: {r['text'].decode()}" for r in rows if r["code"].decode() == code]
+
+
+def fly(path: Path, seed: int = 3, scenario: Scenario | None = None, **overrides: Any) -> Result:
+    """Fly rocksat; ``overrides`` change tables of the scenario."""
+    vehicle = config.load(config.packaged("rocksat"))
+    world, urls = open_in_process(scenario or load("rocksat", overrides or None), seed)
+    with world:
+        flown = hil.fly_simulated(vehicle, world, urls, path)
+    return Result(path, flown, table.result(flown))

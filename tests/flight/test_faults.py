@@ -1,0 +1,101 @@
+"""Devices that are not there or not what they should be: named, and the rest of the mission goes on."""
+
+from pathlib import Path
+
+import pytest
+
+from hil_sim.scenario import load
+from tests.flight.missions import Result, fly
+
+SHORT = {
+    "sequence": [
+        {"phase": 0, "action": "hold", "duration_s": 4.0},
+        {
+            "phase": 4,
+            "action": "sweep",
+            "amplitude_deg": 11.5,
+            "stroke_s": 0.6,
+            "strokes": 6,
+            "pause_s": 0.05,
+            "transfer_s": 0.6,
+        },
+        {"phase": 0, "action": "hold", "duration_s": 0.5},
+        {"phase": 5, "action": "eject", "duration_s": 1.5},
+        {
+            "phase": 4,
+            "action": "sweep",
+            "amplitude_deg": 11.5,
+            "stroke_s": 0.6,
+            "strokes": 6,
+            "pause_s": 0.05,
+            "transfer_s": 0.6,
+        },
+        {"phase": 9, "action": "hold", "duration_s": 0.5},
+    ],
+}
+
+
+def fly_with(path: Path, *faults: dict[str, object], seed: int = 3) -> Result:
+    return fly(path, seed, load("rocksat", {**SHORT, "fault": list(faults)}))
+
+
+def test_the_short_mission_is_identified_when_nothing_is_wrong(tmp_path: Path) -> None:
+    good = fly_with(tmp_path / "good.mcap")
+    assert good.table["identified"]
+    assert good.table["accounted"]
+    assert good.table["events"] == []
+    assert abs(good.mass("m_tip_mass")["our_error_percent"]) < 5.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "text"),
+    [
+        ({"kind": "who_am_i", "device": "imu_base", "start_s": 0.0, "value": 0x42}, "wrong_device", "0x42"),
+        ({"kind": "nack", "device": "imu_base", "start_s": 0.0}, "no_answer", "0x68"),
+    ],
+)
+def test_an_imu_that_is_wrong_or_silent_is_named_and_the_log_goes_on(
+    tmp_path: Path, fault: dict[str, object], code: str, text: str
+) -> None:
+    result = fly_with(tmp_path / "log.mcap", fault)
+    said = result.events(code)
+    assert said
+    assert said[0].startswith("imu_base: ")
+    assert text in said[0]
+    assert result.table["channels"]["imu_base"]["recorded"] == 0
+    assert result.table["channels"]["load_cell"]["recorded"] > 3000
+    assert not result.table["identified"]  # without base motion there is no row, and so no answer
+    assert not any(mass["supported"] for mass in result.table["masses"])
+
+
+def test_a_missing_load_cell_is_named_and_nothing_is_made_up(tmp_path: Path) -> None:
+    result = fly_with(tmp_path / "log.mcap", {"kind": "off", "device": "load_cell", "start_s": 0.0})
+    assert any(said.startswith("load_cell: ") for said in result.events("no_answer"))
+    assert result.table["channels"]["imu_base"]["recorded"] > 10_000
+    assert result.table["channels"]["joint_1"]["recorded"] > 3000
+    assert not result.table["identified"]
+
+
+def test_without_pulses_the_mission_is_still_identified(tmp_path: Path) -> None:
+    """Arrival stamps are a worse clock, and the sweep of one joint forgives a few milliseconds."""
+    result = fly_with(tmp_path / "log.mcap", {"kind": "pulse_drop", "device": "sync_line", "start_s": 0.0})
+    assert result.table["channels"]["pulse"]["recorded"] == 0
+    assert result.table["identified"]
+    assert abs(result.mass("m_tip_mass")["our_error_percent"]) < 5.0
+
+
+def test_a_brown_out_of_the_imu_is_a_gap_and_the_answer_survives(tmp_path: Path) -> None:
+    fault = {"kind": "reset", "device": "imu_base", "start_s": 6.0, "end_s": 6.2}
+    result = fly_with(tmp_path / "log.mcap", fault)
+    assert result.table["channels"]["imu_base"]["missing"] > 100
+    assert result.table["identified"]
+    assert abs(result.mass("m_tip_mass")["our_error_percent"]) < 5.0
+
+
+def test_lost_frames_are_gaps_that_add_up(tmp_path: Path) -> None:
+    fault = {"kind": "frame_drop", "device": "can_0", "start_s": 7.0, "end_s": 7.05, "value": 0x182}
+    result = fly_with(tmp_path / "log.mcap", fault)
+    cell = result.table["channels"]["load_cell"]
+    assert cell["missing"] in (10, 11)  # 50 ms at 200 Hz
+    assert result.table["accounted"]
+    assert result.table["identified"]

@@ -1,0 +1,164 @@
+"""RockSat-X in virtual time: from bus bytes to the identified tip mass, and what must hold of its log."""
+
+import io
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from drivers import records
+from onboard import cli
+from onboard.estimation.gates import GateReason
+from onboard.offline import replay as replay_module
+from onboard.offline import table
+from onboard.offline.replay import replay
+from tests.flight.missions import Result, fly
+
+
+def test_the_masses_are_found_within_what_was_promised(mission: Result) -> None:
+    for quantity, percent in (("m_arm", 3.0), ("m_arm+m_tip_mass", 1.5), ("m_tip_mass", 5.0)):
+        mass = mission.mass(quantity)
+        assert mass["supported"]
+        assert abs(mass["our_error_percent"]) < percent
+        assert mass["low"] < mass["value"] < mass["high"]
+        assert 0.2 < 100 * mass["sigma"] / mass["value"] < percent  # the calibration alone is worth 0.35 %
+
+
+def test_every_sample_the_devices_made_is_in_the_log(mission: Result) -> None:
+    assert mission.table["accounted"]
+    counts = mission.table["channels"]
+    assert set(counts) == {"imu_base", "joint_1", "load_cell", "arm_phase", "can_sync", "pulse"}
+    assert counts["imu_base"]["recorded"] > 60_000
+    assert counts["joint_1"]["recorded"] > 12_000
+    for name in counts:
+        sequence = mission.log.read(name)["sequence"]
+        assert np.array_equal(sequence, np.arange(sequence[0], sequence[0] + len(sequence)))
+
+
+def test_nothing_is_said_before_the_data_support_it(mission: Result) -> None:
+    answers = mission.log.read("quantity")
+    for name, supported_after_ejection_only in ((b"m_arm", True), (b"m_tip_mass", True), (b"ZZ_joint_1_R_held", False)):
+        rows = answers[answers["name"] == name]
+        start_ns = mission.flown.truth["start_ns"]
+        ejected = rows["vehicle_ns"] > start_ns + mission.flown.truth["ejection_s"] * 1e9
+        if supported_after_ejection_only:
+            assert not rows["supported"][~ejected].any()
+            assert np.isnan(rows["value"][~ejected]).all()
+        else:
+            assert rows["supported"][~ejected].any()
+        assert rows["supported"][-1]
+
+
+def test_contamination_is_gated_by_name(mission: Result) -> None:
+    rows = mission.log.read("row")
+    start_ns = mission.flown.truth["start_ns"]
+    seconds = (rows["vehicle_ns"] - start_ns) * 1e-9
+    gate = rows["gate"][:, 0]
+    pushes = [p for p in mission.flown.truth["phases"] if p["action"] == "push"]
+    assert len(pushes) == 4
+    for push in pushes:
+        during = (seconds > push["start_s"]) & (seconds < push["end_s"])
+        assert (gate[during] & GateReason.PHASE).all()
+        assert (gate[during] & GateReason.CONTACT).any()
+    cell = mission.log.read("load_cell")
+    full_scale = cell[(cell["status"] & records.SampleStatus.SATURATED) != 0]
+    assert len(full_scale) == 2
+    for glitch_s in (full_scale["host_ns"] - start_ns) * 1e-9:
+        near = abs(seconds - glitch_s) < 0.08
+        assert (gate[near] & GateReason.SATURATED).all()
+    reentry = seconds > seconds[-1] - 5.0
+    assert (gate[reentry] & GateReason.DRAG).any()
+    used = gate == 0
+    assert 1500 < np.count_nonzero(used) < 5000
+
+
+def test_clocks_are_locked_and_right(mission: Result) -> None:
+    clocks = mission.log.read("clock")
+    truth = mission.flown.truth["clock"]["imu_base"]
+    last = clocks[clocks["channel"] == b"imu_base"][-1]
+    true_period = 1e6 / (1 + truth["rate_error"])
+    assert abs(last["period_ns"] / true_period - 1) < 100e-6  # the drift of a minute is in there
+    assert last["sigma_ns"] < 150e3
+    sync = clocks[clocks["channel"] == b"can_sync"][-1]
+    assert abs(sync["period_ns"] / 5e6 - 1) < 100e-6
+    assert sync["rejected"] == 0
+
+
+def test_replay_gives_the_onboard_estimates_to_the_bit(mission: Result, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["replay", str(mission.path)]) == cli.OK
+    assert "identical to the last bit" in capsys.readouterr().out
+
+
+def test_replay_notices_another_vehicle(mission: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    laid_out = replay_module.vehicle_of
+
+    def other(log: object, directory: Path) -> object:
+        vehicle = laid_out(log, directory)
+        text = vehicle.text.replace("lever_m = 0.040", "lever_m = 0.0400001")
+        assert text != vehicle.text
+        return replay_module.config.parse(text, vehicle.path)
+
+    monkeypatch.setattr(replay_module, "vehicle_of", other)
+    found = replay(mission.path)
+    assert not found.identical
+    assert "differs from row" in found.summary
+
+
+def test_one_seed_one_log(mission: Result, tmp_path: Path) -> None:
+    again = fly(tmp_path / "again.mcap")
+    assert again.path.read_bytes() == mission.path.read_bytes()
+
+
+def test_the_answer_follows_the_truth_and_not_the_drawing(tmp_path: Path) -> None:
+    """A tip mass a fifth heavier than drawn (as the flight's may have been) is found heavier."""
+    heavy = fly(tmp_path / "heavy.mcap", body={"tip_mass": {"as_built_factor": 1.2}})
+    tip = heavy.mass("m_tip_mass")
+    assert tip["truth"] == pytest.approx(1.2 * 0.06627)
+    assert abs(tip["our_error_percent"]) < 5.0
+    assert abs(heavy.mass("m_arm")["our_error_percent"]) < 3.0
+
+
+def test_the_table_fits_a_terminal_and_says_what_it_cannot(mission: Result) -> None:
+    screen = io.StringIO()
+    Console(file=screen, width=80).print(table.render(mission.table))
+    text = screen.getvalue()
+    assert "…" not in text
+    assert "22.30" in text
+    assert "every sample accounted for" in text
+    unsupported = {**mission.table, "masses": [{**m, "supported": False} for m in mission.table["masses"]]}
+    screen = io.StringIO()
+    Console(file=screen, width=80).print(table.render(unsupported))
+    assert screen.getvalue().count("not determined") == 3
+
+
+def test_info_and_dump_read_it_back(mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", str(mission.path)]) == cli.OK
+    assert "imu_base" in capsys.readouterr().out
+    assert cli.main(["dump", str(mission.path), "--to", "csv", str(tmp_path / "csv")]) == cli.OK
+    header, first = (tmp_path / "csv" / "load_cell.csv").read_text().splitlines()[:2]
+    assert "[N]" in header or "_N" in header or "(N)" in header
+    assert len(first.split(",")) == len(header.split(","))
+
+
+def test_a_truncated_log_is_read_to_its_last_whole_chunk(
+    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    shutil.copy(mission.path, cut)
+    with cut.open("r+b") as file:
+        file.truncate(cut.stat().st_size // 2)
+    assert cli.main(["info", str(cut)]) == cli.DAMAGED
+    capsys.readouterr()
+    assert cli.main(["dump", str(cut), "--to", "csv", str(tmp_path / "csv"), "--channel", "imu_base"]) == cli.DAMAGED
+    assert "warning" in capsys.readouterr().err
+    lines = (tmp_path / "csv" / "imu_base.csv").read_text().splitlines()
+    assert 20_000 < len(lines) < 45_000
+
+
+def test_json_says_what_the_table_says(mission: Result) -> None:
+    again = json.loads(json.dumps(mission.table))
+    assert again["masses"][2]["identified_g"] == 51.5
+    assert again["masses"][0]["covered"] in (True, False)
