@@ -157,12 +157,13 @@ class Gates(_Section):
     """When a row may not be used."""
 
     joint_limits_deg: tuple[float, float] | None = None
+    joint_rate_min_rad_s: Positive | None = None
     specific_force_m_s2: Positive | None = None
     residual_sigma: Positive = 6.0
 
 
 class Zero(_Section):
-    """Where the accelerometer is zeroed: coasting at rest in ``phases``, for ``ticks`` rows at least."""
+    """Where the accelerometer is zeroed: coasting at rest in ``phases``, ``ticks`` row periods of it at least."""
 
     phases: list[int]
     ticks: Annotated[int, Field(ge=1)] = 100
@@ -183,13 +184,20 @@ class Masses(_Section):
 
 
 class Estimation(_Section):
-    """The estimator's ticks, its smoothing kernel, its gates."""
+    """The estimator's ticks, its smoothing kernel, its rows, its gates.
+
+    ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
+    ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
+    """
 
     step_ms: Positive = 50
     row_rate_hz: Positive = 100
     lag_ms: Positive = 200
     smoothing_ms: Positive = 100
     base_rows: list[Literal["force", "moment"]] = []
+    base_force_sigma_N: Positive = 0.1  # noqa: N815
+    base_moment_sigma_N_m: Positive = 5e-4  # noqa: N815
+    zero_force_sigma_m_s2: Positive | None = None
     phases: Phases | None = None
     zero: Zero | None = None
     gates: Gates = Gates()

@@ -17,7 +17,7 @@ from onboard.flight.identification import build_identifier
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.signals import Signals
 from onboard.flight.zeroing import Zeroing
-from onboard.model.identify import Estimate
+from onboard.model.identify import Estimate, SignalNoise
 from onboard.model.identify import Signals as ModelSignals
 from onboard.model.rows import base_motion
 from onboard.timebase.timebase import (
@@ -128,33 +128,44 @@ class Estimator:
         imu = self._signals.at(channel, self._timebase, at_ns, 1)
         refused = imu.refused.copy()
         values, rates = imu.derivatives
-        specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), imu.refused == 0)
+        made: list[Batch] = []
+        known = self._zeroing.offset_m_s2 is not None
+        specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), refused == 0)
+        if not known and self._zeroing.offset_m_s2 is not None:
+            offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
+            text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
+            made.append(event(now_ns, Severity.INFO, "zeroed", channel, text))
         motion = base_motion(self.model, frame, values[:, :3], rates[:, :3], specific_force)
         joints: Floats = np.zeros((3, n, len(self.model.joints)))
+        joint_sigma: Floats = np.zeros_like(joints)
         for column, joint in enumerate(self.model.joints):
-            channel = self._joints[joint.name]
-            rate = channel in self._rates
-            smoothed = self._signals.at(channel, self._timebase, at_ns, 1 if rate else 2)
-            for order, values_of_order in enumerate(smoothed.derivatives, start=1 if rate else 0):
-                joints[order, :, column] = values_of_order[:, 0]
+            encoder = self._joints[joint.name]
+            rate = encoder in self._rates
+            smoothed = self._signals.at(encoder, self._timebase, at_ns, 1 if rate else 2)
+            for order, (value, spread) in enumerate(
+                zip(smoothed.derivatives, smoothed.sigma, strict=True), start=1 if rate else 0
+            ):
+                joints[order, :, column], joint_sigma[order, :, column] = value[:, 0], spread[:, 0]
             refused |= smoothed.refused
         measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
-        refused |= refused_rows | self._gates(at_ns, joints[0], specific_force)
-        signals = ModelSignals(
-            (at_ns * 1e-9).astype(np.float64),
-            joints[0],
-            joints[1],
-            joints[2],
-            motion,
-            measured,
-            sigma * self._inflation,
-            measured_rate,
+        refused |= refused_rows | self._gates(at_ns, joints, specific_force)
+        imu_sigma, imu_rate_sigma = imu.sigma
+        noise = SignalNoise(
+            joint_sigma[0],
+            joint_sigma[1],
+            joint_sigma[2],
+            imu_sigma[:, :3],
+            imu_rate_sigma[:, :3],
+            imu_sigma[:, 3:],
+            self._inflation,
         )
+        q, dq, ddq = joints
+        time_s = (at_ns * 1e-9).astype(np.float64)
+        signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma * self._inflation, measured_rate, noise)
         found = self._identifier.update(signals, self._phases.attached(at_ns), refused)
-        estimate = self._identifier.estimate()
-        made = [self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found)]
+        made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
         if self._identifier.rows_used:
-            made += self._answers(now_ns, int(at_ns[-1]), estimate)
+            made += self._answers(now_ns, int(at_ns[-1]), self._identifier.estimate())
         return made
 
     def _measured(
@@ -162,8 +173,8 @@ class Estimator:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
         """Left-hand sides of the rows, their rates, their sigmas, each (n, rows), and reasons (n,)."""
         rows = self._identifier.model.rows
-        n = len(at_ns)
-        measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.ones((n, len(rows)))
+        settings, n = self.vehicle.file.estimation, len(at_ns)
+        measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.zeros((n, len(rows)))
         refused = np.zeros(n, np.int64)
         for column, row in enumerate(rows):
             if row.name in self._cells:
@@ -171,11 +182,12 @@ class Estimator:
                 measured[:, column], rate[:, column] = cell.derivatives[0][:, 0], cell.derivatives[1][:, 0]
                 sigma[:, column] = cell.sigma[0][:, 0]
                 refused |= cell.refused
+            else:  # a base wrench that is zero, good to what is left of it when the motion is known
+                force = row.name.startswith("base_force")
+                sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
         return measured, rate, sigma, refused
 
-    def _gates(
-        self, at_ns: NDArray[np.int64], q: NDArray[np.float64], specific_force: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def _gates(self, at_ns: NDArray[np.int64], joints: Floats, specific_force: Floats) -> NDArray[np.int64]:
         settings = self.vehicle.file.estimation
         refused = np.zeros(len(at_ns), np.int64)
         if settings.phases:
@@ -190,7 +202,9 @@ class Estimator:
             )
         if settings.gates.joint_limits_deg:
             low, high = np.radians(settings.gates.joint_limits_deg)
-            refused |= range_gate(q, low, high, GateReason.CONTACT)
+            refused |= range_gate(joints[0], low, high, GateReason.CONTACT)
+        if settings.gates.joint_rate_min_rad_s:
+            refused |= range_gate(np.abs(joints[1]), settings.gates.joint_rate_min_rad_s, np.inf, GateReason.PHASE)
         if settings.gates.specific_force_m_s2:
             refused |= magnitude_gate(specific_force, settings.gates.specific_force_m_s2, GateReason.DRAG)
         return refused

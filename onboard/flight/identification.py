@@ -3,7 +3,9 @@
 import numpy as np
 
 from onboard import config
+from onboard.estimation.errors import EstimationError
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
+from onboard.model.errors import ModelError
 from onboard.model.identify import Considered, Identifier, Quantity, mass_quantities
 from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
 from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
@@ -16,8 +18,7 @@ def build_model(vehicle: config.Vehicle) -> Vehicle:
     """The Pinocchio model of a vehicle file.
 
     Raises:
-        UrdfError: the URDF cannot be used.
-        UnknownFrameError: a name that the URDF does not have.
+        ModelError: the URDF cannot be used, or lacks a name that the vehicle file has.
     """
     section = vehicle.file.vehicle
     spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link)
@@ -43,13 +44,15 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
             rows += base_moment_rows(model)
-        row_model = RowModel(model, rows)
+        zero_force = settings.zero_force_sigma_m_s2
+        row_model = RowModel(model, rows, zero_force=zero_force is not None)
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED))
-        prior = named_relative_sigma(row_model, settings.prior.relative, settings.prior.absolute)
+        offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
+        prior = named_relative_sigma(row_model, settings.prior.relative, {**settings.prior.absolute, **offsets})
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
             quantities = mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link)
-    except ValueError as error:
+    except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
     identifier = Identifier(
         row_model,
@@ -59,6 +62,11 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
         quantities,
         considered,
         settings.gates.residual_sigma,
+        imu_frame=next(
+            device.frame
+            for device in vehicle.file.device.values()
+            if isinstance(device, config.Mpu6050Device | config.RecordedImu)
+        ),
     )
     return identifier, model
 

@@ -15,29 +15,40 @@ Floats = NDArray[np.float64]
 
 
 class Zeroing:
-    """Mean specific force over the resting phases before the first that is not; then subtracted from everything."""
+    """Mean specific force over the resting phases; fixed when one of them ends and enough has been seen.
+
+    Attributes:
+        offset_m_s2: (3,) what is subtracted; None while it is not known, and nothing can be said of the base's motion.
+        ticks: how many went into it.
+    """
 
     def __init__(self, settings: config.Zero | None) -> None:
         self._settings = settings
-        self._sum, self._count = np.zeros(3), 0
+        self._sum = np.zeros(3)
+        self.ticks = 0
         self.offset_m_s2: Floats | None = np.zeros(3) if settings is None else None
 
     def apply(self, specific_force: Floats, codes: NDArray[np.int64], usable: NDArray[np.bool_]) -> Floats:
-        """Specific force (n, 3) at ticks in phases ``codes`` (n,), offset removed; NaN where it is not known yet."""
-        out = specific_force.copy()
+        """Specific force less its offset, (n, 3); NaN where the offset is not known yet.
+
+        Args:
+            specific_force: (n, 3), sensor axes.
+            codes: (n,) phase of each tick, -1 where none is known.
+            usable: (n,) whether the tick may be learned from.
+        """
+        out = np.full_like(specific_force, np.nan)
         for tick, code in enumerate(codes):
             if self.offset_m_s2 is None:
                 self._learn(specific_force[tick], int(code), bool(usable[tick]))
-            out[tick] = specific_force[tick] - self.offset_m_s2 if self.offset_m_s2 is not None else np.nan
+            if self.offset_m_s2 is not None:
+                out[tick] = specific_force[tick] - self.offset_m_s2
         return out
 
     def _learn(self, specific_force: Floats, code: int, usable: bool) -> None:
-        if self._settings is None:
-            return
+        assert self._settings is not None
         if code in self._settings.phases:
             if usable and np.isfinite(specific_force).all():
                 self._sum += specific_force
-                self._count += 1
-        elif code >= 0:
-            enough = self._count >= self._settings.ticks
-            self.offset_m_s2 = self._sum / self._count if enough else np.zeros(3)
+                self.ticks += 1
+        elif self.ticks >= self._settings.ticks:
+            self.offset_m_s2 = self._sum / self.ticks

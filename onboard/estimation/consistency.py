@@ -1,0 +1,257 @@
+"""Intervals that cover: what the formal covariance of a least squares leaves out, put back from the data.
+
+The formal covariance ``(Y' W Y)^-1`` holds for independent row errors of the stated sigma and an exact regressor. Ours
+are neither: the smoothing kernel correlates neighbouring rows, vibration and friction have colours of their own, a
+sigma from a data sheet is a promise, and the regressor is made of measured signals. Four corrections:
+
+1. *Regressor noise*: noise in Y makes ``Y' W Y`` too large by a known amount N, and the estimate too small
+   (attenuation). N comes with the rows (``noise`` of :meth:`BlockScores.add`) and is taken out:
+   ``chi = (Lambda - N)^-1 Y' W y``. What N itself is not known to is carried into the interval. A direction whose
+   information is nearly all noise is given back to the prior.
+2. *Rows*: a delete-one-block jackknife. Rows are summed into blocks of time longer than the kernel;
+   ``H_b = Y' W Y - N`` and ``g_b = Y' W y`` of a block are all that is kept, so the score of every block at the *final*
+   estimate, ``s_b = g_b - H_b chi``, is exact without going back to the rows. Leaving block b out moves the estimate by
+   ``-(Lambda - N - H_b)^-1 s_b``, and the spread of these moves is the covariance, whatever the errors inside a block
+   do. (The block form of MacKinnon and White's HC3: it errs to the wide side when a few blocks carry the information,
+   where the plain block sandwich errs to the narrow one.) When the store is full, neighbours are merged and blocks
+   become twice as long, so memory is constant and the blocks outgrow slower and slower errors.
+3. *Few blocks*: Student's t, with the degrees of freedom of the blocks that carry the information on the quantity asked
+   for (Satterthwaite on each block's share).
+4. *Common causes*: considered parameters (a load cell's scale, its lever) move all masses together, and no amount of
+   rows averages them out; their part is added in quadrature by the sensitivities the RLS carries.
+
+The formal covariance stays as a floor: a lucky short run may not claim to be better than its sensors.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import stdtrit
+
+from onboard.estimation.errors import RowError
+from onboard.estimation.rls import SquareRootRls
+
+FloatArray = NDArray[np.float64]
+
+_MOST_NOISE = 0.9  # of the information along a direction that may be noise before it is given back to the prior
+
+
+class Interval(NamedTuple):
+    """Linear combinations of the estimate with their two-sided intervals; each field (r,)."""
+
+    mean: FloatArray
+    sigma: FloatArray  # standard deviation, considered parameters included
+    degrees_of_freedom: FloatArray  # of the row part of sigma
+    low: FloatArray
+    high: FloatArray
+
+
+class BlockScores:
+    """Normal equations by blocks of time, in constant memory.
+
+    Args:
+        parameters: p.
+        block_s: first length of a block; take five kernel widths or more.
+        capacity: blocks kept before neighbours are merged.
+
+    Raises:
+        RowError: a length that is not positive, or a capacity below four.
+    """
+
+    def __init__(self, parameters: int, block_s: float, capacity: int = 64) -> None:
+        if not 0.0 < block_s < np.inf:
+            raise RowError(f"the block length is {block_s} s; give a positive one")
+        if capacity < 4:
+            raise RowError(f"a capacity of {capacity} blocks; give at least four")
+        self.block_s = block_s
+        self._slots: dict[int, int] = {}
+        self._H = np.zeros((capacity, parameters, parameters))
+        self._g = np.zeros((capacity, parameters))
+        self._noise = np.zeros((parameters, parameters))
+
+    @property
+    def count(self) -> int:
+        """Blocks that hold rows."""
+        return len(self._slots)
+
+    @property
+    def normal(self) -> FloatArray:
+        """``Y' W Y`` of each block less its regressor noise, (b, p, p)."""
+        return self._H[: self.count]
+
+    @property
+    def moment(self) -> FloatArray:
+        """``Y' W y`` of each block, (b, p)."""
+        return self._g[: self.count]
+
+    @property
+    def noise(self) -> FloatArray:
+        """What regressor noise has added to ``Y' W Y`` in all, (p, p)."""
+        return self._noise
+
+    def add(
+        self, times_s: FloatArray, Y: FloatArray, y: FloatArray, sigma: FloatArray, noise: FloatArray | None = None
+    ) -> None:
+        """Adds the rows that were given to the estimator, with the same sigmas.
+
+        Args:
+            times_s: (m,) time of each row, on any axis that does not jump.
+            Y: (m, p).
+            y: (m,).
+            sigma: (m,).
+            noise: (m, s, p) change of each row per standard deviation of s independent errors of its motion.
+
+        Raises:
+            RowError: a shape that does not fit, or a number that is not finite.
+        """
+        m, p = y.shape[0], self._g.shape[1]
+        if Y.shape != (m, p) or sigma.shape != (m,) or times_s.shape != (m,):
+            raise RowError(f"rows of shape {times_s.shape}, {Y.shape}, {y.shape}; give (m,), (m, {p}), (m,)")
+        if noise is not None and (noise.ndim != 3 or noise.shape[::2] != (m, p)):
+            raise RowError(f"row noise of shape {noise.shape}; give ({m}, s, {p})")
+        if m == 0:
+            return
+        scaled = np.column_stack([Y, y]) / sigma[:, None]
+        if not (np.isfinite(scaled).all() and np.isfinite(times_s).all()):
+            raise RowError("rows must be finite; gate them before they come here")
+        doubt = None if noise is None else noise / sigma[:, None, None]
+        pending = np.arange(m)
+        while pending.size:
+            index = int(times_s[pending[0]] // self.block_s)
+            if index not in self._slots and self.count == self._g.shape[0]:
+                self._merge()
+                continue
+            slot = self._slots.setdefault(index, self.count)
+            inside = times_s[pending] // self.block_s == index
+            mine, pending = pending[inside], pending[~inside]
+            rows = scaled[mine, :p]
+            self._H[slot] += rows.T @ rows
+            self._g[slot] += rows.T @ scaled[mine, p]
+            if doubt is not None:
+                N = np.einsum("msi,msj->ij", doubt[mine], doubt[mine])
+                self._H[slot] -= N
+                self._noise += N
+
+    def _merge(self) -> None:
+        """Doubles the block length until neighbours fell together."""
+        while self.count == self._g.shape[0]:
+            self.block_s *= 2.0
+            slots: dict[int, int] = {}
+            H, g = np.zeros_like(self._H), np.zeros_like(self._g)
+            for index, old in self._slots.items():
+                new = slots.setdefault(index // 2, len(slots))
+                H[new] += self._H[old]
+                g[new] += self._g[old]
+            self._slots, self._H, self._g = slots, H, g
+
+
+class HonestEstimate:
+    """An estimate whose intervals account for regressor noise, correlated rows, few blocks, the prior, common causes.
+
+    Args:
+        rls: the estimator, after its rows.
+        blocks: the same rows by blocks.
+        considered_sigma: (k,) standard deviation of each considered parameter.
+        level: coverage of the two-sided intervals.
+        noise_sigma: relative standard deviation of the stated power of the regressor's noise.
+
+    Attributes:
+        mean: the estimate, (p,), corrected for regressor noise.
+        level: as given.
+
+    Raises:
+        SingularError: as :meth:`SquareRootRls.solve`.
+        RowError: a wrong number of considered sigmas, or a level outside (0, 1).
+    """
+
+    def __init__(
+        self,
+        rls: SquareRootRls,
+        blocks: BlockScores,
+        considered_sigma: ArrayLike = (),
+        level: float = 0.95,
+        noise_sigma: float = 0.2,
+    ) -> None:
+        sigma = np.atleast_1d(np.asarray(considered_sigma, np.float64))
+        if sigma.shape != (rls.considered,) or not (sigma >= 0.0).all():
+            raise RowError(f"{rls.considered} considered parameters need as many sigmas, none negative")
+        if not 0.0 < level < 1.0:
+            raise RowError(f"the level is {level}; give one between 0 and 1")
+        plain = rls.solve()
+        self.level = level
+        # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
+        R = rls.information_root
+        T = np.linalg.inv(R)  # (p, p)
+        noise, V = np.linalg.eigh(T.T @ blocks.noise @ T)
+        T, R = T @ V, V.T @ R
+        prior_information, prior_right = rls.prior_equations()
+        A0 = T.T @ prior_information @ T
+        signal = noise < _MOST_NOISE
+        noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
+        # Information without the noise; the prior's own where there is nothing else.
+        keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), np.finfo(np.float64).tiny))
+        x = np.where(signal, R @ plain.mean, T.T @ prior_right) / keep
+        self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'
+        self.mean: FloatArray = T @ x
+        causes = (R @ plain.sensitivity * sigma).T  # (k, p)
+        causes = np.vstack([causes, noise_sigma * noise * x])
+        self._common = T @ np.where(signal, causes / keep, 0.0).T  # (p, k + 1)
+        self._prior_half = T / keep @ _half(A0)  # (p, p)
+        mask = np.outer(signal, signal)
+        H = T.T @ blocks.normal @ T * mask  # (b, p, p)
+        scores = (blocks.moment @ T) * signal - H @ x  # (b, p)
+        # A block that alone carries a direction leaves nothing behind when it is taken out: a tiny ridge makes the move
+        # enormous rather than undefined.
+        rest = np.diag(np.where(signal, keep, 1.0)) - H + np.eye(x.size) * 1e-12
+        self._moves = np.linalg.solve(rest, scores[..., None])[..., 0] @ T.T  # (b, p)
+        self._shares = self._root @ H @ self._root.T  # (b, p, p) of the formal covariance, by block
+
+    def _rows_weight(self) -> float:
+        b = self._moves.shape[0]
+        return (b - 1) / b if b else 0.0
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the estimate with all corrections but Student's, (p, p); at least the formal one."""
+        rows = self._moves.T @ self._moves * self._rows_weight() + self._prior_half @ self._prior_half.T
+        # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below one.
+        inverse = np.linalg.inv(self._root)
+        values, vectors = np.linalg.eigh(inverse @ rows @ inverse.T)
+        half = self._root @ vectors * np.sqrt(np.maximum(values, 1.0))
+        return np.asarray(half @ half.T + self._common @ self._common.T, np.float64)
+
+    def formal_variance(self, weights: ArrayLike) -> FloatArray:
+        """Variance of ``weights @ chi`` under the stated sigmas of rows, regressor and prior alone, (r,)."""
+        return np.asarray(((np.atleast_2d(np.asarray(weights, np.float64)) @ self._root) ** 2).sum(axis=1), np.float64)
+
+    def combination(self, weights: ArrayLike) -> Interval:
+        """Linear combinations ``weights @ chi`` with their intervals.
+
+        Args:
+            weights: (r, p).
+
+        Raises:
+            RowError: a wrong shape.
+        """
+        w = np.atleast_2d(np.asarray(weights, np.float64))
+        if w.shape[1] != self.mean.shape[0]:
+            raise RowError(f"weights of shape {w.shape} for {self.mean.shape[0]} parameters")
+        mean = w @ self.mean
+        jackknife = ((self._moves @ w.T) ** 2).sum(axis=0) * self._rows_weight()
+        prior = ((w @ self._prior_half) ** 2).sum(axis=1)
+        common = ((w @ self._common) ** 2).sum(axis=1)
+        share = np.maximum(np.einsum("ri,bij,rj->br", w, self._shares, w), 0.0)  # (b, r)
+        total, squares = share.sum(axis=0), (share**2).sum(axis=0)
+        freedom = np.maximum(np.divide(total**2, squares, out=np.ones_like(total), where=squares > 0.0) - 1.0, 1.0)
+        variance = np.maximum(jackknife + prior, self.formal_variance(w))
+        t = stdtrit(freedom, 0.5 + 0.5 * self.level)
+        z = stdtrit(np.inf, 0.5 + 0.5 * self.level)
+        half = np.sqrt(t**2 * variance + z**2 * common)
+        return Interval(mean, np.sqrt(variance + common), freedom, mean - half, mean + half)
+
+
+def _half(matrix: FloatArray) -> FloatArray:
+    """A square root of a symmetric positive semi-definite matrix: ``half half' = matrix``."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), np.float64)

@@ -1,0 +1,175 @@
+"""Reasons why a row may not be used, each with a name; vectorised over ticks.
+
+A gate never changes a value: it returns reasons, which are combined with ``|`` and logged beside the row. What was
+refused, and why, is part of the estimate.
+"""
+
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from onboard.estimation.errors import RowError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+ReasonArray = NDArray[np.int64]
+
+
+class GateReason(IntFlag):
+    """Why a row was not used; 0 is a row that was."""
+
+    OK = 0
+    SATURATED = 1  # a sample under the kernel is at the end of its range
+    GAP = 2  # samples are missing under the kernel
+    CONTACT = 4  # a joint is where a stop can touch it
+    DRAG = 8  # the base feels a force that is not its own motion
+    PHASE = 16  # the mission is not in a phase to identify in, or has not settled in it
+    RESIDUAL = 32  # the row contradicts the estimate
+    NOT_SYNCHRONISED = 64  # a clock the row depends on is not to be trusted
+
+
+def reasons(refused: ArrayLike, reason: GateReason) -> ReasonArray:
+    """``reason`` where ``refused``, (n,) bool, is true; 0 elsewhere."""
+    return np.where(np.asarray(refused, bool), np.int64(reason), np.int64(0))
+
+
+def window_contains(times_s: ArrayLike, bad: ArrayLike, at_s: ArrayLike, width_s: float) -> BoolArray:
+    """Whether a bad sample lies under the kernel of each tick.
+
+    Args:
+        times_s: sample times, (k,), increasing.
+        bad: (k,) bool.
+        at_s: ticks, (n,).
+        width_s: full width of the kernel.
+
+    Raises:
+        RowError: lengths that differ.
+    """
+    times, flags, at = np.asarray(times_s, np.float64), np.asarray(bad, bool), np.asarray(at_s, np.float64)
+    if times.shape != flags.shape:
+        raise RowError(f"{flags.size} flags for {times.size} samples; give one a sample")
+    total = np.concatenate([[0], np.cumsum(flags)])
+    low = np.searchsorted(times, at - 0.5 * width_s, side="left")
+    high = np.searchsorted(times, at + 0.5 * width_s, side="right")
+    return np.asarray(total[high] > total[low], np.bool_)
+
+
+def range_gate(values: ArrayLike, low: ArrayLike, high: ArrayLike, reason: GateReason) -> ReasonArray:
+    """Refuses ticks with any value outside its range, or not a number.
+
+    Args:
+        values: (n,) or (n, c).
+        low: scalar or (c,).
+        high: scalar or (c,).
+        reason: what to call it.
+
+    Raises:
+        RowError: an empty range.
+    """
+    v = np.asarray(values, np.float64)
+    v = v[:, None] if v.ndim == 1 else v
+    lower, upper = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    if not (lower < upper).all():
+        raise RowError(f"the range {lower} to {upper} is empty; put the lower end first")
+    return reasons(~((v >= lower) & (v <= upper)).all(axis=1), reason)
+
+
+def magnitude_gate(vectors: ArrayLike, limit: float, reason: GateReason) -> ReasonArray:
+    """Refuses ticks whose vector is longer than ``limit``, or not a number.
+
+    Args:
+        vectors: (n, 3).
+        limit: in the vectors' unit.
+        reason: what to call it.
+    """
+    v = np.asarray(vectors, np.float64)
+    return reasons(~(np.einsum("ij,ij->i", v, v) <= limit * limit), reason)
+
+
+def phase_gate(
+    at_s: ArrayLike,
+    change_s: ArrayLike,
+    phases: ArrayLike,
+    identify: ArrayLike,
+    settle_s: float,
+    half_width_s: float = 0.0,
+) -> ReasonArray:
+    """Refuses ticks outside the phases to identify in, and those too near a change of phase.
+
+    Args:
+        at_s: ticks, (n,).
+        change_s: times of the changes known so far, (k,), increasing.
+        phases: (k,) phase entered at each change. Before the first change no phase is known, and ticks are refused.
+        identify: phases in which rows are wanted.
+        settle_s: how long after a change rows are refused.
+        half_width_s: half the kernel's width: so long before a change the kernel already reaches over it.
+
+    Raises:
+        RowError: lengths that differ, or times that do not increase.
+    """
+    at, change = np.asarray(at_s, np.float64), np.asarray(change_s, np.float64)
+    entered = np.asarray(phases)
+    if change.shape != entered.shape or (np.diff(change) < 0.0).any():
+        raise RowError("phase changes need one increasing time each")
+    if change.size == 0:
+        return reasons(np.ones(at.shape, bool), GateReason.PHASE)
+    index = np.searchsorted(change, at, side="right") - 1  # (n,)
+    wanted = np.isin(entered[np.maximum(index, 0)], np.asarray(identify)) & (index >= 0)
+    since = at - change[np.maximum(index, 0)]
+    following = np.append(change, np.inf)[index + 1] - at
+    return reasons(~wanted | (since < settle_s + half_width_s) | (following < half_width_s), GateReason.PHASE)
+
+
+class ResidualGate:
+    """Refuses rows whose normalised innovation is too large, and cannot lock a wrong estimate in.
+
+    The limit is ``threshold`` times the innovation's own sigma, *or* times the robust spread of the recent innovations,
+    refused ones included, whichever is larger. A few outliers among good rows do not move a median, so they are
+    refused. When it is the estimate that is wrong, most innovations are large, their median grows with them, and the
+    gate opens: the rows are let in again and put the estimate right.
+
+    Args:
+        threshold: in sigmas.
+        memory: how many recent innovations the spread is taken from.
+        minimum: below so many the gate lets everything pass, for want of a spread.
+
+    Raises:
+        RowError: numbers out of range.
+    """
+
+    _MAD_TO_SIGMA = 1.4826  # of a normal distribution
+
+    def __init__(self, threshold: float, memory: int = 200, minimum: int = 20) -> None:
+        if threshold <= 0.0 or not 1 <= minimum <= memory:
+            raise RowError("the residual gate needs a positive threshold and 1 <= minimum <= memory")
+        self.threshold = threshold
+        self._recent = np.zeros(memory)
+        self._minimum = minimum
+        self._count = 0
+
+    @property
+    def spread(self) -> float:
+        """Robust standard deviation of the recent normalised innovations; 1 is what it should be."""
+        n = min(self._count, self._recent.size)
+        return float(self._MAD_TO_SIGMA * np.median(self._recent[:n])) if n else 1.0
+
+    def check(self, innovation: FloatArray, sigma: FloatArray) -> ReasonArray:
+        """Reasons for rows not yet taken in; remembers their innovations.
+
+        Args:
+            innovation: (m,).
+            sigma: (m,) standard deviation of each innovation (:meth:`SquareRootRls.innovation`).
+
+        Raises:
+            RowError: numbers that are not finite, or a sigma that is not positive.
+        """
+        if innovation.shape != sigma.shape or not np.isfinite(innovation).all() or not (sigma > 0.0).all():
+            raise RowError("innovations must be finite and their sigmas positive")
+        normalised = np.abs(innovation) / sigma
+        slots = (self._count + np.arange(normalised.size)) % self._recent.size
+        self._recent[slots] = normalised
+        self._count += normalised.size
+        if self._count < self._minimum or not (normalised > self.threshold).any():
+            return np.zeros(normalised.shape, np.int64)
+        return reasons(normalised > self.threshold * max(1.0, self.spread), GateReason.RESIDUAL)

@@ -1,0 +1,265 @@
+"""Recursive least squares in square-root information form, on one LAPACK kernel.
+
+The state is the triangular factor of all rows so far, ``[R R_c z]`` over ``[0 R_cc z_c]`` over ``[0 0 e]``: new rows go
+below it and ``dtpqrt`` makes it triangular again, in place. The same kernel is the recursive update, the exponentially
+forgetting one, and the batch solve of hours of rows in constant memory. Information is never formed or subtracted, so
+the covariance stays positive definite over any number of updates.
+
+Two things come with every row beside its parameters' columns:
+
+- *considered* parameters c: quantities that are wrong by a known sigma, common to many rows, and not estimated (the
+  scale of a load cell, a time offset). Their columns ride along, and the solution says how the estimate moves with
+  them (Schmidt's consider covariance).
+- the right-hand side, which leaves the residual sum in the last diagonal.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lapack
+
+from onboard.estimation.errors import RowError, SingularError
+
+FloatArray = NDArray[np.float64]
+
+_BLOCK = 16  # block size of dtpqrt
+_RANK_TOLERANCE = 1e-11  # of a column of R against the column's own norm
+
+
+class Solution(NamedTuple):
+    """What the rows so far say, under the sigmas that came with them."""
+
+    mean: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p) rows taken as independent; see onboard.estimation.consistency for the honest one
+    sensitivity: FloatArray  # (p, k) change of the mean per unit of each considered parameter
+    residual_sum: float  # of (residual / sigma)^2, prior rows included: chi-squared, rows - p + prior rows
+    rows: float  # how many, each counted with its forgetting
+
+
+class Observability(NamedTuple):
+    """What the data, apart from the prior, have determined so far."""
+
+    shrinkage: FloatArray  # (p,) posterior sigma over prior sigma of each parameter; 1 where the data said nothing
+    gain: FloatArray  # (p,) information of the data along each direction, in units of the prior's; ascending
+    directions: FloatArray  # (p, p) columns, in units of the parameters, one prior sigma long
+
+
+class RlsState(NamedTuple):
+    """Everything the estimator is, for a checkpoint."""
+
+    triangle: FloatArray
+    prior_rows: FloatArray
+    rows: float
+
+
+class SquareRootRls:
+    """Square-root recursive least squares of ``y = Y chi + C c + noise``.
+
+    Args:
+        parameters: p.
+        considered: k, parameters that are not estimated but whose sigma the estimate carries.
+        forgetting: factor per update call on the information of earlier *rows*, in (0, 1]. The prior is not forgotten,
+            so directions without excitation fall back to it and never wind up.
+
+    Raises:
+        RowError: a dimension or factor out of its range.
+    """
+
+    def __init__(self, parameters: int, considered: int = 0, forgetting: float = 1.0) -> None:
+        if parameters < 1 or considered < 0:
+            raise RowError(f"{parameters} parameters and {considered} considered; at least one and none")
+        if not 0.0 < forgetting <= 1.0:
+            raise RowError(f"the forgetting factor is {forgetting}; give one in (0, 1]")
+        self.parameters = parameters
+        self.considered = considered
+        self.forgetting = forgetting
+        self.rows = 0.0
+        self._size = parameters + considered + 1
+        self._triangle = np.zeros((self._size, self._size), order="F")
+        self._prior_rows = np.zeros((0, self._size))
+
+    def prior(self, mean: ArrayLike, sigma: ArrayLike) -> None:
+        """Adds what is known before any row, and is not forgotten.
+
+        Args:
+            mean: (p,).
+            sigma: (p,) standard deviations, ``inf`` where nothing is known, or a (p, p) positive definite covariance.
+
+        Raises:
+            RowError: wrong shapes, a mean that is not finite, a sigma that is not positive, a covariance that is not
+                positive definite.
+        """
+        p = self.parameters
+        center = np.asarray(mean, np.float64)
+        spread = np.asarray(sigma, np.float64)
+        if center.shape != (p,) or not np.isfinite(center).all():
+            raise RowError(f"the prior mean must be {p} finite numbers")
+        if spread.shape == (p,):
+            if not (spread > 0.0).all():
+                raise RowError("prior sigmas must be positive; use inf where nothing is known")
+            root = np.diag(1.0 / spread)[np.isfinite(spread)]
+        elif spread.shape == (p, p):
+            scale = np.sqrt(np.abs(np.diag(spread)))
+            if not np.isfinite(spread).all() or not (scale > 0.0).all():
+                raise RowError("the prior covariance must be finite with a positive diagonal")
+            factor, info = lapack.dpotrf(spread / np.outer(scale, scale), lower=1, clean=1)
+            if info != 0:
+                raise RowError("the prior covariance is not positive definite; give every parameter some variance")
+            inverse, _ = lapack.dtrtri(factor, lower=1)
+            root = inverse / scale
+        else:
+            raise RowError(f"the prior sigma must have shape ({p},) or ({p}, {p}), not {spread.shape}")
+        rows = np.zeros((root.shape[0], self._size))
+        rows[:, :p] = root
+        rows[:, -1] = root @ center
+        self._prior_rows = np.vstack([self._prior_rows, rows])
+        self._absorb(np.asfortranarray(rows))
+
+    def update(self, Y: FloatArray, y: FloatArray, sigma: FloatArray, C: FloatArray | None = None) -> None:
+        """Takes a batch of rows in.
+
+        Args:
+            Y: (m, p).
+            y: (m,).
+            sigma: (m,) standard deviation of each row.
+            C: (m, k) columns of the considered parameters, ``d y / d c``; required when there are any.
+
+        Raises:
+            RowError: a shape that does not fit, a number that is not finite, a sigma that is not positive. The
+                estimator is unchanged then.
+        """
+        m, p = y.shape[0], self.parameters
+        if Y.shape != (m, p) or sigma.shape != (m,) or (C is None) != (self.considered == 0):
+            raise RowError(f"rows of shape {Y.shape}, {y.shape}, {sigma.shape}; give (m, {p}), (m,), (m,) and C if any")
+        if m == 0:
+            return
+        if not sigma.min() > 0.0:
+            raise RowError("the sigma of every row must be positive")
+        rows = np.empty((m, self._size), order="F")
+        rows[:, :p] = Y
+        if C is not None:
+            rows[:, p:-1] = C
+        rows[:, -1] = y
+        rows /= sigma[:, None]
+        flat = rows.ravel(order="K")
+        if not math.isfinite(np.vdot(flat, flat)):  # a NaN or an infinity anywhere ends up in the sum of squares
+            raise RowError("rows must be finite; gate them before they come here")
+        if self.forgetting < 1.0:
+            self._triangle *= np.sqrt(self.forgetting)
+            if self._prior_rows.shape[0]:  # what forgetting takes from the prior is put back
+                rows = np.asfortranarray(np.vstack([rows, np.sqrt(1.0 - self.forgetting) * self._prior_rows]))
+        self._absorb(rows)
+        self.rows = self.rows * self.forgetting + m
+
+    def _absorb(self, rows: FloatArray) -> None:
+        triangle, _, _, info = lapack.dtpqrt(
+            0, min(_BLOCK, self._size), self._triangle, rows, overwrite_a=1, overwrite_b=1
+        )
+        if info != 0:
+            raise AssertionError(f"dtpqrt refused argument {-info}")
+        self._triangle = triangle
+
+    def _check_rank(self) -> FloatArray:
+        R = self._triangle[: self.parameters, : self.parameters]
+        norms = np.sqrt(np.einsum("ij,ij->j", R, R))
+        weak = ~(np.abs(R.diagonal()) > _RANK_TOLERANCE * norms)
+        if weak.any():
+            columns = ", ".join(str(i) for i in np.flatnonzero(weak))
+            raise SingularError(
+                f"the rows so far do not determine parameter {columns} apart from those before it; "
+                "give a prior, reduce to base parameters, or move more"
+            )
+        return R
+
+    def solve(self) -> Solution:
+        """The estimate and its formal covariance.
+
+        Raises:
+            SingularError: a parameter that neither rows nor prior determine; the message names it.
+        """
+        p = self.parameters
+        R = np.asfortranarray(self._check_rank())
+        solved, _ = lapack.dtrtrs(R, self._triangle[:p, p:])
+        half, _ = lapack.dpotri(R)  # upper triangle; the lower one stays zero, as it is in R
+        covariance = half + half.T
+        covariance.flat[:: p + 1] *= 0.5
+        tail = self._triangle[p:, -1]
+        return Solution(solved[:, -1].copy(), covariance, solved[:, :-1].copy(), float(tail @ tail), self.rows)
+
+    def innovation(self, Y: FloatArray, y: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Innovations of rows not yet taken in, and their standard deviations ``sqrt(sigma^2 + Y P Y')``.
+
+        Args:
+            Y: (m, p).
+            y: (m,).
+            sigma: (m,).
+
+        Returns:
+            ``(innovation, innovation_sigma)``, (m,) each.
+
+        Raises:
+            SingularError: as :meth:`solve`.
+        """
+        p = self.parameters
+        R = np.asfortranarray(self._check_rank())
+        root, _ = lapack.dtrtrs(R, Y.T, trans=1)  # (p, m): R^-T Y'
+        predicted = self._triangle[:p, -1] @ root
+        return y - predicted, np.sqrt(sigma**2 + np.einsum("pm,pm->m", root, root))
+
+    @property
+    def information_root(self) -> FloatArray:
+        """A copy of R, upper triangular, (p, p): ``R' R`` is the information of prior and rows."""
+        return self._triangle[: self.parameters, : self.parameters].copy()
+
+    def information(self) -> FloatArray:
+        """The information matrix ``R' R`` of prior and rows, (p, p)."""
+        R = self._triangle[: self.parameters, : self.parameters]
+        return np.asarray(R.T @ R, np.float64)
+
+    def prior_equations(self) -> tuple[FloatArray, FloatArray]:
+        """The normal equations of the prior alone: information (p, p) and right-hand side (p,)."""
+        rows = self._prior_rows[:, : self.parameters]
+        return np.asarray(rows.T @ rows, np.float64), np.asarray(rows.T @ self._prior_rows[:, -1], np.float64)
+
+    def observability(self) -> Observability:
+        """What the rows have added to the prior, by parameter and by direction.
+
+        Raises:
+            SingularError: no full prior to compare with.
+        """
+        p = self.parameters
+        factor, info = lapack.dpotrf(self.prior_equations()[0], lower=1, clean=1)  # L L' = prior information
+        if info != 0:
+            raise SingularError("observability is told against the prior; give every parameter a finite prior sigma")
+        root = np.linalg.inv(factor).T  # prior covariance = root root'
+        _, singular, vt = np.linalg.svd(self._triangle[:p, :p] @ root)
+        directions = root @ vt.T
+        prior_variance = np.einsum("ij,ij->i", root, root)
+        posterior_variance = np.einsum("ij,ij->i", directions / singular, directions / singular)
+        order = np.argsort(singular)
+        return Observability(
+            np.sqrt(posterior_variance / prior_variance),
+            np.maximum(singular[order] ** 2 - 1.0, 0.0),
+            directions[:, order],
+        )
+
+    def state(self) -> RlsState:
+        """A copy of the whole state, to be given to :meth:`restore`."""
+        return RlsState(self._triangle.copy(order="F"), self._prior_rows.copy(), self.rows)
+
+    def restore(self, state: RlsState) -> None:
+        """Goes on from a checkpoint.
+
+        Raises:
+            RowError: a state of other dimensions, or not finite.
+        """
+        size = (self._size, self._size)
+        if state.triangle.shape != size or state.prior_rows.shape[1:] != (self._size,):
+            raise RowError(f"the checkpoint has shape {state.triangle.shape}, this estimator {size}")
+        if not (np.isfinite(state.triangle).all() and np.isfinite(state.prior_rows).all()):
+            raise RowError("the checkpoint is not finite; start from the prior")
+        self._triangle = state.triangle.copy(order="F")
+        self._prior_rows = state.prior_rows.copy()
+        self.rows = state.rows

@@ -1,0 +1,218 @@
+"""Structural base parameters: the combinations of standard parameters that a vehicle's rows can ever tell apart.
+
+Recursive least squares runs on these, not on the standard parameters: the columns are independent for general motion,
+so what is left undetermined in flight is a lack of excitation and nothing else; the matrices are small; and no prior
+hides a rank that was never there. A Gaussian prior on the standard parameters maps to the base parameters exactly.
+
+Method: QR with column pivoting on rows sampled over random motion gives the rank (Gautier; Limparis 2.123-2.128). The
+independent columns are then taken in an order people write parameters in (rotational inertia and first moments near
+the base first; ``YY``, ``MZ`` and ``M`` are regrouped), and the others are expressed through them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lstsq, qr
+
+from onboard.model.errors import SignalError, UnknownFrameError
+from onboard.model.rows import BaseMotion, RowModel
+from onboard.model.vehicle import BaseKind
+
+FloatArray = NDArray[np.float64]
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+_KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "Ia", "Fv", "Fc", "zero")
+_TOLERANCE = 1e-9  # of a column's norm
+
+
+@dataclass(frozen=True, slots=True)
+class SampledMotion:
+    """Which of the base's motions may occur at all; a zero takes one out, and with it what only it could show."""
+
+    rate_rad_s: float = 1.0
+    acceleration_rad_s2: float = 1.0
+    specific_force_m_s2: float = 1.0
+    constant_force_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, kind: BaseKind) -> "SampledMotion":
+        """General motion of a base of this kind; a fixed one stands upright in gravity."""
+        if kind is BaseKind.FIXED:
+            return cls(0.0, 0.0, 0.0, (0.0, 0.0, STANDARD_GRAVITY_M_S2))
+        return cls()
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """From standard to base parameters: ``beta = grouping @ chi`` and ``Y chi = Y[:, independent] @ beta``.
+
+    Attributes:
+        names: of the base parameters; ``_R`` at the end marks a regrouped one.
+        independent: (p,) their columns in the standard regressor.
+        grouping: (p, P).
+        standard_names: (P,).
+    """
+
+    names: tuple[str, ...]
+    independent: NDArray[np.intp]
+    grouping: FloatArray
+    standard_names: tuple[str, ...]
+
+    def reduce(self, Y: FloatArray) -> FloatArray:
+        """The base regressor, (..., p), from the standard one, (..., P)."""
+        return Y[..., self.independent]
+
+    def value(self, chi: FloatArray) -> FloatArray:
+        """Base parameters, (p,), of standard ones, (P,)."""
+        return np.asarray(self.grouping @ chi, np.float64)
+
+    def covariance(self, sigma: FloatArray) -> FloatArray:
+        """Covariance of the base parameters, (p, p), for independent standard parameters of these sigmas, (P,)."""
+        half = self.grouping * sigma
+        return np.asarray(half @ half.T, np.float64)
+
+    def weights(self, functional: FloatArray) -> FloatArray:
+        """A linear functional of the standard parameters, (..., P), as weights on the base parameters, (..., p).
+
+        Raises:
+            SignalError: the functional is not a combination of base parameters: no motion can ever tell it.
+        """
+        wanted = np.atleast_2d(functional)
+        found = lstsq(self.grouping.T, wanted.T)[0].T
+        error = np.abs(found @ self.grouping - wanted).max()
+        if error > 1e-6 * max(np.abs(wanted).max(), 1e-300):
+            raise SignalError("this quantity is no combination of base parameters; these rows can never determine it")
+        return np.asarray(found.reshape((*functional.shape[:-1], len(self.names))), np.float64)
+
+    def expressions(self) -> tuple[str, ...]:
+        """Each base parameter as people write it: ``ZZ_arm_R = ZZ_arm + 0.0296 M_tip_mass``; SI units."""
+        written = []
+        for row, (name, column) in enumerate(zip(self.names, self.independent, strict=True)):
+            text = f"{name} = {self.standard_names[column]}"
+            for other in np.flatnonzero(self.grouping[row]):
+                if other == column:
+                    continue
+                factor = self.grouping[row, other]
+                size = "" if abs(abs(factor) - 1.0) < 1e-9 else f"{abs(factor):.4g} "
+                text += f" {'+' if factor > 0 else '-'} {size}{self.standard_names[other]}"
+            written.append(text)
+        return tuple(written)
+
+
+def sampled_rows(
+    model: RowModel, rng: np.random.Generator, ticks: int, motion: SampledMotion, released: bool
+) -> FloatArray:
+    """Rows of random motion, (ticks x rows, P); every other tick without the payload if ``released``."""
+    vehicle = model.vehicle
+    low = np.array([max(joint.low, -np.pi) for joint in vehicle.joints])
+    high = np.array([min(joint.high, np.pi) for joint in vehicle.joints])
+    shape = (ticks, len(vehicle.joints))
+    q = rng.uniform(low, high, shape)
+    base = BaseMotion(
+        motion.rate_rad_s * rng.standard_normal((ticks, 3)),
+        motion.acceleration_rad_s2 * rng.standard_normal((ticks, 3)),
+        motion.specific_force_m_s2 * rng.standard_normal((ticks, 3)) + motion.constant_force_m_s2,
+    )
+    attached = np.arange(ticks) % 2 == 0 if released else None
+    Y = model.regressor(q, rng.standard_normal(shape), rng.standard_normal(shape), base, attached)
+    return Y.reshape(-1, Y.shape[2])
+
+
+def base_parameters(
+    model: RowModel,
+    rng: np.random.Generator,
+    motion: SampledMotion | None = None,
+    released: bool | None = None,
+    ticks: int = 0,
+) -> BaseParameters:
+    """Finds the base parameters of a row model.
+
+    Args:
+        model: the rows.
+        rng: seeded, so that the names do not depend on luck.
+        motion: which base motions may occur; all that the base kind allows, where not given.
+        released: whether the payload is also flown without; so if there is a payload link, where not given.
+        ticks: how many ticks to sample; five for each column where zero.
+
+    Raises:
+        SignalError: rows that depend on no parameter at all.
+    """
+    vehicle = model.vehicle
+    allowed = SampledMotion.of(vehicle.spec.base) if motion is None else motion
+    let_go = vehicle.spec.payload_link is not None if released is None else released
+    W = sampled_rows(model, rng, ticks or 5 * len(model.names) + 20, allowed, let_go)
+    norms = np.sqrt(np.einsum("ij,ij->j", W, W))
+    norms[norms < _TOLERANCE * norms.max()] = 0.0  # rounding, where there should be nothing
+    if not (norms > 0.0).any():
+        raise SignalError("no parameter moves these rows; check the frames they are measured at")
+    scaled = W / np.where(norms > 0.0, norms, 1.0)
+    diagonal = np.abs(np.diag(qr(scaled, mode="r", pivoting=True)[0]))
+    rank = int((diagonal > _TOLERANCE * diagonal[0] * np.sqrt(scaled.shape[1])).sum())
+    independent = _choose(scaled, rank, _preference(model.names))
+    dependent = np.setdiff1d(np.arange(len(model.names)), independent)
+    K = lstsq(W[:, independent] / norms[independent], W[:, dependent])[0] / norms[independent][:, None]
+    grouping = np.zeros((rank, len(model.names)))
+    grouping[np.arange(rank), independent] = 1.0
+    K[np.abs(K) < 1e-9] = 0.0
+    grouping[:, dependent] = K
+    names = tuple(
+        model.names[column] + ("_R" if np.count_nonzero(grouping[row]) > 1 else "")
+        for row, column in enumerate(independent)
+    )
+    for array in (independent, grouping):
+        array.setflags(write=False)
+    return BaseParameters(names, independent, grouping, model.names)
+
+
+def _preference(names: tuple[str, ...]) -> list[int]:
+    """Columns in the order they are wanted as independent ones."""
+    kinds = [name.split("_", 1)[0] for name in names]
+    first = [column for column, kind in enumerate(kinds) if kind in _KEPT_FIRST]
+    # Within a link, in the order of _KEPT_FIRST; links stay in their order.
+    owners = [name.split("_", 1)[1] for name in names]
+    order = list(dict.fromkeys(owners))
+    first.sort(key=lambda c: (order.index(owners[c]), _KEPT_FIRST.index(kinds[c])))
+    return first + [column for column in range(len(names)) if column not in first]
+
+
+def _choose(scaled: FloatArray, rank: int, order: list[int]) -> NDArray[np.intp]:
+    """The first ``rank`` columns, in the preferred order, that are independent of those before them; Gram-Schmidt."""
+    basis = np.zeros((scaled.shape[0], rank))
+    chosen: list[int] = []
+    for column in order:
+        if len(chosen) == rank:
+            break
+        v = scaled[:, column].copy()
+        for _ in range(2):  # twice is enough
+            v -= basis @ (basis.T @ v)
+        length = np.sqrt(v @ v)
+        if length > 1e-7:
+            basis[:, len(chosen)] = v / length
+            chosen.append(column)
+    return np.array(sorted(chosen), np.intp)
+
+
+def named_relative_sigma(model: RowModel, links: Mapping[str, float], extras: Mapping[str, float]) -> FloatArray:
+    """Prior sigmas of all columns, (P,): by link relative to the URDF, by name absolute for the extra columns.
+
+    Args:
+        model: gives the columns.
+        links: relative sigma by link (:meth:`Vehicle.parameter_sigma`).
+        extras: absolute sigma by column name, in the column's SI unit: every extra column (``bias_<row>``,
+            ``Fv_<joint>`` ...), and any link's own (``M_body``) that is known otherwise than the rest of its link.
+
+    Raises:
+        UnknownFrameError: a name that is missing or unknown.
+    """
+    own = model.vehicle.parameter_sigma(dict(links))
+    expected = model.names[own.size :]
+    if not set(expected) <= set(extras) <= set(model.names):
+        raise UnknownFrameError(
+            f"give a sigma for each of {', '.join(expected) or 'no extra column'}, and else for columns of links only"
+        )
+    sigma = np.concatenate([own, np.zeros(len(expected))])
+    for name, value in extras.items():
+        sigma[model.names.index(name)] = value
+    return sigma

@@ -1,0 +1,386 @@
+"""Smoothed signals in, parameters and masses with their intervals out: the one path of the flight and of the analyst.
+
+``chi = [arm, payload]``: rows made while the payload is held carry both links' columns, rows made without it carry the
+arm's only. One recursive least squares over both therefore gives the arm, the payload and their sum, with the
+covariance between them. Until both kinds of rows have come, what they cannot tell apart is not reported: a quantity is
+*supported* only when the data, not the prior, determine it.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
+from onboard.estimation.rls import SquareRootRls
+from onboard.model.base_parameters import BaseParameters
+from onboard.model.errors import SignalError, UnknownFrameError
+from onboard.model.rows import BaseMotion, RowModel, joint_torque_row, skew
+from onboard.model.vehicle import Vehicle
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# A quantity is reported when the data determine it:
+SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
+SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information
+_NOISE_TICKS = 8
+_BATCH_TICKS = 64  # rows judged by one estimate before they change it
+
+
+class SignalNoise(NamedTuple):
+    """Standard deviation of the smoothed signals: sample noise times the kernel's noise gain, each axis alone."""
+
+    q: FloatArray  # (n, joints)
+    dq: FloatArray  # (n, joints)
+    ddq: FloatArray  # (n, joints)
+    rate: FloatArray  # (n, 3) IMU axes, as the three below
+    acceleration: FloatArray  # (n, 3)
+    specific_force: FloatArray  # (n, 3)
+    inflation: float = 1.0  # for the correlation of neighbouring rows
+
+
+class Signals(NamedTuple):
+    """Smoothed signals at n ticks; every one through the same kernel. NaN where a window was not valid."""
+
+    time_s: FloatArray  # (n,)
+    q: FloatArray  # (n, joints)
+    dq: FloatArray  # (n, joints)
+    ddq: FloatArray  # (n, joints)
+    motion: BaseMotion  # (n, 3) each, of the base frame
+    measured: FloatArray  # (n, rows) left-hand sides; zero for a wrench known to be zero
+    sigma: FloatArray  # (n, rows) of `measured`, correlation inflation included; zero for what is known exactly
+    measured_rate: FloatArray | None = None  # (n, rows) time derivative of `measured`; for delays considered
+    noise: SignalNoise | None = None  # of the motion; where not given, the regressor is taken for exact
+
+
+class Considered(NamedTuple):
+    """Something wrong by a known sigma in all of a row's readings, not estimated, and carried into the intervals."""
+
+    name: str
+    row: str
+    effect: Literal["scale", "delay"]
+    sigma: float  # relative for a scale, s for a delay
+
+
+class Quantity(NamedTuple):
+    """A linear combination of base parameters somebody wants to read."""
+
+    name: str
+    unit: str
+    weights: FloatArray  # (p,)
+    note: str = ""
+
+
+class QuantityEstimate(NamedTuple):
+    """A quantity with its interval; NaN where the data do not support it."""
+
+    name: str
+    unit: str
+    mean: float
+    sigma: float
+    low: float
+    high: float
+    shrinkage: float  # posterior sigma over prior sigma
+    supported: bool
+    note: str
+
+
+class Estimate(NamedTuple):
+    """All that is known after the rows so far."""
+
+    names: tuple[str, ...]  # of the base parameters
+    mean: FloatArray  # (p,)
+    sigma: FloatArray  # (p,)
+    low: FloatArray  # (p,)
+    high: FloatArray  # (p,)
+    supported: BoolArray  # (p,)
+    quantities: tuple[QuantityEstimate, ...]
+    rows_used: int
+    refused: dict[GateReason, int]  # rows by reason; a row with two reasons counts in both
+
+
+class Identifier:
+    """Recursive identification of a vehicle's base parameters from smoothed signals.
+
+    Args:
+        model: the rows.
+        base: its base parameters.
+        prior_sigma: standard deviations of the standard parameters about ``model.chi``, (P,).
+        block_s: first block of the honest covariance; five kernel widths or more.
+        quantities: what to report besides the base parameters.
+        considered: what is wrong by a known sigma and not estimated.
+        residual_sigma: threshold of the residual gate.
+        forgetting: factor per update on the information of earlier rows.
+        imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
+
+    Raises:
+        UnknownFrameError: a considered row that the model does not have, or an IMU frame that the base does not have.
+        RowError: see :mod:`onboard.estimation`.
+    """
+
+    def __init__(
+        self,
+        model: RowModel,
+        base: BaseParameters,
+        prior_sigma: FloatArray,
+        block_s: float,
+        quantities: Sequence[Quantity] = (),
+        considered: Sequence[Considered] = (),
+        residual_sigma: float = 6.0,
+        forgetting: float = 1.0,
+        imu_frame: str | None = None,
+    ) -> None:
+        rows = [row.name for row in model.rows]
+        for cause in considered:
+            if cause.row not in rows:
+                raise UnknownFrameError(f"considered {cause.name!r} names row {cause.row!r}; there are {rows}")
+        self.model = model
+        self.base = base
+        self.quantities = tuple(quantities)
+        self.considered = tuple(considered)
+        self._considered_rows = [rows.index(cause.row) for cause in considered]
+        p = len(base.names)
+        self._prior_covariance = base.covariance(prior_sigma)
+        self.rls = SquareRootRls(p, len(self.considered), forgetting)
+        self.rls.prior(base.value(model.chi), self._prior_covariance)
+        self.blocks = BlockScores(p, block_s)
+        self.gate = ResidualGate(residual_sigma)
+        self._imu_pose = model.vehicle.pose_in_base(imu_frame or model.vehicle.spec.base_link)
+        self.rows_used = 0
+        self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """Takes the rows of new ticks in.
+
+        Args:
+            signals: at the new ticks.
+            attached: (n,) whether the payload is held.
+            excluded: (n,) reasons of the gates that look at ticks; 0 where the tick may be used.
+
+        Returns:
+            (n, rows) reasons: those given, ``GAP`` for a row that is not finite, ``RESIDUAL`` for one that contradicts
+            the estimate.
+
+        Raises:
+            SignalError: shapes that do not fit.
+        """
+        n, m = signals.measured.shape
+        if m != len(self.model.rows) or signals.sigma.shape != (n, m) or excluded.shape != (n,):
+            raise SignalError(f"{m} measured rows a tick for {len(self.model.rows)} in the model; give one each")
+        found = np.repeat(np.asarray(excluded, np.int64)[:, None], m, axis=1)
+        moving = [signals.q, signals.dq, signals.ddq, *signals.motion]
+        whole = np.logical_and.reduce([np.isfinite(v).reshape(n, -1).all(axis=1) for v in moving])
+        found[~whole] |= GateReason.GAP
+        if signals.noise is not None:
+            doubts = [np.isfinite(v).reshape(n, -1).all(axis=1) for v in signals.noise[:-1]]
+            whole &= np.logical_and.reduce(doubts)
+            found[~whole] |= GateReason.GAP
+        found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
+        for first in range(0, n, _BATCH_TICKS):
+            self._batch(signals, attached, found, slice(first, first + _BATCH_TICKS))
+        for reason in self.refused:
+            self.refused[reason] += int(np.count_nonzero(found & int(reason)))
+        return found
+
+    def _batch(self, signals: Signals, attached: BoolArray, found: ReasonArray, part: slice) -> None:
+        reasons = found[part]
+        ticks = np.flatnonzero((reasons == 0).any(axis=1))
+        if ticks.size == 0:
+            return
+        at = ticks + part.start
+        motion = BaseMotion(*(v[at] for v in signals.motion))
+        Y = self.model.regressor(signals.q[at], signals.dq[at], signals.ddq[at], motion, attached[at])
+        use = reasons[ticks] == 0  # (t, m)
+        rows = self.base.reduce(Y)[use]  # (r, p)
+        y, sigma = signals.measured[at][use], signals.sigma[at][use]
+        doubt = None
+        if signals.noise is not None:
+            doubt = self._row_noise(signals, signals.noise, at, attached)[use]  # (r, s, p)
+            effect = (doubt @ self.rls.solve().mean) * signals.noise.inflation
+            sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
+        innovation, spread = self.rls.innovation(rows, y, sigma)
+        verdict = self.gate.check(innovation, spread)
+        kept = verdict == 0
+        block = reasons[ticks]
+        block[use] |= verdict
+        reasons[ticks] = block
+        C = self._considered_columns(signals, at, use)
+        self.rls.update(rows[kept], y[kept], sigma[kept], None if C is None else C[kept])
+        times = np.repeat(signals.time_s[at][:, None], use.shape[1], axis=1)[use]
+        self.blocks.add(times[kept], rows[kept], y[kept], sigma[kept], None if doubt is None else doubt[kept])
+        self.rows_used += int(kept.sum())
+
+    def _row_noise(self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
+        """Change of the rows per standard deviation of each motion signal, (t, rows, s, p).
+
+        Signals change little over a few ticks, so one tick in the middle of every few stands for its neighbours.
+        """
+        nj = len(self.model.vehicle.joints)
+        out = np.empty((at.size, len(self.model.rows), 3 * nj + 9, len(self.base.names)))
+        for held in (True, False):
+            kind = np.flatnonzero(attached[at] == held)
+            for first in range(0, kind.size, _NOISE_TICKS):
+                group = kind[first : first + _NOISE_TICKS]
+                tick = at[group[group.size // 2]]
+                out[group] = self._noise_at(signals, noise, tick, held)
+        return out
+
+    def _noise_at(self, signals: Signals, noise: SignalNoise, tick: np.intp, held: bool) -> FloatArray:
+        """The same at one tick, (rows, s, p), by finite differences one standard deviation wide."""
+        R_BS, p_BS = self._imu_pose
+        nj = len(self.model.vehicle.joints)
+        s = 3 * nj + 9
+        joints = np.stack([signals.q[tick], signals.dq[tick], signals.ddq[tick]])  # (3, nj)
+        moved = np.repeat(joints[None], s + 1, axis=0)  # (s + 1, 3, nj); the last one stays as it is
+        spread = np.stack([noise.q[tick], noise.dq[tick], noise.ddq[tick]])
+        for source in range(3 * nj):
+            moved[source].flat[source] += spread.flat[source]
+        w, dw, f = (np.repeat(v[tick][None], s + 1, axis=0) for v in signals.motion)  # (s + 1, 3) each
+        rate, acceleration, force = (slice(3 * nj + 3 * k, 3 * nj + 3 * k + 3) for k in range(3))
+        dw_noise, w_noise = (R_BS * noise.acceleration[tick]).T, (R_BS * noise.rate[tick]).T  # row k: axis k of the IMU
+        # What the IMU gets wrong in rate or acceleration also goes into the lever arm's part of f.
+        arm, turning = skew(p_BS), skew(w[-1])
+        f[rate] -= w_noise @ skew(turning @ p_BS) - w_noise @ arm @ turning
+        f[acceleration] -= dw_noise @ arm
+        f[force] += (R_BS * noise.specific_force[tick]).T
+        w[rate] += w_noise
+        dw[acceleration] += dw_noise
+        flags = np.full(s + 1, held)
+        Y = self.model.regressor(moved[:, 0], moved[:, 1], moved[:, 2], BaseMotion(w, dw, f), flags, False)
+        reduced = self.base.reduce(Y)  # (s + 1, rows, p)
+        return np.asarray((reduced[:-1] - reduced[-1]).transpose(1, 0, 2), np.float64)
+
+    def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:
+        """``d y / d c``, (r, k): the reading itself for a scale, minus its rate for a delay."""
+        if not self.considered:
+            return None
+        C = np.zeros((*use.shape, len(self.considered)))
+        for k, (cause, row) in enumerate(zip(self.considered, self._considered_rows, strict=True)):
+            if cause.effect == "scale":
+                C[:, row, k] = signals.measured[at, row]
+            elif signals.measured_rate is None:
+                raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
+            else:
+                C[:, row, k] = -signals.measured_rate[at, row]
+        return C[use]
+
+    def honest(self, level: float = 0.95) -> HonestEstimate:
+        """The estimate of the base parameters with its honest covariance."""
+        return HonestEstimate(self.rls, self.blocks, [cause.sigma for cause in self.considered], level)
+
+    def estimate(self, level: float = 0.95) -> Estimate:
+        """Base parameters and quantities with two-sided intervals.
+
+        Args:
+            level: of the intervals.
+        """
+        honest = self.honest(level)
+        p = len(self.base.names)
+        weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])
+        interval = honest.combination(weights)
+        before = np.einsum("ri,ij,rj->r", weights, self._prior_covariance, weights)
+        shrinkage = np.maximum(interval.sigma, np.sqrt(honest.formal_variance(weights))) / np.sqrt(before)
+        supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
+        quantities = []
+        for index, quantity in enumerate(self.quantities, start=p):
+            fine = bool(supported[index])
+            mean, sigma, low, high = (
+                float(v[index]) if fine else np.nan
+                for v in (interval.mean, interval.sigma, interval.low, interval.high)
+            )
+            note = quantity.note if fine else "not determined by the data so far"
+            quantities.append(
+                QuantityEstimate(
+                    quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note
+                )
+            )
+        return Estimate(
+            self.base.names,
+            honest.mean,
+            interval.sigma[:p],
+            interval.low[:p],
+            interval.high[:p],
+            supported[:p],
+            tuple(quantities),
+            self.rows_used,
+            dict(self.refused),
+        )
+
+
+def inertia_about_joint(vehicle: Vehicle, joint: str, q: FloatArray | None = None) -> FloatArray:
+    """Each link's part in the rotational inertia a joint feels, as a functional of the standard parameters, (links, P).
+
+    The torque of unit joint acceleration with all else at rest: ``row[l] @ chi`` is the inertia of link l about the
+    joint's axis, kg m^2 (its mass for a prismatic joint).
+
+    Args:
+        vehicle: the model.
+        joint: by name.
+        q: joint positions, (joints,); zero where not given.
+
+    Raises:
+        UnknownFrameError: no such joint.
+    """
+    model = RowModel(vehicle, [joint_torque_row(vehicle, joint, friction=False)])
+    ddq = np.zeros((1, len(vehicle.joints)))
+    ddq[0, vehicle.joints.index(vehicle.joint(joint))] = 1.0
+    still = np.zeros((1, 3))
+    at = np.zeros_like(ddq) if q is None else np.asarray(q, np.float64).reshape(1, -1)
+    row = model.regressor(at, np.zeros_like(ddq), ddq, BaseMotion(still, still, still))[0, 0]
+    parts = np.zeros((len(vehicle.links), row.size))
+    for link in range(len(vehicle.links)):
+        parts[link, 10 * link : 10 * link + 10] = row[10 * link : 10 * link + 10]
+    return parts
+
+
+def mass_quantities(model: RowModel, base: BaseParameters, joint: str, arm_link: str) -> tuple[Quantity, ...]:
+    """Inertias about the joint, and the masses they mean under the drawing's geometry.
+
+    A single joint's motion shows inertia, not mass: ``m = ZZ / k^2`` with k the radius of gyration of the link about
+    the joint's axis, from the URDF. In order: ``ZZ_R`` held and released; arm, arm + payload, payload (masses); and
+    arm + payload from ``ZZ_R`` held alone, which needs no row without the payload but takes the *ratio* of the two
+    masses from the drawing too.
+
+    Args:
+        model: the rows.
+        base: their base parameters.
+        joint: about which the inertias are.
+        arm_link: the link that stays.
+
+    Raises:
+        UnknownFrameError: no payload link, or a name that the URDF does not have.
+        SignalError: the rows can never tell these inertias, or a link weighs nothing in the URDF.
+    """
+    vehicle = model.vehicle
+    payload = vehicle.spec.payload_link
+    if payload is None or arm_link not in vehicle.links:
+        raise UnknownFrameError(f"masses need a payload link and a link {arm_link!r}; links are {vehicle.links}")
+    parts = inertia_about_joint(vehicle, joint)
+    functionals = []
+    masses = []
+    for link in (arm_link, payload):
+        index = vehicle.links.index(link)
+        inertia = float(parts[index] @ vehicle.chi)
+        mass = float(vehicle.chi[10 * index])
+        if not (mass > 0.0 and inertia > 0.0):
+            raise SignalError(f"link {link!r} has no mass or no inertia about {joint!r} in the URDF; masses need both")
+        padded = np.zeros(len(model.names))
+        padded[: parts.shape[1]] = parts[index]
+        functionals.append(base.weights(padded))
+        masses.append((mass, inertia))
+    (arm, tip), ((m_arm, zz_arm), (m_tip, zz_tip)) = functionals, masses
+    both = (m_arm + m_tip) / (zz_arm + zz_tip)
+    drawn = "radii of gyration from the drawing"
+    return (
+        Quantity(f"ZZ_{joint}_R_held", "kg m^2", arm + tip),
+        Quantity(f"ZZ_{joint}_R_released", "kg m^2", arm),
+        Quantity(f"m_{arm_link}", "kg", arm * m_arm / zz_arm, drawn),
+        Quantity(f"m_{arm_link}+m_{payload}", "kg", arm * m_arm / zz_arm + tip * m_tip / zz_tip, drawn),
+        Quantity(f"m_{payload}", "kg", tip * m_tip / zz_tip, drawn),
+        Quantity(
+            f"m_{arm_link}+m_{payload}_held", "kg", (arm + tip) * both, f"{drawn}, and the ratio of the two masses"
+        ),
+    )

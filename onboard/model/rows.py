@@ -1,0 +1,315 @@
+"""Measurement rows ``y = Y chi`` for a batch of ticks.
+
+Every row is the projection of a wrench on an axis: the wrench that must act through a cut of the vehicle, at a frame,
+to move everything beyond the cut as it moves.
+
+- Load cell: the cut is the cell, the axis is the cell's; a cell on a lever reads moment / lever.
+- Joint torque: the cut is the joint, the axis is the joint's; with actuator inertia and friction columns if asked.
+- Base wrench: the cut is around the whole vehicle; what is known to be zero (free flight) gives rows ``0 = Y chi``.
+
+The base's motion comes from an IMU: angular rate, angular acceleration and specific force (a - g, not acceleration).
+With gravity zero in the model and the specific force as the base's acceleration, gravity, attitude and the base's
+velocity all cancel (Galilean invariance), so none of them has to be known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from onboard.model.errors import SignalError, UrdfError
+from onboard.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, Vehicle
+
+FloatArray = NDArray[np.float64]
+
+
+class BaseMotion(NamedTuple):
+    """Motion of the base frame, in base axes; each (n, 3)."""
+
+    rate_rad_s: FloatArray
+    acceleration_rad_s2: FloatArray
+    specific_force_m_s2: FloatArray  # at the base frame's origin
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchRow:
+    """One row a tick: ``projection @ wrench``, the wrench (force, moment) at ``frame``, in its axes, on all beyond."""
+
+    name: str
+    frame: str
+    projection: tuple[float, float, float, float, float, float]
+    bias: bool = False
+    friction_joint: str | None = None
+    coasting: bool = (
+        False  # the frame's origin is the centre of mass of a vehicle in free fall: no specific force there
+    )
+
+
+def load_cell_row(
+    name: str, frame: str, axis: Sequence[float], measures: str, lever_m: float = 1.0, bias: bool = True
+) -> WrenchRow:
+    """Row of a single-axis load cell, in the unit it reads: N for a force or a moment on a lever, N m with lever 1.
+
+    Args:
+        name: of the row; its bias column is ``bias_<name>``.
+        frame: the cut; what the near side exerts on the far side is positive.
+        axis: sensing axis in that frame, normalised here.
+        measures: ``"moment"`` or ``"force"``.
+        lever_m: the reading is moment / lever.
+        bias: whether the reading at no load is a parameter.
+
+    Raises:
+        SignalError: a zero axis, a lever that is not positive, or another word for ``measures``.
+    """
+    direction = np.asarray(axis, np.float64)
+    length = float(np.linalg.norm(direction))
+    if direction.shape != (3,) or not length > 0.0 or not lever_m > 0.0:
+        raise SignalError(f"load cell {name!r}: give an axis of three numbers, not all zero, and a positive lever")
+    x, y, z = (float(v) for v in direction / length)
+    if measures == "moment":
+        return WrenchRow(name, frame, (0.0, 0.0, 0.0, x / lever_m, y / lever_m, z / lever_m), bias)
+    if measures == "force":
+        return WrenchRow(name, frame, (x, y, z, 0.0, 0.0, 0.0), bias)
+    raise SignalError(f"load cell {name!r} measures {measures!r}; say 'moment' or 'force'")
+
+
+def joint_torque_row(vehicle: Vehicle, joint: str, friction: bool = True) -> WrenchRow:
+    """Row of the torque (or force) of a joint's actuator; with ``Ia``, ``Fv``, ``Fc`` columns if ``friction``.
+
+    Raises:
+        UnknownFrameError: no such joint.
+    """
+    found = vehicle.joint(joint)
+    x, y, z = found.axis
+    projection = (0.0, 0.0, 0.0, x, y, z) if found.revolute else (x, y, z, 0.0, 0.0, 0.0)
+    return WrenchRow(f"torque_{joint}", joint, projection, friction_joint=joint if friction else None)
+
+
+def base_force_rows(vehicle: Vehicle) -> tuple[WrenchRow, ...]:
+    """The three rows of the force on the whole vehicle, in base axes."""
+    frame = vehicle.spec.base_link
+    unit = np.eye(6)
+    return tuple(WrenchRow(f"base_force_{n}", frame, tuple(unit[i])) for i, n in enumerate("xyz"))
+
+
+def base_moment_rows(vehicle: Vehicle) -> tuple[WrenchRow, ...]:
+    """The three rows of the moment on the whole vehicle, in base axes.
+
+    They are about the base frame's origin, unless the base is free and its joints turn balanced rotors only. Such a
+    vehicle's centre of mass is fixed in the base and feels no specific force, so the rows are taken about it: exact,
+    and without the accelerometer's errors. The base link's ``XX .. ZZ`` are then what the whole vehicle has about its
+    centre of mass, less the rotors' own, while ``MX, MY, MZ``, which only the force rows show, stay about the frame's
+    origin.
+    """
+    frame = vehicle.spec.base_link
+    coasting = vehicle.spec.base is BaseKind.FREE and vehicle.centre_of_mass_is_fixed()
+    unit = np.eye(6)
+    return tuple(
+        WrenchRow(f"base_moment_{n}", frame, tuple(unit[3 + i]), coasting=coasting) for i, n in enumerate("xyz")
+    )
+
+
+def base_motion(
+    vehicle: Vehicle, imu_frame: str, rate: ArrayLike, acceleration: ArrayLike, specific_force: ArrayLike
+) -> BaseMotion:
+    """Motion of the base frame from what an IMU fixed in the base measures, all in the IMU's axes.
+
+    Args:
+        vehicle: gives the IMU's pose.
+        imu_frame: name of the IMU's frame.
+        rate: angular rate, (n, 3), rad/s.
+        acceleration: angular acceleration, (n, 3), rad/s^2.
+        specific_force: at the IMU, (n, 3), m/s^2.
+
+    Raises:
+        UnknownFrameError: no such frame, or one that is not fixed in the base.
+        SignalError: shapes that are not (n, 3).
+    """
+    R_BS, p_BS = vehicle.pose_in_base(imu_frame)
+    parts = [np.asarray(v, np.float64) for v in (rate, acceleration, specific_force)]
+    if any(part.ndim != 2 or part.shape != (parts[0].shape[0], 3) for part in parts):
+        raise SignalError("rate, angular acceleration and specific force must be (n, 3) each")
+    w, dw, f = (part @ R_BS.T for part in parts)
+    # f_S = f_B + dw x p + w x (w x p), and w x (w x p) = w (w.p) - p (w.w)
+    centripetal = w * (w @ p_BS)[:, None] - p_BS * np.einsum("ni,ni->n", w, w)[:, None]
+    return BaseMotion(w, dw, f - dw @ skew(p_BS) - centripetal)
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Cross-product matrix, (3, 3): times a vector from the left it is v cross x, from the right x cross v."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], np.float64)
+
+
+class _Cut(NamedTuple):
+    """Rows that share a frame and the way the base's specific force is taken."""
+
+    frame: int
+    projections: FloatArray  # (rows here, 6)
+    rows: list[int]
+    links: tuple[int, ...]  # beyond the cut
+    coasting: bool
+
+
+class RowModel:
+    """The rows of a vehicle as a function of its motion.
+
+    Args:
+        vehicle: the model.
+        rows: what is measured, or known to be zero.
+        zero_force: adds three columns ``zero_force_x, _y, _z``, m/s^2 in base axes: a constant that the specific force
+            is too large by (accelerometer zero, lever arms times a gyro's zero). It acts on the first moments as
+            gravity would, and turns with the joints: unaccounted for, it passes for inertia. The columns are made with
+            the URDF's first moments; the product of an error in those and of a zero is not worth a column.
+
+    Attributes:
+        names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, then ``Ia_, Fv_, Fc_<joint>``,
+            then ``zero_force_x, _y, _z``.
+        chi: prior values of the columns: the URDF's, zero for the extra ones.
+
+    Raises:
+        UnknownFrameError: a row at a frame the URDF does not have.
+        UrdfError: a row with nothing beyond its cut.
+    """
+
+    def __init__(self, vehicle: Vehicle, rows: Sequence[WrenchRow], zero_force: bool = False) -> None:
+        self.vehicle = vehicle
+        self.rows = tuple(rows)
+        names = [f"{parameter}_{link}" for link in vehicle.links for parameter in STANDARD]
+        self._biases: list[tuple[int, int]] = []  # row, column
+        self._frictions: list[tuple[int, int, int]] = []  # row, joint, first column
+        for index, row in enumerate(self.rows):
+            if row.bias:
+                self._biases.append((index, len(names)))
+                names.append(f"bias_{row.name}")
+        for index, row in enumerate(self.rows):
+            if row.friction_joint is not None:
+                joint = vehicle.joints.index(vehicle.joint(row.friction_joint))
+                self._frictions.append((index, joint, len(names)))
+                names += [f"{p}_{row.friction_joint}" for p in ("Ia", "Fv", "Fc")]
+        self._zero_force = len(names) if zero_force else None
+        if zero_force:
+            names += [f"zero_force_{axis}" for axis in "xyz"]
+        self.names = tuple(names)
+        self.chi = np.concatenate([vehicle.chi, np.zeros(len(names) - vehicle.chi.size)])
+        self.chi.setflags(write=False)
+        self._links = [vehicle.frame_id(link) for link in vehicle.links]
+        self._cuts: list[_Cut] = []
+        for frame, coasting in dict.fromkeys((row.frame, row.coasting) for row in self.rows):
+            mine = [i for i, row in enumerate(self.rows) if (row.frame, row.coasting) == (frame, coasting)]
+            beyond = vehicle.distal_links(frame)
+            if not beyond:
+                raise UrdfError(f"nothing with mass hangs beyond {frame!r}; measure elsewhere or give a link inertia")
+            projections = np.array([self.rows[index].projection for index in mine])  # (rows here, 6)
+            self._cuts.append(_Cut(vehicle.frame_id(frame), projections, mine, beyond, coasting))
+        self._data = vehicle.model.createData()
+
+    def regressor(
+        self,
+        q: ArrayLike,
+        dq: ArrayLike,
+        ddq: ArrayLike,
+        motion: BaseMotion,
+        attached: ArrayLike | None = None,
+        fill_zero_force: bool = True,
+    ) -> FloatArray:
+        """The regressor Y, (n, rows, columns).
+
+        Args:
+            q: joint positions, (n, joints), in the order of ``vehicle.joints``.
+            dq: joint rates, (n, joints).
+            ddq: joint accelerations, (n, joints).
+            motion: of the base.
+            attached: (n,) bool, whether the payload link is held; always, where not given.
+            fill_zero_force: whether the ``zero_force`` columns are made, if the model has them; else they stay zero.
+
+        Raises:
+            SignalError: shapes that do not fit, or numbers that are not finite.
+        """
+        nj = len(self.vehicle.joints)
+        position, velocity, acceleration = (np.asarray(v, np.float64) for v in (q, dq, ddq))
+        n = motion.rate_rad_s.shape[0]
+        parts = (position, velocity, acceleration, *motion)
+        if any(part.shape != (n, nj if k < 3 else 3) for k, part in enumerate(parts)):
+            raise SignalError(
+                f"joint signals must be (n, {nj}) and base motion (n, 3), the same number of ticks; "
+                f"they are {[part.shape for part in parts]}"
+            )
+        if not all(np.isfinite(part).all() for part in parts):
+            raise SignalError("motion must be finite; leave invalid ticks out before building rows")
+        held = np.ones(n, bool) if attached is None else np.asarray(attached, bool)
+        if held.shape != (n,):
+            raise SignalError(f"{held.size} flags for {n} ticks; say for each tick whether the payload is held")
+        q_full, v_full, a_full = self._states(position, velocity, acceleration, motion)
+        Y = np.zeros((n, len(self.rows), len(self.names)))
+        if self._zero_force is not None and fill_zero_force:
+            self._fill_zero_force(Y[:, :, self._zero_force : self._zero_force + 3], q_full, held)
+        for coasting in sorted({cut.coasting for cut in self._cuts}):  # a_full is changed by the second
+            cuts = [cut for cut in self._cuts if cut.coasting == coasting]
+            if coasting:
+                a_full[:, :3] = 0.0
+            for tick in range(n):
+                self._fill(cuts, Y[tick], q_full[tick], v_full[tick], a_full[tick])
+        payload = self.vehicle.payload_columns()
+        Y[~held, :, payload] = 0.0
+        for row, column in self._biases:
+            Y[:, row, column] = 1.0
+        for row, joint, column in self._frictions:
+            Y[:, row, column] = acceleration[:, joint]
+            Y[:, row, column + 1] = velocity[:, joint]
+            Y[:, row, column + 2] = np.sign(velocity[:, joint])
+        return Y
+
+    def _states(
+        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, motion: BaseMotion
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Pinocchio's (q, v, a): base at the origin, at rest for this instant, accelerating by the specific force."""
+        n, model = q.shape[0], self.vehicle.model
+        q_full, v_full, a_full = np.zeros((n, model.nq)), np.zeros((n, model.nv)), np.zeros((n, model.nv))
+        q_full[:, FREE_FLYER_NQ - 1] = 1.0  # unit quaternion x, y, z, w
+        v_full[:, 3:FREE_FLYER_NV] = motion.rate_rad_s
+        a_full[:, :3] = motion.specific_force_m_s2
+        a_full[:, 3:FREE_FLYER_NV] = motion.acceleration_rad_s2
+        for index, joint in enumerate(self.vehicle.joints):
+            if joint.q_size == 2:
+                q_full[:, joint.q_index] = np.cos(q[:, index])
+                q_full[:, joint.q_index + 1] = np.sin(q[:, index])
+            else:
+                q_full[:, joint.q_index] = q[:, index]
+            v_full[:, joint.v_index] = dq[:, index]
+            a_full[:, joint.v_index] = ddq[:, index]
+        return q_full, v_full, a_full
+
+    def _fill_zero_force(self, columns: FloatArray, q: FloatArray, held: NDArray[np.bool_]) -> None:
+        """Minus the rows' response, at the URDF's parameters, to a unit specific force along each base axis."""
+        cuts = [cut for cut in self._cuts if not cut.coasting]
+        still, payload = np.zeros(self.vehicle.model.nv), self.vehicle.payload_columns()
+        for axis in range(3):
+            unit = still.copy()
+            unit[axis] = 1.0
+            for tick in range(q.shape[0]):
+                response = np.zeros((len(self.rows), len(self.names)))
+                self._fill(cuts, response, q[tick], still, unit)
+                if not held[tick]:
+                    response[:, payload] = 0.0
+                columns[tick, :, axis] = -(response @ self.chi)
+
+    def _fill(self, cuts: list[_Cut], Y: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
+        model, data = self.vehicle.model, self._data
+        pin.forwardKinematics(model, data, q, v, a)
+        pin.updateFramePlacements(model, data)
+        bodies: dict[int, FloatArray] = {}
+        for frame, projections, rows, beyond, _ in cuts:
+            o_M_cut = data.oMf[frame]
+            for link in beyond:
+                at = self._links[link]
+                body = bodies.get(link)
+                if body is None:
+                    V = pin.getFrameVelocity(model, data, at, pin.LOCAL)
+                    A = pin.getFrameAcceleration(model, data, at, pin.LOCAL)
+                    body = bodies[link] = pin.bodyRegressor(V, A)  # (6, 10) wrench at the link frame
+                X = o_M_cut.actInv(data.oMf[at]).toDualActionMatrix()  # (6, 6) link frame to cut
+                Y[rows, 10 * link : 10 * link + 10] = projections @ X @ body

@@ -1,0 +1,261 @@
+"""Intervals that cover: Monte Carlo on correlated rows, noisy regressors and common causes; laws of the block store."""
+
+import numpy as np
+import pytest
+
+from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.errors import RowError, SingularError
+from onboard.estimation.rls import SquareRootRls
+from onboard.estimation.smoothing import smooth
+
+WIDTH_S, PERIOD_S = 0.1, 0.01
+
+
+def estimate(times, Y, y, sigma, prior, considered=None, noise=None, block_s=5 * WIDTH_S, capacity=64):
+    C, considered_sigma = considered if considered else (None, ())
+    rls = SquareRootRls(Y.shape[1], 0 if C is None else C.shape[1])
+    rls.prior(*prior)
+    rls.update(Y, y, sigma, C)
+    blocks = BlockScores(Y.shape[1], block_s, capacity)
+    blocks.add(times, Y, y, sigma, noise)
+    return HonestEstimate(rls, blocks, considered_sigma)
+
+
+def motion(times):
+    return np.column_stack([np.sin(2 * np.pi * 0.4 * times), np.cos(2 * np.pi * 0.7 * times), np.ones(times.size)])
+
+
+PRIOR = (np.zeros(3), np.full(3, 100.0))
+TRUTH = np.array([2.0, -1.0, 0.5])
+
+
+def coverage(draw, runs=300):
+    """Share of runs whose 95 % interval holds the truth, by parameter; and of the formal covariance's interval."""
+    honest, formal = np.zeros(3), np.zeros(3)
+    for _ in range(runs):
+        found, truth = draw()
+        interval = found.combination(np.eye(3))
+        honest += (interval.low <= truth) & (truth <= interval.high)
+        formal += np.abs(found.mean - truth) <= 1.96 * np.sqrt(found.formal_variance(np.eye(3)))
+    return honest / runs, formal / runs
+
+
+def test_filtered_noise_is_covered_where_the_formal_interval_is_not(rng):
+    """Rows through the smoothing kernel, weighted as if they were independent: formal 95 % holds half the time."""
+    t = np.arange(0, 12, 0.005)
+    at = np.arange(0.2, 11.8, PERIOD_S)
+    Y = motion(at)
+
+    def draw():
+        noise = smooth(t, 0.3 * rng.normal(size=t.size), at, WIDTH_S)
+        sigma = 0.3 * noise.noise_gain
+        return estimate(at, Y, Y @ TRUTH + noise.values[:, 0], sigma, PRIOR), TRUTH
+
+    honest, formal = coverage(draw)
+    assert (formal < 0.9).all()
+    assert ((honest >= 0.92) & (honest <= 0.99)).all(), honest
+
+
+def test_slow_errors_that_no_sigma_told_of_are_covered(rng):
+    at = np.arange(0, 30, PERIOD_S)
+    Y = motion(at)
+
+    def draw():
+        slow = np.convolve(rng.normal(size=at.size + 40), np.ones(40) / 40, mode="valid")[: at.size]
+        y = Y @ TRUTH + slow + 0.01 * rng.normal(size=at.size)
+        return estimate(at, Y, y, np.full(at.size, 0.01), PRIOR), TRUTH
+
+    honest, formal = coverage(draw, 200)
+    assert (formal < 0.6).all()
+    assert ((honest >= 0.90) & (honest <= 0.99)).all(), honest
+
+
+def test_a_common_scale_error_is_covered_and_not_averaged_out(rng):
+    at = np.arange(0, 20, PERIOD_S)
+    Y = motion(at)
+
+    def draw():
+        y = (1 + 0.02 * rng.normal()) * (Y @ TRUTH) + 0.05 * rng.normal(size=at.size)
+        return estimate(at, Y, y, np.full(at.size, 0.05), PRIOR, considered=(y[:, None], [0.02])), TRUTH
+
+    honest, _ = coverage(draw, 200)
+    assert ((honest >= 0.91) & (honest <= 0.995)).all(), honest
+    found, _ = draw()
+    assert found.combination(np.eye(3)).sigma[0] == pytest.approx(0.02 * 2.0, rel=0.2)
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.02 * 2.0, rel=0.2)
+
+
+def test_regressor_noise_bias_is_taken_out_and_covered(rng):
+    """A noisy first column: plain least squares loses a fifth of it, the corrected estimate none."""
+    at = np.arange(0, 40, PERIOD_S)
+    exact = motion(at)
+    spread = np.array([0.35, 0.0, 0.0])
+    noise = np.zeros((at.size, 1, 3))
+    noise[:, 0] = spread
+    plain, corrected = [], []
+
+    def draw():
+        Y = exact + spread * rng.normal(size=(at.size, 1))
+        y = exact @ TRUTH + 0.05 * rng.normal(size=at.size)
+        found = estimate(at, Y, y, np.full(at.size, 0.7), PRIOR, noise=noise)
+        plain.append(np.linalg.lstsq(Y, y, rcond=None)[0][0])
+        corrected.append(found.mean[0])
+        return found, TRUTH
+
+    honest, _ = coverage(draw, 200)
+    assert np.mean(plain) == pytest.approx(2.0 / (1 + 0.35**2 / 0.5), rel=0.01)
+    assert np.mean(corrected) == pytest.approx(2.0, abs=0.01)
+    assert ((honest >= 0.91) & (honest <= 1.0)).all(), honest
+
+
+def test_not_knowing_the_noise_well_widens_what_it_biases(rng):
+    """Power of the regressor's noise stated 20 % too low: the correction falls short, the interval knows."""
+    at = np.arange(0, 40, PERIOD_S)
+    exact = motion(at)
+    spread = np.array([0.35, 0.0, 0.0])
+    noise = np.zeros((at.size, 1, 3))
+    noise[:, 0] = np.sqrt(0.8) * spread
+
+    def draw():
+        Y = exact + spread * rng.normal(size=(at.size, 1))
+        y = exact @ TRUTH + 0.05 * rng.normal(size=at.size)
+        return estimate(at, Y, y, np.full(at.size, 0.7), PRIOR, noise=noise), TRUTH
+
+    honest, _ = coverage(draw, 100)
+    assert (honest > 0.95).all(), honest
+
+
+def test_a_column_that_is_only_noise_is_not_relied_on(rng):
+    at = np.arange(0, 20, PERIOD_S)
+    Y = motion(at)
+    Y[:, 0] = 0.3 * rng.normal(size=at.size)
+    noise = np.zeros((at.size, 1, 3))
+    noise[:, 0, 0] = 0.3
+    prior = (np.array([0.7, 0.0, 0.0]), np.full(3, 5.0))
+    found = estimate(at, Y, Y[:, 1:] @ TRUTH[1:], np.full(at.size, 0.1), prior, noise=noise)
+    interval = found.combination(np.eye(3))
+    assert interval.mean[0] == pytest.approx(0.7, rel=0.01)  # the prior's
+    assert interval.sigma[0] == pytest.approx(5.0, rel=0.01)
+    np.testing.assert_allclose(interval.mean[1:], TRUTH[1:], atol=0.02)
+    assert (interval.sigma[1:] < 0.05).all()
+
+
+def test_white_noise_needs_no_correction_and_gets_almost_none(rng):
+    at = np.arange(0, 60, PERIOD_S)
+    Y = motion(at)
+    sigmas = []
+    for _ in range(50):
+        y = Y @ TRUTH + 0.1 * rng.normal(size=at.size)
+        found = estimate(at, Y, y, np.full(at.size, 0.1), PRIOR)
+        sigmas.append(found.combination(np.eye(3)).sigma / np.sqrt(found.formal_variance(np.eye(3))))
+    assert np.mean(sigmas) == pytest.approx(1.08, abs=0.08)  # never below the floor, hence a little above one
+
+
+def test_prior_only_gives_the_prior_back():
+    rls = SquareRootRls(3)
+    rls.prior(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
+    found = HonestEstimate(rls, BlockScores(3, 1.0))
+    interval = found.combination(np.eye(3))
+    np.testing.assert_allclose(interval.mean, [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(interval.sigma, [0.1, 0.2, 0.3], rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, np.diag([0.01, 0.04, 0.09]), rtol=1e-9, atol=1e-15)
+    assert (interval.degrees_of_freedom == 1.0).all()
+
+
+def test_covariance_agrees_with_combination_and_is_positive_definite(rng):
+    at = np.arange(0, 20, PERIOD_S)
+    Y = motion(at)
+    y = Y @ TRUTH + np.convolve(rng.normal(size=at.size + 20), np.ones(20), mode="valid")[: at.size]
+    found = estimate(at, Y, y, np.ones(at.size), PRIOR)
+    assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.combination(np.eye(3)).sigma, rtol=1e-6)
+    wide = HonestEstimate.combination(found, [1.0, 1.0, 0.0])
+    assert wide.mean[0] == pytest.approx(found.mean[0] + found.mean[1])
+
+
+def test_information_in_one_block_gives_few_degrees_of_freedom(rng):
+    at = np.arange(0, 20, PERIOD_S)
+    Y = motion(at)
+    Y[:, 0] = np.where(at < 0.4, 1.0, 0.0)
+    found = estimate(at, Y, Y @ TRUTH + 0.1 * rng.normal(size=at.size), np.full(at.size, 0.1), PRIOR)
+    freedom = found.combination(np.eye(3)).degrees_of_freedom
+    assert freedom[0] == 1.0
+    assert freedom[1] > 10.0
+
+
+def test_blocks_add_up_whatever_the_batches_and_however_often_they_merge(rng):
+    at = np.arange(0, 50, PERIOD_S)
+    Y, y, sigma = rng.normal(size=(at.size, 3)), rng.normal(size=at.size), rng.uniform(0.5, 2, at.size)
+    whole, pieces = BlockScores(3, 0.5, 8), BlockScores(3, 0.5, 8)
+    whole.add(at, Y, y, sigma)
+    for first in range(0, at.size, 7):
+        part = slice(first, first + 7)
+        pieces.add(at[part], Y[part], y[part], sigma[part])
+    assert whole.block_s == pieces.block_s == 8.0
+    assert whole.count == pieces.count == 7
+    W = Y / sigma[:, None]
+    np.testing.assert_allclose(whole.normal.sum(axis=0), W.T @ W, rtol=1e-10)
+    np.testing.assert_allclose(whole.moment.sum(axis=0), W.T @ (y / sigma), rtol=1e-10)
+    np.testing.assert_allclose(pieces.normal, whole.normal, rtol=1e-10, atol=1e-12)
+    for block in range(7):
+        rows = W[(at >= 8.0 * block) & (at < 8.0 * (block + 1))]
+        np.testing.assert_allclose(whole.normal[block], rows.T @ rows, rtol=1e-10)
+
+
+def test_blocks_far_apart_merge_until_they_fit():
+    store = BlockScores(1, 1.0, 4)
+    for time in (0.0, 10.0, 100.0, 1000.0, 10000.0):
+        store.add(np.array([time]), np.ones((1, 1)), np.ones(1), np.ones(1))
+    assert store.count <= 4
+    assert store.normal.sum() == 5.0
+
+
+def test_noise_is_taken_out_of_the_blocks():
+    store = BlockScores(2, 1.0)
+    noise = np.zeros((3, 2, 2))
+    noise[:, 0, 0], noise[:, 1, 1] = 0.1, 0.2
+    store.add(np.array([0.0, 0.5, 1.5]), np.ones((3, 2)), np.ones(3), np.full(3, 0.5), noise)
+    np.testing.assert_allclose(store.noise, np.diag([3 * 0.04, 3 * 0.16]))
+    np.testing.assert_allclose(store.normal.sum(axis=0), np.full((2, 2), 12.0) - store.noise)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        (np.zeros(2), np.ones((3, 2)), np.ones(3), np.ones(3)),
+        (np.zeros(3), np.ones((3, 1)), np.ones(3), np.ones(3)),
+        (np.zeros(3), np.full((3, 2), np.nan), np.ones(3), np.ones(3)),
+        (np.full(3, np.inf), np.ones((3, 2)), np.ones(3), np.ones(3)),
+        (np.zeros(3), np.ones((3, 2)), np.ones(3), np.ones(3), np.ones((3, 2, 1))),
+    ],
+)
+def test_bad_rows_are_refused(rows):
+    store = BlockScores(2, 1.0)
+    with pytest.raises(RowError):
+        store.add(*rows)
+    assert store.count == 0
+
+
+def test_no_rows_are_no_block():
+    store = BlockScores(2, 1.0)
+    store.add(np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    assert store.count == 0
+
+
+@pytest.mark.parametrize("arguments", [(2, 0.0), (2, np.inf), (2, 1.0, 3)])
+def test_impossible_stores_are_refused(arguments):
+    with pytest.raises(RowError):
+        BlockScores(*arguments)
+
+
+def test_impossible_questions_are_refused():
+    rls = SquareRootRls(2)
+    with pytest.raises(SingularError):
+        HonestEstimate(rls, BlockScores(2, 1.0))
+    rls.prior(np.zeros(2), np.ones(2))
+    with pytest.raises(RowError, match="considered"):
+        HonestEstimate(rls, BlockScores(2, 1.0), [0.1])
+    with pytest.raises(RowError, match="level"):
+        HonestEstimate(rls, BlockScores(2, 1.0), level=1.0)
+    with pytest.raises(RowError, match="weights"):
+        HonestEstimate(rls, BlockScores(2, 1.0)).combination(np.eye(3))

@@ -1,0 +1,121 @@
+"""Gates: every refusal has its name, and a wrong estimate cannot lock itself in."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from onboard.estimation.errors import RowError
+from onboard.estimation.gates import (
+    GateReason,
+    ResidualGate,
+    magnitude_gate,
+    phase_gate,
+    range_gate,
+    reasons,
+    window_contains,
+)
+from onboard.estimation.rls import SquareRootRls
+
+
+def test_reasons_have_their_own_bits_and_combine():
+    assert len({int(r) for r in GateReason}) == len(list(GateReason))
+    both = reasons([True, False], GateReason.GAP) | reasons([True, True], GateReason.DRAG)
+    assert GateReason(int(both[0])) == GateReason.GAP | GateReason.DRAG
+    assert GateReason(int(both[1])) == GateReason.DRAG
+
+
+@given(
+    bad=st.lists(st.booleans(), min_size=1, max_size=60),
+    at=st.lists(st.floats(-1, 8), min_size=1, max_size=20),
+    width=st.floats(0.01, 3),
+)
+@settings(max_examples=100)
+def test_window_contains_against_plain_search(bad, at, width):
+    times = np.arange(len(bad)) * 0.1
+    found = window_contains(times, bad, at, width)
+    for tick, verdict in zip(at, found, strict=True):
+        inside = (times >= tick - 0.5 * width) & (times <= tick + 0.5 * width)
+        assert verdict == (np.array(bad) & inside).any()
+
+
+def test_window_contains_wants_a_flag_a_sample():
+    with pytest.raises(RowError):
+        window_contains([0.0, 1.0], [True], [0.5], 1.0)
+
+
+def test_range_gate():
+    values = np.array([[0.0, 0.0], [1.1, 0.0], [0.0, -2.1], [np.nan, 0.0], [1.0, -2.0]])
+    found = range_gate(values, [-1.0, -2.0], [1.0, 2.0], GateReason.CONTACT)
+    assert found.tolist() == [0, 4, 4, 4, 0]
+    assert range_gate(np.array([0.5, 2.0]), -1.0, 1.0, GateReason.CONTACT).tolist() == [0, 4]
+    with pytest.raises(RowError, match="empty"):
+        range_gate(values, 1.0, -1.0, GateReason.CONTACT)
+
+
+def test_magnitude_gate():
+    vectors = np.array([[3.0, 4.0, 0.0], [3.0, 4.0, 0.1], [np.nan, 0.0, 0.0]])
+    assert magnitude_gate(vectors, 5.0, GateReason.DRAG).tolist() == [0, 8, 8]
+
+
+def test_phase_gate():
+    at = np.array([0.5, 1.05, 1.35, 2.94, 2.99, 3.5, 9.0])
+    found = phase_gate(at, [1.0, 3.0], [3, 5], identify=[3, 4], settle_s=0.25, half_width_s=0.05)
+    #     before any, settling, ok, ok, kernel over the change, other phase, other phase
+    assert found.tolist() == [16, 16, 0, 0, 16, 16, 16]
+    assert phase_gate(at, [], [], [3], 0.1).tolist() == [16] * 7
+    with pytest.raises(RowError):
+        phase_gate(at, [1.0, 0.5], [3, 4], [3], 0.1)
+    with pytest.raises(RowError):
+        phase_gate(at, [1.0], [3, 4], [3], 0.1)
+
+
+def test_residual_gate_refuses_outliers_among_good_rows(rng):
+    gate = ResidualGate(6.0)
+    innovation = rng.normal(size=1000)
+    outliers = np.arange(100, 1000, 97)
+    innovation[outliers] = 1000.0
+    refused = [k for k in range(1000) if gate.check(innovation[k : k + 1], np.ones(1))[0]]
+    assert refused == outliers.tolist()
+    assert gate.spread == pytest.approx(1.0, abs=0.25)
+
+
+def test_residual_gate_needs_a_spread_first():
+    gate = ResidualGate(6.0, minimum=10)
+    assert gate.spread == 1.0
+    for _ in range(9):
+        assert gate.check(np.array([100.0]), np.ones(1))[0] == 0
+
+
+def test_a_wrong_early_estimate_is_put_right(rng):
+    """The first rows are wrong and make the estimate wrong and sure; without re-admission it stays so."""
+    rls, gate = SquareRootRls(1), ResidualGate(6.0, memory=100)
+    rls.prior(np.zeros(1), np.full(1, 10.0))
+    one = np.ones((1, 1))
+
+    def step(y):
+        innovation, sigma = rls.innovation(one, y, np.full(1, 0.1))
+        verdict = gate.check(innovation, sigma)
+        if not verdict[0]:
+            rls.update(one, y, np.full(1, 0.1))
+        return verdict[0]
+
+    for _ in range(40):
+        step(np.array([7.0]))
+    assert rls.solve().mean[0] == pytest.approx(7.0, abs=0.01)
+    verdicts = [step(3.0 + 0.1 * rng.normal(size=1)) for _ in range(2000)]
+    assert 5 < np.count_nonzero(verdicts) < 200  # refused at first, then let in again
+    assert rls.solve().mean[0] == pytest.approx(3.0, abs=0.15)
+
+
+def test_the_gate_refuses_what_is_no_number():
+    gate = ResidualGate(6.0)
+    for innovation, sigma in (([np.nan], [1.0]), ([1.0], [0.0]), ([1.0], [1.0, 1.0])):
+        with pytest.raises(RowError):
+            gate.check(np.array(innovation), np.array(sigma))
+
+
+@pytest.mark.parametrize("arguments", [(0.0,), (6.0, 10, 20), (6.0, 10, 0)])
+def test_impossible_gates_are_refused(arguments):
+    with pytest.raises(RowError):
+        ResidualGate(*arguments)
