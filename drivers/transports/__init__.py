@@ -39,8 +39,9 @@ def open_can(url: str, clock: Clock) -> CanPort:
     Args:
         url: ``can+socketcan://can0?bitrate=500000`` (the bit rate is what ``ip link`` was told; it is not set here;
             ``receive_buffer=4194304`` bytes are asked of the kernel), ``can+virtual://NAME?timestamps=monotonic``
-            (python-can's in-process bus; without ``timestamps`` its stamps are the wall clock's) or
-            ``can+slcan:///dev/ttyACM0?bitrate=500000`` (ASCII adapter on a tty; ``baud=115200``).
+            (python-can's in-process bus; without ``timestamps`` its stamps are the wall clock's),
+            ``can+slcan:///dev/ttyACM0?bitrate=500000`` (ASCII adapter on a tty; ``baud=115200``), or
+            ``can+python:///pcan/PCAN_USBBUS1?bitrate=500000`` (any interface and channel that python-can knows).
         clock: CLOCK_MONOTONIC, ns.
 
     Raises:
@@ -53,6 +54,7 @@ def open_can(url: str, clock: Clock) -> CanPort:
             "can+socketcan": ("host", "bitrate", "receive_buffer"),
             "can+virtual": ("host", "timestamps"),
             "can+slcan": ("path", "bitrate", "baud"),
+            "can+python": ("path", "bitrate"),
         },
     )
     if bus.kind == "can+socketcan":
@@ -60,10 +62,10 @@ def open_can(url: str, clock: Clock) -> CanPort:
 
         bus.integer("bitrate", 0)
         return SocketcanPort.open(bus.host, clock, bus.integer("receive_buffer", 4 << 20))
-    if bus.kind == "can+virtual":
-        from drivers.transports.can_virtual import VirtualCanPort  # noqa: PLC0415 - python-can takes 0.1 s
+    if bus.kind in {"can+virtual", "can+python"}:
+        from drivers.transports.can_library import LibraryCanPort  # noqa: PLC0415 - python-can takes 0.1 s
 
-        return VirtualCanPort.open(bus, clock)
+        return LibraryCanPort.open(bus, clock)
     from drivers.transports.can_slcan import SlcanPort  # noqa: PLC0415
 
     return SlcanPort.open(bus, clock)

@@ -14,7 +14,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from drivers.errors import FrameError
+from drivers.errors import FrameError, UrlError
 from drivers.transports import open_can
 from drivers.transports.can_slcan import SlcanDecoder, decode_line, encode_line
 from drivers.transports.can_socket import SO_RXQ_OVFL, SO_TIMESTAMPNS, SocketcanPort
@@ -231,6 +231,39 @@ def test_virtual_frames_with_wall_clock_stamps_are_moved_to_ours(stranger):
     (frame,) = port.receive(0.0)
     port.close()
     assert abs(frame.host_ns - time.monotonic_ns()) < 1_000_000_000
+
+
+def test_a_muted_bus_gives_what_had_arrived_and_no_more(stranger, clock):
+    bus = stranger("muted")
+    port = open_can("can+virtual://muted?timestamps=monotonic", clock)
+    now_s = clock() * 1e-9
+    bus.send(can.Message(timestamp=now_s - 1e-3, arbitration_id=0x80, data=[1], is_extended_id=False))
+    port.mute()
+    bus.send(can.Message(timestamp=now_s + 1e-3, arbitration_id=0x80, data=[2], is_extended_id=False))
+    assert [frame.data for frame in port.receive(0.0)] == [b"\x01"]
+    assert port.receive(0.0) == []
+    port.close()
+
+
+def test_any_interface_of_python_can_is_reached_by_url(stranger):
+    bus = stranger("anywhere")
+    port = open_can("can+python:///virtual/anywhere?bitrate=500000", time.monotonic_ns)
+    bus.send(can.Message(timestamp=time.time(), arbitration_id=0x123, data=[7], is_extended_id=False))
+    (frame,) = port.receive(1.0)
+    assert (frame.identifier, frame.data) == (0x123, b"\x07")
+    assert abs(frame.host_ns - time.monotonic_ns()) < 1_000_000_000
+    port.close()
+
+
+@pytest.mark.parametrize("url", ["can+python:///virtual?bitrate=500000", "can+python:///virtual/x"])
+def test_an_interface_url_that_lacks_something_says_what(url):
+    with pytest.raises(UrlError, match=r"can\+python:///pcan/PCAN_USBBUS1|lacks bitrate"):
+        open_can(url, time.monotonic_ns)
+
+
+def test_an_interface_that_is_not_there_is_an_os_error():
+    with pytest.raises(OSError, match="python-can cannot open nosuch"):
+        open_can("can+python:///nosuch/x?bitrate=500000", time.monotonic_ns)
 
 
 def test_a_closed_virtual_bus_is_an_os_error(clock):

@@ -1,4 +1,9 @@
-"""CAN in one process, by python-can's ``virtual`` bus: where a simulator stands when time is simulated too."""
+"""CAN through python-can: every adapter it has an interface for, and its in-process ``virtual`` bus.
+
+SocketCAN and ASCII adapters have ports of their own (``can_socket``, ``can_slcan``), which can count what was dropped
+and read faster; this one is for what they do not reach (PCAN, Kvaser, IXXAT, gs_usb ...), and for a simulator that
+stands in the same process where time is simulated too.
+"""
 
 import errno
 from collections.abc import Callable
@@ -12,31 +17,35 @@ from drivers.transports.clock import realtime_minus_monotonic
 from drivers.transports.url import BusUrl
 
 
-class VirtualCanPort:
+class LibraryCanPort:
     """A ``CanPort`` on a python-can bus that stamps its messages.
 
     Attributes:
         foreign_frames: Remote and extended frames passed over.
     """
 
-    def __init__(self, bus: can.BusABC, clock: Callable[[], int], monotonic_stamps: bool) -> None:
+    def __init__(self, bus: can.BusABC, clock: Callable[[], int], *, monotonic_stamps: bool) -> None:
         self._bus = bus
         self._clock = clock
         self._monotonic_stamps = monotonic_stamps
         self.foreign_frames = 0
+        self._muted_ns: int | None = None
 
     @classmethod
     def open(cls, url: BusUrl, clock: Callable[[], int]) -> Self:
-        """Join the channel named in ``url``.
+        """Open the interface named in ``url``, or join the virtual channel.
 
         Raises:
-            UrlError: ``timestamps`` is neither ``monotonic`` nor ``realtime``.
+            UrlError: ``timestamps`` is neither ``monotonic`` nor ``realtime``; no channel is named.
+            OSError: the interface cannot be opened.
         """
+        if url.kind == "can+python":
+            return cls(_interface(url), clock, monotonic_stamps=False)
         stamps = url.options.get("timestamps", "realtime")
         if stamps not in {"monotonic", "realtime"}:
             raise UrlError(f"bus URL {url.text!r}: timestamps={stamps} is unknown: use monotonic or realtime")
         bus = can.Bus(interface="virtual", channel=url.host, preserve_timestamps=True, ignore_config=True)
-        return cls(bus, clock, stamps == "monotonic")
+        return cls(bus, clock, monotonic_stamps=stamps == "monotonic")
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame, stamped with our clock. Raises OSError."""
@@ -66,12 +75,26 @@ class VirtualCanPort:
                 self.foreign_frames += 1
                 continue
             host_ns = round(message.timestamp * 1e9) - offset
-            frames.append(CanFrame(host_ns, message.arbitration_id, bytes(message.data), message.is_error_frame))
+            if self._muted_ns is None or host_ns <= self._muted_ns:
+                frames.append(CanFrame(host_ns, message.arbitration_id, bytes(message.data), message.is_error_frame))
         return frames
 
     def mute(self) -> None:
-        """Nothing to do: nothing arrives unless the one process here makes it."""
+        """Pass over what is stamped later than now."""
+        self._muted_ns = self._clock()
 
     def close(self) -> None:
         """Leave the channel."""
         self._bus.shutdown()
+
+
+def _interface(url: BusUrl) -> can.BusABC:
+    """The python-can bus of a ``can+python`` URL."""
+    name, _, channel = url.path.strip("/").partition("/")
+    if not name or not channel:
+        raise UrlError(f"bus URL {url.text!r} needs an interface and a channel: can+python:///pcan/PCAN_USBBUS1")
+    bitrate = url.integer("bitrate")
+    try:
+        return can.Bus(interface=name, channel=channel, bitrate=bitrate, ignore_config=True)
+    except (can.CanError, ValueError, ImportError, NotImplementedError) as error:
+        raise OSError(errno.ENODEV, f"python-can cannot open {name} {channel}: {error}") from error
