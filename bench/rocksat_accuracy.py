@@ -5,6 +5,7 @@ time; all that is random is drawn anew, at the full noise of the scenario.
 """
 
 import argparse
+import json
 import os
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -39,10 +40,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--json", type=Path, help="write every mission's result")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ProcessPoolExecutor(arguments.jobs) as pool:
         flown = list(pool.map(fly, seeds))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(flown), encoding="utf-8")
     print(f"{len(flown)} seeds; bars: p95 of |error|, and {COVERAGE[0]:.0f}-{COVERAGE[1]:.0f} % of truths inside 95 %")
     print(f"{'':24}{'p95':>8}{'bar':>8}{'rms':>8}{'mean':>8}{'worst':>8}{'sigma':>8}{'covered':>9}")
     for index, mass in enumerate(flown[0]["masses"]):
@@ -57,10 +61,10 @@ def main() -> None:
             f"{covered:8.0f}%" + (f"  ({len(rows) - len(answered)} not answered)" if len(answered) < len(rows) else "")
         )
     for index, inertia in enumerate(flown[0]["inertias"]):
-        error = np.array([row["our_error_percent"] for one in flown if (row := one["inertias"][index])["supported"]])
-        print(
-            f"{inertia['label']:24}{np.percentile(abs(error), 95):7.2f}%{'':8}{np.std(error):7.2f}%{np.mean(error):+7.2f}%"
-        )
+        rows = [one["inertias"][index] for one in flown]
+        error = np.array([row["our_error_percent"] for row in rows if row["supported"]])
+        spread = f"{np.sqrt(np.mean(error**2)):7.2f}%{np.mean(error):+7.2f}%"
+        print(f"{inertia['label']:24}{np.percentile(abs(error), 95):7.2f}%{'':8}{spread}")
     print(f"every sample accounted for: {sum(one['accounted'] for one in flown)} of {len(flown)}")
 
 

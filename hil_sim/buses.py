@@ -260,9 +260,11 @@ class EdgeDatagrams:
         """Send one edge."""
         try:
             self._socket.sendto(_EDGE.pack(edge_ns, line_sequence), self._path)
-        except (BlockingIOError, ConnectionError, FileNotFoundError):
+        except (ConnectionError, FileNotFoundError):
             self.lost += 1
             return False
+        except BlockingIOError:  # somebody is there, and does not keep up
+            self.lost += 1
         return True
 
     def close(self) -> None:

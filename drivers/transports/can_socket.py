@@ -81,6 +81,10 @@ class SocketcanPort:
                 frame, ancillary, _, _ = self._socket.recvmsg(_FRAME.size, _ANCILLARY_BYTES)
             except BlockingIOError:
                 break
+            except OSError:
+                if not stamped:
+                    raise
+                break  # what has been read is handed over first; the error comes again
             identifier, size, data = _FRAME.unpack(frame)
             if identifier & (_EXTENDED | _REMOTE) and not identifier & _ERROR:
                 self.foreign_frames += 1

@@ -1,0 +1,30 @@
+"""Registers of a US Digital QSB and what they take ("QSB Command List" v1.28, 2021-05-05)."""
+
+from typing import Final
+
+MODE, DIGIO, DIGIO_CFG, MDR0, MDR1, CAPTURE, STR, OTR = range(8)
+DTR, CLEAR, LOAD, THRESHOLD, INTERVAL, TIMESTAMP, ENCODER = range(8, 15)
+VERSION, EOR, COMMAND = 0x14, 0x15, 0x16
+READ_ONLY: Final = (CAPTURE, STR, OTR, ENCODER, VERSION)
+LARGEST: Final = {  # the largest data that each of the others takes
+    MODE: 0x1,
+    DIGIO: 0xF,
+    DIGIO_CFG: 0xFFFF,
+    MDR0: 0xFF,
+    MDR1: 0x1FF,
+    DTR: 0xFFFF_FFFF,
+    CLEAR: 3,
+    LOAD: 1,
+    THRESHOLD: 0xFFFF,
+    INTERVAL: 0xFFFF,
+    TIMESTAMP: 1,
+    EOR: 0xF,
+    COMMAND: 0x70A,
+}
+FACTORY: Final = {MODE: 0, DIGIO_CFG: 0, THRESHOLD: 0, INTERVAL: 0xFFFF, EOR: 0xB}
+SAVED: Final = (*FACTORY, MDR0, MDR1, DTR)
+NEVER_AGAIN: Final = 0xFFFF  # INTERVAL
+STOP_STREAMS, SAVE, SET_BAUD_RATE = 0x001, 0x003, 0x00A  # COMMAND
+LINE_FEED, CARRIAGE_RETURN, STAMP, SPACES = 1, 2, 4, 8  # EOR
+
+BAUD_RATES: Final = (9600, 19200, 38400, 56000, 115_200, 128_000, 230_400, 256_000)

@@ -1,0 +1,93 @@
+"""The simulated CAN bus on a network interface of the kernel (``vcan0``).
+
+On a virtual interface a frame that one socket sends reaches every other socket, so this end plays all nodes at once,
+and stamps are the kernel's own: they are later than the simulated wire by what the serving loop is late. Frames that
+follow each other closely go out together, or a loop that is held up between a SYNC and its answer would stamp the
+answer as late as no real node is.
+"""
+
+import os
+import socket
+import struct
+from collections.abc import Sequence
+from typing import Final
+
+from hil_sim.devices.can_wire import WireFrame
+from hil_sim.faults import NEVER
+
+_FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data
+_FLAGS: Final = 0xE000_0000  # extended, remote, error
+_QUEUE_BYTES: Final = 1 << 20
+_LIST_BYTES: Final = 1 << 14
+
+
+class SocketCan:
+    """A ``CanLink`` on a raw CAN socket. What it is given leaves with ``flush``.
+
+    Args:
+        interface: Its name; it must be up.
+
+    Attributes:
+        lost: Frames that the interface did not take: it was down, or its queue full.
+
+    Raises:
+        OSError: No such interface, or a kernel without CAN.
+    """
+
+    def __init__(self, interface: str) -> None:
+        self.lost = 0
+        self._burst: list[WireFrame] = []
+        self._interface = interface.encode()
+        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _QUEUE_BYTES)
+            self._socket.bind((interface,))
+            self._receivers = os.open("/proc/net/can/rcvlist_all", os.O_RDONLY)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def fileno(self) -> int:
+        """Of the socket, to wait on."""
+        return self._socket.fileno()
+
+    def take(self) -> list[tuple[int, bytes]]:
+        """Data frames with 11-bit identifiers sent by others since the last call."""
+        frames: list[tuple[int, bytes]] = []
+        while True:
+            try:
+                raw = self._socket.recv(_FRAME.size)
+            except OSError:  # nothing there, or the interface went down: the flight computer's frames are nowhere
+                return frames
+            identifier, length, data = _FRAME.unpack(raw)
+            if not identifier & _FLAGS:
+                frames.append((identifier, data[:length]))
+
+    @property
+    def listening(self) -> bool:
+        """Whether the kernel has a receiver of all frames of the interface besides ours."""
+        receivers = os.pread(self._receivers, _LIST_BYTES, 0).splitlines()
+        return sum(line.split()[:1] == [self._interface] for line in receivers) > 1
+
+    @property
+    def oldest_ns(self) -> int:
+        """When the first of the frames that wait for ``flush`` ended on the simulated wire."""
+        return self._burst[0].end_ns if self._burst else NEVER
+
+    def give(self, frames: Sequence[WireFrame]) -> None:
+        """Frames to send with the next ``flush``."""
+        self._burst += frames
+
+    def flush(self) -> None:
+        """Send what waits."""
+        burst, self._burst = self._burst, []
+        for _, identifier, data in burst:
+            try:
+                self._socket.send(_FRAME.pack(identifier, len(data), data))
+            except OSError:
+                self.lost += 1
+
+    def close(self) -> None:
+        """Leave the interface."""
+        self._socket.close()
+        os.close(self._receivers)

@@ -1,0 +1,162 @@
+"""The flight app as it is, flying RockSat-X in real time on this kernel's /dev/i2c-9 and vcan0.
+
+The pulse line comes as datagrams, for this kernel has no GPIO. Devices and flight app share one CPU with each other.
+"""
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import network
+import numpy as np
+import pytest
+from rich.console import Console
+
+from drivers import records
+from drivers.records import Rows
+from onboard import config
+from onboard.flight.hil import Flown
+from onboard.offline import table
+from onboard.recording.reader import LogReader
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+RESULTS = Path("/run/results")
+SEED = 1
+
+
+class Mission:
+    """The devices of a mission in a process of their own."""
+
+    def __init__(self, directory: Path) -> None:
+        self.process = subprocess.Popen(
+            [
+                *(sys.executable, "deploy/kernel/serve_mission.py", "rocksat", "--seed", str(SEED)),
+                *("--directory", str(directory)),
+            ],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(CHECKOUT)},
+        )
+        self.urls = self._line()
+
+    def end(self) -> dict[str, Any]:
+        """At the end of the mission: what was made, what was true, what the server lost."""
+        return self._line()
+
+    def _line(self) -> dict[str, Any]:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line, "the devices are gone; their message stands above"
+        return dict(json.loads(line))
+
+
+@pytest.fixture
+def mission(tmp_path: Path) -> Iterator[Mission]:
+    mission = Mission(tmp_path)
+    yield mission
+    mission.process.kill()
+    mission.process.communicate()
+
+
+@pytest.fixture
+def fly(mission: Mission, tmp_path: Path) -> Iterator[Callable[..., tuple["subprocess.Popen[str]", Path]]]:
+    """Starts ``heft fly`` on the mission's buses; the process and its log."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> tuple["subprocess.Popen[str]", Path]:
+        log = tmp_path / "flight.mcap"
+        urls = itertools.chain.from_iterable(("--url", f"{bus}={url}") for bus, url in mission.urls.items())
+        vehicle = str(config.packaged("rocksat"))
+        started.append(subprocess.Popen(["heft", "fly", vehicle, "--log", str(log), *urls, *arguments], text=True))
+        return started[-1], log
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def read(log: Path) -> dict[str, Rows]:
+    """All rows of a log by channel."""
+    reader = LogReader(log)
+    batches: dict[str, list[Rows]] = {}
+    for channel, rows in reader.batches():
+        batches.setdefault(channel, []).append(rows)
+    return {channel: np.concatenate(rows) for channel, rows in batches.items()}
+
+
+def rows_of_kind(log: dict[str, Rows], kind: np.dtype[np.void]) -> Rows:
+    return np.concatenate([rows for rows in log.values() if rows.dtype == kind] or [np.zeros(0, kind)])
+
+
+@pytest.mark.timeout(200)
+def test_the_mission_flies_and_the_table_comes_out(
+    mission: Mission,
+    fly: Callable[..., tuple["subprocess.Popen[str]", Path]],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    app, log = fly()
+    end = mission.end()
+    assert app.wait(60) == 0
+    result = table.result(Flown(log, end["produced"], end["truth"]))
+    (RESULTS / "flight.json").write_text(json.dumps({**result, "server": end["server"]}, indent=1), encoding="utf-8")
+    with capsys.disabled():
+        Console(width=100).print(table.render(result))
+
+    assert result["identified"]
+    for row in result["masses"] + result["inertias"]:
+        half_width = 0.5 * (row["high"] - row["low"])
+        assert abs(row["value"] - row["truth"]) < 3.0 * half_width, row  # six sigma: one flight, any noise
+    server, counted = end["server"], result["channels"]
+    assert server["can_frames_not_taken"] == 0
+    assert server["i2c_refused"] == 0
+    for channel in ("joint_1", "load_cell", "arm_phase"):
+        account = counted[channel]
+        assert account["recorded"] + account["missing"] == account["produced"] > 0, channel
+    assert counted["pulse"]["recorded"] == counted["pulse"]["produced"] > 300
+    assert counted["pulse"]["missing"] <= server["edges_without_receiver"]
+    flown = read(log)
+    gaps = rows_of_kind(flown, records.GAP)
+    imu = counted["imu_base"]
+    imu_gaps = int((gaps["channel"] == b"imu_base").sum())
+    late_host_ms = 20  # what a gap holds is told by host stamps, and those may be two polls late
+    assert abs(imu["recorded"] + imu["missing"] - imu["produced"]) <= imu_gaps * late_host_ms
+    assert imu["recorded"] > 55_000
+    sync = counted["can_sync"]
+    after_the_end = sync["produced"] - sync["recorded"] - sync["missing"]
+    assert 0 <= after_the_end <= 1  # one may come between the driver's last look and its muting of the socket
+    assert (np.diff(flown["can_sync"]["host_ns"]) > 0).all()
+
+
+@pytest.mark.timeout(120)
+def test_an_interface_that_goes_down_in_flight_is_named_and_flown_on(
+    mission: Mission, fly: Callable[..., tuple["subprocess.Popen[str]", Path]]
+) -> None:
+    app, path = fly("--duration", "8")
+    while mission.process.poll() is None and not Path(mission.urls["sync_line"].removeprefix("gpio+unix://")).exists():
+        time.sleep(0.05)
+    time.sleep(4.0)
+    network.set_up("vcan0", False)
+    time.sleep(0.5)
+    network.set_up("vcan0")
+    assert app.wait(60) == 0
+    log = read(path)
+    events = rows_of_kind(log, records.EVENT)
+    of_bus = events[events["source"] == b"can_0"]["code"].tolist()
+    assert of_bus.index(b"bus_error") < of_bus.index(b"bus_recovered")
+    assert any(b"down" in text for text in events[events["code"] == b"bus_error"]["text"])
+    gaps = rows_of_kind(log, records.GAP)
+    for channel in ("can_sync", "joint_1", "load_cell"):
+        rows, lost = log[channel], gaps[gaps["channel"] == channel.encode()]
+        missing = int((lost["last_missing"] - lost["first_missing"] + 1).sum())
+        assert missing > 50  # half a second of 200 Hz
+        assert len(rows) + missing == rows["sequence"][-1] + 1
+        assert (np.diff(rows["tick"].astype(np.int64)) == np.diff(rows["sequence"].astype(np.int64))).all()
+    imu_gaps = gaps[gaps["channel"] == b"imu_base"]
+    assert set(imu_gaps["cause"]) <= {b"fifo_overflow"}  # the other buses did not notice

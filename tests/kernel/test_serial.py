@@ -1,0 +1,111 @@
+"""Serial lines: a pty whose other end hangs up, and the kernel's own slcan driver on our simulated adapter."""
+
+import fcntl
+import os
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import network
+import pytest
+import serial
+
+from drivers.ports import CanFrame
+from drivers.transports import open_can, open_serial
+from hil_sim.devices.can_wire import WireFrame
+from hil_sim.slcan import SlcanAdapter
+
+TIOCSETD = 0x5423  # asm-generic/ioctls.h
+N_SLCAN = 17  # linux/tty.h
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(slave)
+
+
+def test_bytes_go_both_ways_untouched(pty: tuple[int, str]) -> None:
+    master, path = pty
+    port = open_serial(f"serial://{path}?baud=230400")
+    everything = bytes(range(256))
+    os.write(master, everything)
+    received = b""
+    deadline = time.monotonic() + 5.0
+    while len(received) < 256 and time.monotonic() < deadline:
+        received += port.read(512)
+    assert received == everything  # no CR, XON or 0x04 was taken for a command
+    assert port.write(everything) == 256
+    assert os.read(master, 512) == everything
+    port.close()
+    os.close(master)
+
+
+def test_an_unplugged_adapter_is_an_error_and_not_silence(pty: tuple[int, str]) -> None:
+    master, path = pty
+    port = open_serial(f"serial://{path}?baud=115200&timeout_s=1")
+    os.close(master)
+    with pytest.raises(serial.SerialException):
+        port.read(1)
+    port.close()
+
+
+def test_the_port_is_ours_alone(pty: tuple[int, str]) -> None:
+    master, path = pty
+    port = open_serial(f"serial://{path}?baud=115200")
+    with pytest.raises(OSError, match="lock"):
+        open_serial(f"serial://{path}?baud=115200")
+    port.close()
+    os.close(master)
+
+
+@pytest.fixture
+def slcan() -> Iterator[tuple[SlcanAdapter, str]]:
+    """Our adapter at 500 kbit/s, open, with the kernel's line discipline at its other end; the interface's name."""
+    adapter = SlcanAdapter(500_000)
+    tty = os.open(adapter.path, os.O_RDWR | os.O_NOCTTY)
+    os.write(tty, b"S6\rO\r")  # as slcand does
+    assert adapter.take() == []
+    assert adapter.is_open
+    assert os.read(tty, 16) == b"\r\r"
+    before = set(os.listdir("/sys/class/net"))
+    fcntl.ioctl(tty, TIOCSETD, struct.pack("=i", N_SLCAN))
+    (name,) = set(os.listdir("/sys/class/net")) - before
+    network.set_up(name)
+    yield adapter, name
+    network.set_up(name, False)
+    os.close(tty)
+    adapter.close()
+
+
+def test_the_kernels_slcan_driver_understands_our_adapter(slcan: tuple[SlcanAdapter, str]) -> None:
+    adapter, name = slcan
+    port = open_can(f"can+socketcan://{name}?bitrate=500000", time.monotonic_ns)
+    sent = [WireFrame(0, 0x080, b"\x17"), WireFrame(0, 0x7FF, bytes(range(8))), WireFrame(0, 0x181, b"")]
+    adapter.give(sent)
+    frames: list[CanFrame] = []
+    deadline = time.monotonic() + 5.0
+    while len(frames) < len(sent) and time.monotonic() < deadline:
+        frames += port.receive(0.1)
+    port.close()
+    assert [(frame.identifier, frame.data) for frame in frames] == [(frame.identifier, frame.data) for frame in sent]
+
+
+def test_our_adapter_understands_the_kernels_slcan_driver(slcan: tuple[SlcanAdapter, str]) -> None:
+    adapter, name = slcan
+    port = open_can(f"can+socketcan://{name}?bitrate=500000", time.monotonic_ns)
+    sent = [(0x000, b"\x01\x00"), (0x601, bytes.fromhex("4000100000000000")), (0x7FF, b"")]
+    taken: list[tuple[int, bytes]] = []
+    for identifier, data in sent:
+        port.send(identifier, data)
+    deadline = time.monotonic() + 5.0
+    while len(taken) < len(sent) and time.monotonic() < deadline:
+        taken += adapter.take()
+        time.sleep(0.01)
+    port.close()
+    assert taken == sent
+    statistics = Path("/sys/class/net", name, "statistics")
+    assert (statistics / "tx_packets").read_text(encoding="ascii") == "3\n"
+    assert (statistics / "tx_errors").read_text(encoding="ascii") == "0\n"
