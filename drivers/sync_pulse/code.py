@@ -6,8 +6,8 @@ in its lexicographically least form: the Lyndon words whose length divides 3, jo
 once in a cycle, so a stream that starts late or misses edges is numbered after three good intervals. Pulse 0 rises
 with SYNC number 0; at 200 Hz the intervals are 150..305 ms and the code repeats after 2.07 h.
 
-A pulse rises a little after the start of its SYNC period: ``(7 c) mod 32`` thirty-seconds of a millisecond, c being the
-symbol of the interval before it. A 1 kHz recorder marks a pulse to the sample; were pulses whole milliseconds apart,
+Pulse n rises a little after the start of its SYNC period: ``(19 n) mod 32`` thirty-seconds of a millisecond, so that
+any 32 in a row fall on all of them. A 1 kHz recorder marks a pulse to the sample; were pulses whole milliseconds apart,
 they would all fall on one place in its sample period, and no number of them would average the quantisation out.
 """
 
@@ -43,7 +43,7 @@ def intervals() -> NDArray[np.int64]:
 @cache
 def dither_ns() -> NDArray[np.int64]:
     """How long after the start of its SYNC period each pulse of one cycle rises, ns. Read-only, shape (32768,)."""
-    delays = (7 * (intervals() - SHORTEST_INTERVAL) % 32) * (1_000_000 // 32)
+    delays = 19 * np.arange(CODE_LENGTH, dtype=np.int64) % 32 * (1_000_000 // 32)
     delays.setflags(write=False)
     return delays
 

@@ -3,8 +3,7 @@
 It sends CANopen SYNC (COB-ID 080h, counter 1..240) every 5 ms and drives the pulse line, whose rising edges fall on
 SYNC periods picked by a published code: pulse 0 in SYNC period 0, and 30 + c[n mod 32768] periods from pulse to pulse,
 where c is the de Bruijn sequence B(32, 3), so that any three intervals in a row name their place in two hours. Within
-its period pulse n rises (7 c[n]) mod 32 steps of 31.25 us late (pulse 0 as if c[0] had been before it), so that pulses
-do not beat with recorders of 1 kHz.
+its period pulse n rises (19 n) mod 32 steps of 31.25 us late, so that pulses do not beat with recorders of 1 kHz.
 """
 
 from collections import deque
@@ -51,7 +50,7 @@ def pulse_places() -> Iterator[tuple[int, int]]:
     code = de_bruijn(_SYMBOLS, _ORDER)
     sync = n = 0
     while True:
-        yield sync, _DITHER_NS * ((7 * code[n % len(code)]) % _SYMBOLS)
+        yield sync, _DITHER_NS * (19 * (n % len(code)) % 32)
         n += 1
         sync += _SHORTEST + code[n % len(code)]
 

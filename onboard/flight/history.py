@@ -23,6 +23,8 @@ class History:
         """Add samples: ticks (n,), values (n, columns), valid (n,)."""
         ticks, values, valid = ticks[-self._capacity :], values[-self._capacity :], valid[-self._capacity :]
         count = len(ticks)
+        if count == self._capacity:
+            self._end = 0  # what is older lies before a hole
         if self._end + count > len(self._ticks):
             keep = slice(self._end - min(self._end, self._capacity), self._end)
             kept = keep.stop - keep.start
