@@ -1,0 +1,23 @@
+"""Load cell transmitter on Modbus-RTU, Laumas register map (TLB, TLU, LCB; Bosche WTS uses the same).
+
+Sources: Laumas TLU manual (registers and exceptions, pages 33-36), LCB manual (status register, page 3 of its fieldbus
+part), Modbus over Serial Line 1.02. Known warts: weights are magnitudes with their sign in the status register; the
+codes of register 40014 are from memory, and what its coefficient does to units other than mass is not known, so those
+have to be given in the configuration; the converter runs on its own clock, so a sample may be a conversion old.
+"""
+
+from drivers.modbus_load_cell.device import ModbusLoadCell
+from drivers.modbus_load_cell.frame import Answer, ModbusException, crc16, read_request, write_request
+from drivers.modbus_load_cell.registers import ModbusLoadCellConfig, Weights, decode_weights
+
+__all__ = [
+    "Answer",
+    "ModbusException",
+    "ModbusLoadCell",
+    "ModbusLoadCellConfig",
+    "Weights",
+    "crc16",
+    "decode_weights",
+    "read_request",
+    "write_request",
+]

@@ -1,0 +1,70 @@
+"""The load cell transmitter as a device: one read of 40007 to 40014 is one sample."""
+
+from drivers.modbus_load_cell.frame import Answer, ModbusException, read_request
+from drivers.modbus_load_cell.registers import COUNT, STATUS, ModbusLoadCellConfig, decode_weights
+from drivers.records import Severity
+from drivers.serial_poll import PolledDevice, Value
+from drivers.serial_stream import Clock, OpenPort
+
+
+class ModbusLoadCell(PolledDevice):
+    """A Laumas transmitter, as SCALAR rows; see ``drivers.serial_poll`` for their two stamps.
+
+    After a question without an answer the next one asks for one register more, so that an answer that comes too late
+    cannot pass for its own. ``device_status`` is the low byte of the status register; NOT_VALID says that the cell or
+    the converter has an error, or that the unit is unknown; SATURATED that the capacity is exceeded.
+
+    Args:
+        name: Channel (or its first part), and source of events.
+        open_port: Opens its serial port.
+        clock: CLOCK_MONOTONIC, ns.
+        config: How to ask it.
+    """
+
+    def __init__(
+        self, name: str, open_port: OpenPort, clock: Clock, config: ModbusLoadCellConfig | None = None
+    ) -> None:
+        self.config = ModbusLoadCellConfig() if config is None else config
+        periods = self.config.poll_period_ms, self.config.sample_period_ms
+        super().__init__(name, open_port, clock, *periods, self.config.timeout_ms, self.config.pause_ms)
+        self._extra = 0  # registers that the question asks for and nobody needs
+        self._open = Answer(read_request(self.config.address, STATUS, COUNT))
+        self._said = ""  # unit and scale last told
+
+    def _value_channels(self) -> tuple[str, ...]:
+        values = self.config.values
+        return (self.name,) if len(values) == 1 else tuple(f"{self.name}_{value}" for value in values)
+
+    def _question(self, retry: bool) -> bytes:
+        self._extra = 1 - self._extra if retry else 0
+        request = read_request(self.config.address, STATUS, COUNT + self._extra)
+        self._open = Answer(request, self.config.echo)
+        return request
+
+    def _missing(self) -> int:
+        return self._open.missing
+
+    def _answer(self, host_ns: int, data: bytes) -> list[Value] | None:
+        try:
+            registers = self._open.receive(data)
+        except ModbusException as error:
+            self._report.event(host_ns, Severity.ERROR, f"exception_{error.code}", str(error))
+            return []
+        if registers is None:
+            return None
+        weights = decode_weights(registers, self.config)
+        self._tell_scale(host_ns, registers[COUNT - 1], weights.scale, weights.unit)
+        chosen = {"gross": weights.gross, "net": weights.net}
+        return [
+            Value(channel, chosen[value], weights.scale, weights.unit, weights.device_status, int(weights.status))
+            for channel, value in zip(self._value_channels(), self.config.values, strict=True)
+        ]
+
+    def _tell_scale(self, host_ns: int, code: int, scale: float, unit: str) -> None:
+        said = f"division and unit code {code:04X}h, {scale:g} {unit} a count"
+        if said != self._said:
+            known = scale != 0.0
+            text = said if known else f"{said}: not a mass; give scale and unit in its configuration"
+            severity = Severity.INFO if known else Severity.ERROR
+            self._report.event(host_ns, severity, "scale" if known else "unit_unknown", text)
+            self._said = said

@@ -1,0 +1,187 @@
+"""nIMU packets: bytes to words, many at once. No port, no clock.
+
+DOC00290 rev J, table 3: FF FF FF FF, message size (26h), reserved, message id (14h), timer (big-endian u16, 2.1701 us),
+2 reserved, 2 serial number, payload of big-endian int16 (gyro, accel, magnetometer, temperature, each x, y, z), and a
+checksum.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, FrameError
+
+PACKET_BYTES = 38
+MOST_PACKETS = 4096  # in one take
+SYNC = b"\xff\xff\xff\xff"
+HEADER = SYNC + bytes([PACKET_BYTES])
+MESSAGE_ID = 0x14
+TICK_NS = 2170.1
+STANDARD_GRAVITY_M_S2 = 9.80665
+CHECKSUM_SPANS = {
+    "packet": 0,
+    "after_sync": len(SYNC),
+    "payload": 13,
+}  # first byte summed; the last is the one before it
+
+_ID_AT, _TIMER_AT, _PAYLOAD_AT, _CHECKSUM_AT = 6, 7, 13, 37
+_HEADER_WORD = np.frombuffer(HEADER, np.uint8)
+
+
+@dataclass(frozen=True)
+class NimuConfig:
+    """Which nIMU it is and how it is read.
+
+    The scales go with the ranges (they are 1.5 range / 32768); defaults are those of the 300 deg/s, 2 g model. The baud
+    rate stands in the URL of its bus: the public drivers use 115200, the manual does not say.
+
+    Attributes:
+        accel_range_g: Rated range, g; a sample beyond it is SATURATED.
+        gyro_range_deg_s: Rated range, deg/s.
+        accel_scale_g: Specific force per count, g.
+        gyro_scale_deg_s: Angular rate per count, deg/s.
+        magnetometer: Record the magnetometer too, as SCALAR channels ``NAME_mag_x``, ``_y``, ``_z``.
+        magnetometer_scale_gauss: Flux density per count, gauss.
+        checksum_span: What the checksum sums: ``packet`` (all before it; so do the public drivers), ``after_sync``
+            (without the FF FF FF FF), or ``payload`` (one reading of the manual).
+        poll_period_ms: How often the port is read; 0: the port waits.
+        silence_ms: Without a packet for so long the port is opened anew.
+
+    Raises:
+        ConfigurationError: A value out of range.
+    """
+
+    accel_range_g: float = 2.0
+    gyro_range_deg_s: float = 300.0
+    accel_scale_g: float = 9.1553e-5
+    gyro_scale_deg_s: float = 1.3733e-2
+    magnetometer: bool = True
+    magnetometer_scale_gauss: float = 8.6975e-5
+    checksum_span: str = "packet"
+    poll_period_ms: float = 20.0
+    silence_ms: float = 500.0
+
+    def __post_init__(self) -> None:
+        positive = (self.accel_range_g, self.gyro_range_deg_s, self.accel_scale_g, self.gyro_scale_deg_s)
+        if min(*positive, self.magnetometer_scale_gauss) <= 0.0:
+            raise ConfigurationError("ranges and scales of a nIMU are more than 0: correct them")
+        if self.checksum_span not in CHECKSUM_SPANS:
+            raise ConfigurationError(f"checksum_span = {self.checksum_span!r}: use {', '.join(CHECKSUM_SPANS)}")
+
+
+class Packets(NamedTuple):
+    """Successive packets in words.
+
+    Attributes:
+        timer: Timer counts, 2.1701 us each, modulo 65536, shape (n,).
+        words: Gyro, accel, magnetometer, temperature, each x, y, z, shape (n, 12).
+    """
+
+    timer: NDArray[np.uint16]
+    words: NDArray[np.int16]
+
+
+def decode_packets(data: bytes, checksum_span: str = "packet") -> Packets:
+    """Whole packets to words.
+
+    Args:
+        data: Bytes that begin with a packet and end with one.
+        checksum_span: See ``NimuConfig``.
+
+    Raises:
+        FrameError: The length is not a whole number of packets, or one has a wrong header, id or checksum.
+    """
+    if len(data) % PACKET_BYTES:
+        raise FrameError(f"{len(data)} bytes are no whole number of {PACKET_BYTES}-byte packets: find the header")
+    matrix = np.frombuffer(data, np.uint8).reshape(-1, PACKET_BYTES)
+    good = _are_good(matrix, checksum_span)
+    if not good.all():
+        raise FrameError(_why_not(matrix[int(good.argmin())], checksum_span))
+    return _words(matrix)
+
+
+class PacketStream:
+    """Cuts a byte stream into packets. ``receive`` bytes, then ``take`` until it gives None.
+
+    Anything but ``FrameError`` out of ``take`` is our bug.
+
+    Args:
+        checksum_span: See ``NimuConfig``.
+    """
+
+    def __init__(self, checksum_span: str = "packet") -> None:
+        self._span = checksum_span
+        self._buffer = b""
+        self._in_step = False  # the last take found packets where they were expected
+
+    def receive(self, data: bytes) -> None:
+        """More bytes have come."""
+        self._buffer += data
+
+    def clear(self) -> None:
+        """Forget the part of a packet that waits for its end: the stream was broken."""
+        self._buffer = b""
+
+    def take(self) -> Packets | None:
+        """All whole packets up to the first bad place; None when more bytes are needed.
+
+        Raises:
+            FrameError: There is no packet here. What cannot begin one has been thrown away: ``take`` again.
+        """
+        count = min(len(self._buffer) // PACKET_BYTES, MOST_PACKETS if self._in_step else 1)
+        whole = count * PACKET_BYTES
+        if count:
+            matrix = np.frombuffer(self._buffer, np.uint8, whole).reshape(count, PACKET_BYTES)
+            good = _are_good(matrix, self._span)
+            first_bad = count if good.all() else int(good.argmin())
+            self._in_step = first_bad > 0
+            if first_bad:
+                self._buffer = self._buffer[first_bad * PACKET_BYTES :]
+                return _words(matrix[:first_bad])
+            raise FrameError(f"{_why_not(matrix[0], self._span)}; {self._skip(1)} bytes skipped")
+        start = self._buffer[: len(HEADER)]
+        if not HEADER.startswith(start):
+            raise FrameError(f"no packet header; {self._skip(1)} bytes skipped: check baud rate and wiring")
+        return None
+
+    def _skip(self, first: int) -> int:
+        """Drop everything before the next place from ``first`` on where a packet could begin; how many bytes."""
+        place = self._buffer.find(HEADER, first)
+        if place < 0:
+            place = next(
+                at
+                for at in range(max(first, len(self._buffer) - len(SYNC)), len(self._buffer) + 1)
+                if SYNC.startswith(self._buffer[at:])
+            )
+        self._buffer = self._buffer[place:]
+        return place
+
+
+def _are_good(matrix: NDArray[np.uint8], span: str) -> NDArray[np.bool_]:
+    """Which of the rows (n, 38) are packets, shape (n,)."""
+    header = (matrix[:, : len(HEADER)] == _HEADER_WORD).all(axis=1) & (matrix[:, _ID_AT] == MESSAGE_ID)
+    return np.asarray(header & (_sum(matrix, span) == matrix[:, _CHECKSUM_AT]), np.bool_)
+
+
+def _sum(matrix: NDArray[np.uint8], span: str) -> NDArray[np.uint8]:
+    total: NDArray[np.uint8] = matrix[:, CHECKSUM_SPANS[span] : _CHECKSUM_AT].sum(axis=1, dtype=np.uint8)
+    return total
+
+
+def _words(matrix: NDArray[np.uint8]) -> Packets:
+    timer = matrix[:, _TIMER_AT : _TIMER_AT + 2].copy().view(">u2")[:, 0].astype(np.uint16)
+    words = matrix[:, _PAYLOAD_AT:_CHECKSUM_AT].copy().view(">i2").astype(np.int16)
+    return Packets(timer, words)
+
+
+def _why_not(packet: NDArray[np.uint8], span: str) -> str:
+    if packet[: len(HEADER)].tobytes() != HEADER:
+        return "no packet header (FF FF FF FF 26)"
+    if packet[_ID_AT] != MESSAGE_ID:
+        return f"message id {packet[_ID_AT]:#04x} is not {MESSAGE_ID:#04x}"
+    row = packet[np.newaxis]
+    other = [name for name in CHECKSUM_SPANS if _sum(row, name)[0] == packet[_CHECKSUM_AT]]
+    hint = f" (it is that of checksum_span = {other[0]!r}: set it if this persists)" if other else ""
+    return f"checksum {packet[_CHECKSUM_AT]:#04x} is not {_sum(row, span)[0]:#04x}{hint}"

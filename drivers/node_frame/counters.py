@@ -1,0 +1,76 @@
+"""A node's frame sequence and clock: 32-bit words on the wire, made whole."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.unwrap import steps
+
+TURN = 1 << 32
+SLACK_NS = 1_000_000_000  # by which frames may be late: the kernel holds so many
+
+
+class Placed(NamedTuple):
+    """Where some data frames stand.
+
+    Attributes:
+        ticks: The node's clock, whole, shape (n,).
+        lost: Frames missing before each, shape (n,).
+        rebooted: The node began anew before this frame, shape (n,).
+        jumped: Its clock did, and the node did not, shape (n,).
+    """
+
+    ticks: NDArray[np.int64]
+    lost: NDArray[np.int64]
+    rebooted: NDArray[np.bool_]
+    jumped: NDArray[np.bool_]
+
+
+class NodeCounters:
+    """Follows a node's frame sequence and its clock.
+
+    Args:
+        tick_hz: Nominal rate of the clock.
+        tick: The clock, whole, at ``host_ns``.
+        host_ns: CLOCK_MONOTONIC, about when.
+        sequence: Of the frame before the next one; None: unknown, the next is the first. -1: the node has just begun.
+    """
+
+    def __init__(self, tick_hz: int, tick: int, host_ns: int, sequence: int | None) -> None:
+        self._tick_ns = 1e9 / tick_hz
+        self._tick = tick
+        self._host_ns = host_ns
+        self._sequence = sequence
+        self._fresh = True
+
+    def is_past(self, sequence: int) -> bool:
+        """Whether a frame of this sequence has been before: the node began anew."""
+        return self._sequence is not None and steps(np.array([sequence]), 32, self._sequence)[0] <= 0
+
+    def place(self, sequences: NDArray[np.uint32], words: NDArray[np.uint32], host_ns: int) -> Placed:
+        """Place data frames that arrived at ``host_ns``; there is at least one.
+
+        Args:
+            sequences: Frame sequences, shape (n,).
+            words: Low halves of the clock, shape (n,).
+            host_ns: CLOCK_MONOTONIC.
+        """
+        before = int(sequences[0]) - 1 if self._sequence is None else self._sequence
+        forward = steps(sequences, 32, before)
+        rebooted = forward <= 0
+        lost = np.where(rebooted, sequences, forward - 1)  # of a node that began anew: all since it did
+        elapsed_ns = host_ns - self._host_ns
+        expected = self._tick + round(elapsed_ns / self._tick_ns)
+        since = steps(words, 32, expected)
+        ticks = expected + np.cumsum(since)
+        for place in np.flatnonzero(rebooted):
+            ticks[place:] += int(words[place]) - ticks[place]
+        advance_ns = since * self._tick_ns
+        advance_ns[0] = (int(ticks[0]) - self._tick) * self._tick_ns
+        jumped = (advance_ns < 0) | (advance_ns > elapsed_ns + SLACK_NS)
+        jumped &= ~rebooted
+        jumped[0] &= not self._fresh
+        self._fresh = False
+        self._sequence, self._tick, self._host_ns = int(sequences[-1]), int(ticks[-1]), host_ns
+        return Placed(ticks, lost.astype(np.int64), rebooted, jumped)

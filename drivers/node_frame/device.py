@@ -1,0 +1,281 @@
+"""A node of one's own making as a device: frames in, a SCALAR channel for each of its channels, marks out."""
+
+from collections import deque
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import FrameError, WrongDeviceError
+from drivers.marks import MARK
+from drivers.node_frame.counters import TURN, NodeCounters, Placed
+from drivers.node_frame.frame import (
+    DATA,
+    DESCRIPTOR,
+    Descriptor,
+    FrameStream,
+    NodeFrameConfig,
+    decode_descriptor,
+    payload_dtype,
+)
+from drivers.records import SCALAR, SampleStatus, Severity
+from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
+from drivers.unwrap import steps
+
+MOST_HELD = 4096  # data frames kept until the descriptor tells what they are
+SILENT_AT_STOP_NS = 100 * MS
+NODE_NOT_VALID, NODE_SATURATED = 1, 2  # of the node's status byte; the rest is the node's own
+_SEQUENCE_AT = slice(4, 8)
+
+
+class _Known(NamedTuple):
+    """The node as its last descriptor tells it, and how its data frames are told and read."""
+
+    descriptor: Descriptor
+    counters: NodeCounters
+    prefix: bytes
+    dtype: np.dtype[np.void]
+
+    def is_data(self, payload: bytes) -> bool:
+        """Is it a data frame of this node and schema?"""
+        return payload.startswith(self.prefix) and len(payload) == self.dtype.itemsize
+
+
+class NodeFrame(SerialDevice):
+    """A node, as SCALAR rows on ``NAME_CHANNEL`` for each of its channels and MARK rows on ``NAME_mark``.
+
+    ``tick`` is the node's clock, 64 bits; ``device_status`` its status byte. Lost frames are counted by their sequence.
+    Data frames before the first descriptor wait for it. A mark carries the node's number of the pulse.
+
+    Args:
+        name: First part of its channels, and source of its events.
+        open_port: Opens its serial port.
+        clock: CLOCK_MONOTONIC, ns.
+        config: Which node.
+    """
+
+    def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: NodeFrameConfig) -> None:
+        self.config = config
+        super().__init__(name, open_port, clock, config.poll_period_ms, config.silence_ms)
+        self._frames = FrameStream()
+        self._known: _Known | None = None
+        self._held: deque[tuple[int, bytes]] = deque()
+        self._before_held: int | None = None  # sequence before the first one held, where that one was dropped
+        self._next = 0  # sequence of the next row, if none is lost before it
+        self._marks = 0
+        self._pulse = 0
+        self._values: list[tuple[int, int] | None] = []  # raw and unwrapped value of each channel
+        self._after_reset = False
+        self._last_ns: int | None = None
+        self._frame_ns = 0.0  # between two frames
+        self._named = 0  # rows of those named as lost already, in a stop
+
+    @property
+    def channels(self) -> Channels:
+        """See ``SerialDevice``."""
+        dtypes: dict[str, np.dtype[Any]] = dict.fromkeys(self._value_channels(), SCALAR)
+        return dtypes | {f"{self.name}_mark": MARK}
+
+    def _value_channels(self) -> list[str]:
+        return [f"{self.name}_{channel}" for channel in self.config.channels]
+
+    def _opened(self, now_ns: int) -> None:
+        self._frames.clear()
+
+    def _receive(self, now_ns: int, chunk: Chunk) -> None:
+        self._frames.receive(chunk.data)
+        while True:
+            try:
+                payloads = self._frames.take()
+            except FrameError as error:
+                self._bad_frame(chunk.host_ns, error)
+                continue
+            if payloads is None:
+                break
+            self._broken = False
+            for is_data, group in groupby(payloads, self._is_data):
+                if is_data and self._known is not None:
+                    self._heard(now_ns)
+                    self._data(chunk.host_ns, self._known, list(group))
+                else:
+                    for payload in group:
+                        self._other(now_ns, chunk.host_ns, payload)
+
+    def _is_data(self, payload: bytes) -> bool:
+        return self._known is not None and self._known.is_data(payload)
+
+    def _other(self, now_ns: int, host_ns: int, payload: bytes) -> None:
+        """Anything but a data frame of the known schema."""
+        kind, node = payload[:2]
+        if kind not in {DATA, DESCRIPTOR}:
+            text = f"frame of kind {kind:#04x}: the node speaks another version of the format"
+            self._report.event(host_ns, Severity.ERROR, "version", text)
+        elif node != self.config.node:
+            text = f"frame of node {node}, not {self.config.node}: mend the configuration, one node to a port"
+            self._report.event(host_ns, Severity.WARNING, "other_node", text)
+        elif kind == DESCRIPTOR:
+            self._heard(now_ns)
+            self._describe(host_ns, payload)
+        else:
+            self._heard(now_ns)
+            self._hold(host_ns, payload)
+
+    def _hold(self, host_ns: int, payload: bytes) -> None:
+        if len(self._held) == MOST_HELD:
+            _, dropped = self._held.popleft()
+            text = "data frames without a descriptor are dropped: the node has to send one every second"
+            self._report.event(host_ns, Severity.ERROR, "no_descriptor", text)
+            if self._before_held is None:
+                self._before_held = int.from_bytes(dropped[_SEQUENCE_AT], "little") - 1
+        self._held.append((host_ns, payload))
+
+    def _describe(self, host_ns: int, payload: bytes) -> None:
+        try:
+            told = decode_descriptor(payload)
+            self._check(told)
+        except (FrameError, WrongDeviceError) as error:
+            code = "wrong_device" if isinstance(error, WrongDeviceError) else "bad_descriptor"
+            self._report.event(host_ns, Severity.ERROR, code, str(error))
+            return
+        if self._known is None:
+            self._adopt(host_ns, told, rebooted=False)
+            return
+        before = self._known.descriptor
+        another = (told.schema, told.boot) != (before.schema, before.boot)
+        if another or self._known.counters.is_past(told.sequence):
+            self._adopt(host_ns, told, rebooted=True)
+
+    def _check(self, told: Descriptor) -> None:
+        names = tuple(channel.name for channel in told.channels)
+        if names != self.config.channels:
+            raise WrongDeviceError(
+                f"node {told.node} has channels {', '.join(names)}, not {', '.join(self.config.channels)}: "
+                "flash the right firmware, or mend the configuration"
+            )
+
+    def _adopt(self, host_ns: int, told: Descriptor, *, rebooted: bool) -> None:
+        """The first descriptor, or that of another start of the node: from here on frames are read by this one."""
+        held, self._held = self._held, deque()
+        first_ns = held[0][0] if held else host_ns
+        before = -1 if rebooted else self._before_held
+        tick = told.tick - round((host_ns - first_ns) * 1e-9 * told.tick_hz)
+        counters = NodeCounters(told.tick_hz, max(0, tick), first_ns, before)
+        prefix = bytes([DATA, told.node]) + told.schema.to_bytes(2, "little")
+        self._known = known = _Known(told, counters, prefix, payload_dtype(told.channels))
+        self._pulse = 0
+        self._before_held = None
+        self._after_reset |= rebooted
+        self._values = [None] * len(told.channels)
+        listed = ", ".join(f"{channel.name} [{channel.unit}]" for channel in told.channels)
+        what = "began anew" if rebooted else "describes itself"
+        severity = Severity.WARNING if rebooted else Severity.INFO
+        self._report.event(host_ns, severity, "node_reset" if rebooted else "described", f"node {what}: {listed}")
+        for stamp_ns, group in groupby(held, lambda pair: pair[0]):
+            payloads = [payload for _, payload in group]
+            run = [payload for payload in payloads if known.is_data(payload)]
+            if len(run) < len(payloads):
+                text = f"{len(payloads) - len(run)} data frames are of no schema that was described: they are dropped"
+                self._report.event(host_ns, Severity.ERROR, "unknown_schema", text)
+            if run:
+                self._data(stamp_ns, known, run)
+
+    def _data(self, host_ns: int, known: _Known, payloads: list[bytes]) -> None:
+        """Data frames of the known schema that arrived together."""
+        frames = np.frombuffer(b"".join(payloads), known.dtype)
+        first = self._last_ns is None
+        placed = known.counters.place(frames["sequence"], frames["tick"], host_ns)
+        numbers = self._number(host_ns, placed, known.descriptor.tick_hz)
+        rows = np.zeros(len(frames), SCALAR)
+        rows["sequence"] = numbers
+        rows["host_ns"] = host_ns
+        rows["tick"] = np.maximum(placed.ticks, 0)
+        rows["device_status"] = frames["status"]
+        reset = placed.rebooted | placed.jumped
+        reset[0] |= self._after_reset
+        reset[0] &= not first
+        rows["status"] = (
+            (frames["status"] & NODE_NOT_VALID != 0) * np.uint8(SampleStatus.NOT_VALID)
+            | (frames["status"] & NODE_SATURATED != 0) * np.uint8(SampleStatus.SATURATED)
+            | reset * np.uint8(SampleStatus.AFTER_RESET)
+        )
+        self._after_reset = False
+        self._tell(host_ns, placed)
+        for place, (name, channel) in enumerate(zip(self._value_channels(), known.descriptor.channels, strict=True)):
+            rows = rows.copy()
+            rows["value_raw"] = self._value(place, frames[f"value_{place}"], channel.wraps, reset)
+            rows["scale"] = channel.scale
+            rows["unit"] = channel.unit.encode()
+            self._report.rows(name, rows)
+        self._hand_over_marks(host_ns, frames, placed)
+        self._last_ns = host_ns
+
+    def _number(self, host_ns: int, placed: Placed, tick_hz: int) -> NDArray[np.int64]:
+        """Sequence numbers of the rows, after naming those lost before them."""
+        lost = placed.lost
+        if self._named:
+            lost[0] = max(0, lost[0] - self._named)
+            self._named = 0
+        numbers = self._next + np.cumsum(lost) + np.arange(len(lost))
+        since = np.diff(placed.ticks)[placed.lost[1:] == 0]
+        if len(since):
+            self._frame_ns = float(np.median(since)) * 1e9 / tick_hz
+        for place in np.flatnonzero(lost):
+            count, last = int(lost[place]), int(numbers[place]) - 1
+            cause = "node_reset" if placed.rebooted[place] else "frames_lost"
+            for channel in self._value_channels():
+                self._report.gap(host_ns, channel, last - count + 1, last, round(count * self._frame_ns), cause)
+        self._next = int(numbers[-1]) + 1
+        return numbers
+
+    def _tell(self, host_ns: int, placed: Placed) -> None:
+        if placed.rebooted.any():
+            text = "frame sequence began anew: the node was reset, check its supply"
+            self._report.event(host_ns, Severity.WARNING, "node_reset", text)
+        if placed.jumped.any():
+            text = "the node's clock jumped and the host's did not: check its crystal and timer code"
+            self._report.event(host_ns, Severity.WARNING, "clock_jump", text)
+
+    def _value(
+        self, place: int, words: NDArray[np.integer], wraps: bool, reset: NDArray[np.bool_]
+    ) -> NDArray[np.int64]:
+        """Values of one channel, unwrapped where it is a counter; after a reset it counts from what it then holds."""
+        if not wraps:
+            return words.astype(np.int64)
+        word, value = self._values[place] or (int(words[0]), int(words[0]))
+        forward = steps(words, 8 * words.dtype.itemsize, word)
+        values = value + np.cumsum(forward)
+        for at in np.flatnonzero(reset):
+            values[at:] += int(words[at]) - values[at]
+        self._values[place] = int(words[-1]), int(values[-1])
+        return values
+
+    def _hand_over_marks(self, host_ns: int, frames: NDArray[np.void], placed: Placed) -> None:
+        pulses = frames["pulse"]
+        before = np.where(placed.rebooted, 0, np.concatenate([[self._pulse], pulses[:-1]]))
+        at = np.flatnonzero((pulses != before) & (pulses != 0))
+        self._pulse = int(pulses[-1])
+        if len(at):
+            since = (frames["tick"][at].astype(np.int64) - frames["pulse_tick"][at]) % TURN
+            rows = np.zeros(len(at), MARK)
+            rows["sequence"] = self._marks + np.arange(len(at))
+            rows["host_ns"] = host_ns
+            rows["tick"] = np.maximum(placed.ticks[at] - since, 0)
+            rows["pulse"] = pulses[at]
+            self._report.rows(f"{self.name}_mark", rows)
+            self._marks += len(at)
+
+    def _finish(self, now_ns: int) -> None:
+        if self._held:
+            text = f"{len(self._held)} data frames without a descriptor are dropped: the node has to send one"
+            self._report.event(now_ns, Severity.ERROR, "no_descriptor", text)
+            self._held.clear()
+        if self._last_ns is None or self._frame_ns == 0.0:
+            return
+        silent_ns = now_ns - self._last_ns
+        if silent_ns > max(SILENT_AT_STOP_NS, 3.0 * self._frame_ns):
+            lost = round(silent_ns / self._frame_ns)
+            for channel in self._value_channels():
+                self._report.gap(now_ns, channel, self._next, self._next + lost - 1, silent_ns, "silent")
+            self._next += lost
+            self._named += lost

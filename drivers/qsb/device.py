@@ -1,0 +1,275 @@
+"""The QSB as a device: set up by echoed commands, position rows and sync marks out of its streams."""
+
+from collections import deque
+from collections.abc import Iterable
+from math import tau
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import ConfigurationError, FrameError, NoAnswerError
+from drivers.marks import MARK
+from drivers.qsb import registers as reg
+from drivers.qsb.counter import TickCounter
+from drivers.qsb.edges import SyncEdges
+from drivers.qsb.line import GREETING, Lines, LineStream
+from drivers.qsb.registers import Command, QsbConfig, greeting_commands, setup_commands
+from drivers.records import SCALAR, SampleStatus, Severity
+from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
+from drivers.unwrap import steps
+
+TRIES = 3
+OPTIONAL_REPLY_NS = 50 * MS
+SILENT_AT_STOP_NS = 100 * MS
+_STREAM, _REFUSED, _UNSUPPORTED = b"sex"
+
+
+class Qsb(SerialDevice):
+    """A QSB, as SCALAR rows on the channel of its name and MARK rows on ``NAME_mark``.
+
+    ``tick`` is the adapter's timestamp, unwrapped; ``value_raw`` the count, unwrapped; ``scale`` rad. Lines lost are
+    counted by the timestamp. After a reset ``value_raw`` begins with what the counter then holds, and the row says
+    AFTER_RESET; samples lost to the reset are estimated from host time. A mark's ``value_raw`` is the count latched on
+    the edge.
+
+    Args:
+        name: Channel, and source of its events.
+        open_port: Opens its serial port.
+        clock: CLOCK_MONOTONIC, ns.
+        config: How to set it up.
+    """
+
+    def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: QsbConfig | None = None) -> None:
+        self.config = QsbConfig() if config is None else config
+        super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
+        self._lines = LineStream()
+        self._ticks = TickCounter()
+        self._edges = SyncEdges(self.config.sync_edge != "falling")
+        self._todo: deque[Command] = deque()
+        self._deadline_ns: int | None = None  # of the reply to the first of them; None: it has yet to be sent
+        self._tries = 0
+        self._after_reset = False
+        self._cause = ""  # why lines may be missing before the next
+        self._next = 0  # sequence of the next position row, if none is lost before it
+        self._marks = 0
+        self._last_tick = 0  # of the last position row
+        self._last_ns: int | None = None  # its arrival
+        self._count = 0  # modulo 2^32, of the last position row
+        self._value = 0  # unwrapped
+        self._named = 0  # rows of those named as lost already, in a stop
+
+    @property
+    def channels(self) -> Channels:
+        """See ``SerialDevice``."""
+        return {self.name: SCALAR, f"{self.name}_mark": MARK}
+
+    # Setting up
+
+    def _opened(self, now_ns: int) -> None:
+        self._lines.clear()
+        self._set_up("port_lost" if self._last_ns is not None else "")
+
+    def _set_up(self, cause: str) -> None:
+        self._cause = self._cause or cause
+        self._command(greeting_commands())
+
+    def _command(self, commands: Iterable[Command]) -> None:
+        self._todo = deque(commands)
+        self._deadline_ns = None
+        self._tries = 0
+
+    def _act(self, now_ns: int) -> bool:
+        if not self._todo:
+            if now_ns - self._heard_ns > self._silence_ns:
+                text = f"no position line for {self._silence_ns // MS} ms ({self._last_error}): it is set up anew"
+                self._report.event(now_ns, Severity.WARNING, "silent", text)
+                self._heard_ns = now_ns
+                self._set_up("silent")
+            return bool(self._todo)
+        command = self._todo[0]
+        if self._deadline_ns is None:
+            reply_ns = round(self.config.reply_timeout_ms * 1e6) if command.compulsory else OPTIONAL_REPLY_NS
+            self._tries += 1
+            self._deadline_ns = now_ns + reply_ns
+            return self._link.write(now_ns, command.text.encode() + b"\r") is not None
+        if now_ns < self._deadline_ns:
+            return False
+        if not command.compulsory:
+            self._done()
+        elif self._tries == TRIES:
+            error = NoAnswerError(
+                f"no valid answer to {command.text} in {TRIES} tries ({self._last_error}): check power and baud rate"
+            )
+            self._link.drop(now_ns, "no_answer", str(error))
+        self._deadline_ns = None
+        return True
+
+    def _done(self) -> None:
+        self._todo.popleft()
+        self._deadline_ns = None
+        self._tries = 0
+
+    def _reply(self, now_ns: int, host_ns: int, kind: int, register: int, data: int, stamp: int | None) -> None:
+        """A line while setting up: is it the answer that is waited for?"""
+        command = self._todo[0]
+        if self._deadline_ns is None or register != command.register:
+            return  # of a stream that a former run left behind
+        if kind in {_REFUSED, _UNSUPPORTED}:
+            what = "refuses" if kind == _REFUSED else "does not know"
+            error = ConfigurationError(f"adapter {what} {command.text}: check its model and firmware")
+            self._link.drop(now_ns, "configuration", str(error))
+            return
+        if kind != ord(command.kind):
+            return
+        if command.value is not None and data != command.value:
+            self._last_error = f"{command.text} was echoed with {data:X}"
+            return
+        self._done()
+        if register == reg.VERSION:
+            self._identified(host_ns, data, stamp)
+        elif kind == ord("r"):
+            self._edges.preset(register, data)
+        elif not self._todo:
+            self._link.alive(now_ns)
+            rate = 1e9 / self.config.interval_ns
+            self._report.event(host_ns, Severity.INFO, "started", f"streams {rate:.0f} lines/s")
+
+    def _identified(self, host_ns: int, version: int, stamp: int | None) -> None:
+        model = reg.MODELS.get(version >> 8 & 0xF, "unknown model")
+        text = f"{model}, serial number {version >> 12}, firmware {version & 0xFF:#04x}"
+        self._report.event(host_ns, Severity.INFO, "identified", text)
+        runs_on = stamp is not None and self._ticks.runs_on(stamp, host_ns)
+        if not runs_on:
+            self._after_reset = self._last_ns is not None
+            self._ticks.restart()
+        self._command(setup_commands(self.config, clear_timestamp=not runs_on))
+
+    # Streaming
+
+    def _receive(self, now_ns: int, chunk: Chunk) -> None:
+        self._lines.receive(chunk.data)
+        while self._link.is_open:
+            try:
+                lines = self._lines.take()
+            except FrameError as error:
+                self._bad_frame(chunk.host_ns, error)
+                continue
+            if lines is None:
+                break
+            if lines.kind[0] == GREETING:
+                self._greeted(chunk.host_ns)
+                continue
+            answers = self._answers(now_ns, chunk.host_ns, lines)
+            if answers < len(lines.kind):
+                self._streamed(now_ns, chunk.host_ns, lines.since(answers))
+        self._hand_over_marks(chunk.host_ns, self._last_tick)
+
+    def _greeted(self, host_ns: int) -> None:
+        if not self._todo:
+            text = "it says its greeting: it was reset, check its supply"
+            self._report.event(host_ns, Severity.WARNING, "device_reset", text)
+        self._ticks.restart()
+        self._set_up("device_reset" if self._last_ns is not None else "")
+
+    def _answers(self, now_ns: int, host_ns: int, lines: Lines) -> int:
+        """Look for answers to the commands; how many lines belong to the setting up."""
+        for place in range(len(lines.kind)):
+            if not self._todo:
+                return place
+            stamp = int(lines.stamp[place]) if lines.stamped else None
+            kind, register, data = int(lines.kind[place]), int(lines.register[place]), int(lines.data[place])
+            self._reply(now_ns, host_ns, kind, register, data, stamp)
+            if not self._todo:
+                return place  # the answer to the last command is the first position
+        return 0 if not self._todo else len(lines.kind)
+
+    def _streamed(self, now_ns: int, host_ns: int, lines: Lines) -> None:
+        for place in np.flatnonzero((lines.kind == _REFUSED) | (lines.kind == _UNSUPPORTED)):
+            text = f"it complains about register {lines.register[place]:02X}, and nothing was asked of it"
+            self._report.event(host_ns, Severity.WARNING, "complaint", text)
+        if not lines.stamped:
+            return
+        placed = self._ticks.place(lines.stamp, host_ns)
+        if placed.jump is not None:
+            text = f"timestamp jumped to {lines.stamp[placed.jump]} and the host's clock did not: it began anew"
+            self._report.event(host_ns, Severity.WARNING, "clock_jump", text)
+        streamed = lines.kind == _STREAM
+        at = np.flatnonzero(streamed & (lines.register == reg.ENCODER))
+        if len(at):
+            self._heard(now_ns)
+            jump = None if placed.jump is None else int(np.searchsorted(at, placed.jump))
+            self._positions(host_ns, lines.data[at], placed.ticks[at], jump)
+        for place in np.flatnonzero(streamed & (lines.register != reg.ENCODER)):
+            register, data = int(lines.register[place]), int(lines.data[place])
+            self._edges.line(register, data, int(placed.ticks[place]), host_ns)
+
+    def _positions(self, host_ns: int, counts: NDArray[np.uint32], ticks: NDArray[np.int64], jump: int | None) -> None:
+        rows = np.zeros(len(counts), SCALAR)
+        if self._last_ns is None or self._after_reset:
+            self._count = int(counts[0])
+            self._value = self._count - (self._count >> 31 << 32)
+        values = self._value + np.cumsum(steps(counts, 32, self._count))
+        lost = self._lost(host_ns, ticks, jump)
+        numbers = self._next + np.cumsum(lost) + np.arange(len(counts))
+        for place in np.flatnonzero(lost):
+            count, last = int(lost[place]), int(numbers[place]) - 1
+            duration_ns = round(count * self.config.interval_ns)
+            cause = self._cause if place == 0 and self._cause else "lines_lost"
+            self._report.gap(host_ns, self.name, last - count + 1, last, duration_ns, cause)
+        rows["sequence"] = numbers
+        rows["host_ns"] = host_ns
+        rows["tick"] = np.maximum(ticks, 0)
+        rows["value_raw"] = values
+        rows["scale"] = tau / self.config.counts_per_revolution
+        rows["unit"] = b"rad"
+        if self._after_reset:
+            rows["status"][0] = SampleStatus.AFTER_RESET
+        if jump is not None and jump < len(rows):
+            rows["status"][jump] = SampleStatus.AFTER_RESET
+        self._report.rows(self.name, rows)
+        self._next = int(numbers[-1]) + 1
+        self._last_tick, self._last_ns = int(ticks[-1]), host_ns
+        self._count, self._value = int(counts[-1]), int(values[-1])
+        self._after_reset = self._broken = False
+        self._cause = ""
+
+    def _lost(self, host_ns: int, ticks: NDArray[np.int64], jump: int | None) -> NDArray[np.int64]:
+        """Lines missing before each of these, shape (n,), less those that a stop has named already."""
+        interval = self.config.interval_ticks
+        since = ticks - np.concatenate(([self._last_tick], ticks[:-1]))
+        lost = np.where(since > interval + self.config.tick_jitter, np.rint(since / interval).astype(np.int64) - 1, 0)
+        if jump is not None:
+            lost[jump : jump + 1] = 0
+        if self._last_ns is None:
+            lost[0] = 0
+        elif self._after_reset:
+            lost[0] = max(0, round((host_ns - self._last_ns) / self.config.interval_ns) - 1)
+        lost[0] = max(0, lost[0] - self._named)
+        self._named = 0
+        return lost
+
+    def _hand_over_marks(self, host_ns: int, tick: int | None) -> None:
+        edges = self._edges.take(tick)
+        if not edges:
+            return
+        rows = np.zeros(len(edges), MARK)
+        for place, edge in enumerate(edges):
+            latched = self._value + ((edge.capture - self._count + (1 << 31)) % (1 << 32) - (1 << 31))
+            rows[place] = (self._marks, edge.host_ns, max(0, edge.tick), 0, latched)
+            self._marks += 1
+        self._report.rows(f"{self.name}_mark", rows)
+
+    def _finish(self, now_ns: int) -> None:
+        command = greeting_commands()[0].text.encode() + b"\r"
+        if self._link.write(now_ns, command) is not None and not self._todo:
+            chunk = self._link.read(now_ns, 0)
+            if chunk is not None:
+                self._receive(now_ns, chunk)
+        self._hand_over_marks(now_ns, None)
+        if self._last_ns is not None and now_ns - self._last_ns > SILENT_AT_STOP_NS:
+            lost = round((now_ns - self._last_ns) / self.config.interval_ns)
+            text = self._cause or "silent"
+            self._report.gap(now_ns, self.name, self._next, self._next + lost - 1, now_ns - self._last_ns, text)
+            self._next += lost
+            self._named += lost
+        self._cause = ""

@@ -1,0 +1,179 @@
+"""Serial ports for the drivers' tests: one that a device model answers, and faults on order."""
+
+import os
+import threading
+import tty
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import serial
+
+from drivers.errors import FrameError
+from drivers.records import EVENT, GAP, Batch
+
+MS = 1_000_000
+
+
+class ScriptedSerial:
+    """A port in memory, as much of ``serial.Serial`` as ``drivers.ports.SerialPort`` names.
+
+    ``answer`` gets what the driver writes and returns what comes back; ``say`` makes bytes arrive by themselves.
+    ``fail`` counts calls of ``in_waiting``, ``read``, ``write``, ``open`` and fails the one it is told to.
+    """
+
+    def __init__(self, answer: Callable[[bytes], bytes] = lambda _: b"") -> None:
+        self.answer = answer
+        self.waiting = bytearray()
+        self.written = bytearray()
+        self.calls = 0
+        self.fail_at = -1  # number of the call that fails
+        self.broken = False  # every call fails
+        self.is_open = False
+        self.opened = 0
+        self.closed = 0
+        self.most = 1 << 20  # bytes in one read
+
+    def open(self) -> "ScriptedSerial":
+        """The factory that a driver is given."""
+        self._call("open")
+        assert not self.is_open, "opened twice"
+        self.is_open = True
+        self.opened += 1
+        return self
+
+    def say(self, data: bytes) -> None:
+        """Bytes arrive, if somebody has the port open."""
+        if self.is_open:
+            self.waiting += data
+
+    @property
+    def in_waiting(self) -> int:
+        self._call("in_waiting")
+        assert self.is_open
+        return min(len(self.waiting), self.most)
+
+    def read(self, size: int = 1) -> bytes:
+        self._call("read")
+        assert self.is_open
+        assert size > 0
+        size = min(size, self.most)
+        data, self.waiting = bytes(self.waiting[:size]), self.waiting[size:]
+        return data
+
+    def write(self, data: bytes) -> int:
+        self._call("write")
+        assert self.is_open
+        self.written += data
+        self.waiting += self.answer(bytes(data))
+        return len(data)
+
+    def close(self) -> None:
+        self.is_open = False
+        self.closed += 1
+        self.waiting.clear()
+        if self.broken:
+            raise OSError("close failed")
+
+    def _call(self, name: str) -> None:
+        self.calls += 1
+        if self.broken or self.calls == self.fail_at:
+            raise serial.SerialException(f"{name} failed")
+
+
+def fed(stream, data: bytes, sizes: Iterator[int]) -> tuple[list, list[str]]:
+    """What a stream decoder makes of ``data`` in pieces of ``sizes``: what it took, and messages of its FrameErrors."""
+    taken, errors, at = [], [], 0
+    while at < len(data):
+        size = next(sizes)
+        stream.receive(data[at : at + size])
+        at += size
+        while True:
+            try:
+                piece = stream.take()
+            except FrameError as error:
+                errors.append(str(error))
+                continue
+            if piece is None:
+                break
+            taken.append(piece)
+    return taken, errors
+
+
+def whole(data: bytes) -> Iterator[int]:
+    """All at once."""
+    while True:
+        yield max(1, len(data))
+
+
+def bytewise() -> Iterator[int]:
+    """One byte at a time."""
+    while True:
+        yield 1
+
+
+def pieces(seed: int, most: int = 60) -> Iterator[int]:
+    """Pieces of random length."""
+    rng = np.random.default_rng(seed)
+    while True:
+        yield int(rng.integers(1, most))
+
+
+class Pty:
+    """A pseudo-terminal: ``path`` for pyserial, and a thread that plays the device on the other end."""
+
+    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+        self.master, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        self._slave = slave
+        self._answer = answer
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def open(self, baud: int = 115_200, timeout: float = 0.02) -> serial.Serial:
+        return serial.Serial(self.path, baud, timeout=timeout)
+
+    def say(self, data: bytes) -> None:
+        os.write(self.master, data)
+
+    def _run(self) -> None:
+        while True:
+            try:
+                data = os.read(self.master, 4096)
+            except OSError:
+                return
+            reply = self._answer(data)
+            if reply:
+                os.write(self.master, reply)
+
+    def close(self) -> None:
+        os.close(self._slave)
+        self._thread.join(1.0)
+        os.close(self.master)
+
+
+class SerialFlight:
+    """A device on a scripted port under a virtual clock; all batches so far in ``batches``."""
+
+    def __init__(self, clock, port: ScriptedSerial, device) -> None:
+        self.clock, self.port, self.device = clock, port, device
+        self.batches: list[Batch] = []
+
+    def start(self) -> list[Batch]:
+        return self._keep(self.device.start(self.clock()))
+
+    def pump(self, after_ns: int = 10 * MS, said: bytes = b"") -> list[Batch]:
+        """Let time pass, bytes arrive at its end, and pump."""
+        self.clock.advance(after_ns)
+        self.port.say(said)
+        return self._keep(self.device.pump(self.clock()))
+
+    def stop(self) -> list[Batch]:
+        return self._keep(self.device.stop(self.clock()))
+
+    def _keep(self, made: list[Batch]) -> list[Batch]:
+        dtypes = {**self.device.channels, "event": EVENT, "gap": GAP}
+        for batch in made:
+            assert batch.rows.dtype == dtypes[batch.channel]
+        self.batches += made
+        return made
