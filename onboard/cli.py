@@ -153,10 +153,12 @@ def _hil(arguments: argparse.Namespace) -> int:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from onboard.offline import info
+    from onboard.offline import info, summary
+    from onboard.recording.reader import LogReader
 
     about = info.info(arguments.log)
     _console().print(info.render(about))
+    _console().print(summary.render(LogReader(arguments.log)))
     return about.exit_code
 
 
@@ -188,16 +190,24 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _identify(arguments: argparse.Namespace) -> int:
+    from rich.progress import Progress
+
     from onboard import config
     from onboard.offline import identify
 
     path = Path(arguments.vehicle)
     vehicle = config.load(path if path.suffix == ".toml" else config.packaged(arguments.vehicle))
-    results = [identify.identify(vehicle, log) for log in arguments.logs]
-    _console().print(identify.render(vehicle, results))
+    console = _console()
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task("identify", total=len(arguments.logs))
+        found = identify.identify(vehicle, arguments.logs, lambda done: progress.update(task, completed=done))
+    console.print(identify.render(found))
     if arguments.json:
-        arguments.json.write_text(json.dumps([r.as_json() for r in results], indent=1) + "\n", encoding="utf-8")
-    return OK if all(r.supported for r in results) else FAILED
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    _warn(found.damage)
+    if not found.supported:
+        return FAILED
+    return DAMAGED if found.damage else OK
 
 
 def _import(arguments: argparse.Namespace) -> int:

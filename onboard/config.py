@@ -9,9 +9,12 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-Vector3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Vector3 = tuple[float, float, float]
+Vector6 = tuple[float, float, float, float, float, float]
+Sigma3 = tuple[NotNegative, NotNegative, NotNegative]
+Sigma6 = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
 
 
 class ConfigError(ValueError):
@@ -159,6 +162,7 @@ class Gates(_Section):
     joint_limits_deg: tuple[float, float] | None = None
     joint_rate_min_rad_s: Positive | None = None
     specific_force_m_s2: Positive | None = None
+    specific_force_window_ms: Positive = 500
     residual_sigma: Positive = 6.0
 
 
@@ -186,14 +190,17 @@ class Masses(_Section):
 class Estimation(_Section):
     """The estimator's ticks, its smoothing kernel, its rows, its gates.
 
+    ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
+    ``nuisance`` names base parameters that take up what is not theirs: estimated, and never reported as supported.
     """
 
     step_ms: Positive = 50
     row_rate_hz: Positive = 100
     lag_ms: Positive = 200
     smoothing_ms: Positive = 100
+    block_ms: Positive | None = None
     base_rows: list[Literal["force", "moment"]] = []
     base_force_sigma_N: Positive = 0.1  # noqa: N815
     base_moment_sigma_N_m: Positive = 5e-4  # noqa: N815
@@ -203,6 +210,48 @@ class Estimation(_Section):
     gates: Gates = Gates()
     prior: Prior = Prior()
     masses: Masses | None = None
+    nuisance: list[str] = []
+
+
+class Carrier(_Section):
+    """The device itself, without a load, in base axes, with the sigmas of its calibration.
+
+    Inertia is about its own centre of mass, in the order XX, XY, YY, XZ, YZ, ZZ.
+    """
+
+    mass_kg: Positive
+    centre_of_mass_m: Vector3
+    centre_of_mass_sigma_m: Sigma3
+    inertia_kg_m2: Vector6
+    inertia_sigma_kg_m2: Sigma6
+
+
+class Load(_Section):
+    """What a free body carries in some of its logs, weighed.
+
+    ``role``: "carrier" is the device alone (``mass_kg`` is the carrier's), "proof" a body known beforehand, its
+    ``truth_kg_m2`` about the base axes x, y, z through its own centre of mass; these two calibrate. ``truth_kg_m2``
+    of a "load" are principal moments in any order. ``bars_percent``: the mean and the worst error that are accepted.
+    """
+
+    name: str
+    logs: str
+    role: Literal["load", "carrier", "proof"] = "load"
+    mass_kg: Positive
+    truth_kg_m2: tuple[Positive, Positive, Positive] | None = None
+    truth_source: str | None = None
+    bars_percent: tuple[Positive, Positive] | None = None
+
+
+class FreeBody(_Section):
+    """A free vehicle with balanced rotors, to be known as one rigid body: its own part in it, and what it may carry.
+
+    ``rotor_sigma``: relative, of the rotors' inertia in the URDF; all inertias scale with it.
+    """
+
+    rotor_sigma: NotNegative = 0.0
+    carrier: Carrier | None = None
+    load: list[Load] = []
 
 
 class Recording(_Section):
@@ -219,6 +268,7 @@ class VehicleFile(_Section):
     bus: dict[str, Bus] = {}
     device: dict[str, Device]
     estimation: Estimation = Estimation()
+    free_body: FreeBody | None = None
     recording: Recording = Recording()
 
 
@@ -315,19 +365,27 @@ def _known_keys(where: list[str], tree: dict[str, Any]) -> list[str]:
         "zero": Zero,
         "prior": Prior,
         "masses": Masses,
+        "free_body": FreeBody,
+        "carrier": Carrier,
+        "load": Load,
         "recording": Recording,
     }
-    section = models.get(where[-1]) or models.get(where[0])
+    tables = [part for part in where if not part.isdigit()]  # an array of tables counts them
+    section = models.get(tables[-1]) or models.get(tables[0])
     return list(section.model_fields) if section else []
 
 
 def _line_of(text: str, where: list[str]) -> int:
     """Line of the key at ``where``, else of the nearest table around it."""
     table: list[str] = []
+    seen: dict[str, int] = {}
     best, depth = 1, 0
     for number, line in enumerate(text.splitlines(), 1):
-        if header := re.match(r"\s*\[\[?\s*([^\]]+?)\s*\]", line):
-            table = [part.strip().strip("\"'") for part in header[1].split(".")]
+        if header := re.match(r"\s*\[(\[?)\s*([^\]]+?)\s*\]", line):
+            table = [part.strip().strip("\"'") for part in header[2].split(".")]
+            if header[1]:
+                seen[header[2]] = seen.get(header[2], -1) + 1
+                table.append(str(seen[header[2]]))
             here = table
         elif key := re.match(r"\s*([A-Za-z0-9_\-\"'.]+)\s*=", line):
             here = [*table, *(part.strip("\"'") for part in key[1].split("."))]
@@ -351,5 +409,10 @@ def _check_names(vehicle: Vehicle) -> None:
     phases = file.estimation.phases
     if phases and phases.channel not in file.device:
         fail(["estimation", "phases", "channel"], f"no device {phases.channel!r}; there are: {', '.join(file.device)}")
+    if file.free_body and file.vehicle.base != "free":
+        fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
+    for index, load in enumerate(file.free_body.load if file.free_body else ()):
+        if load.role == "proof" and load.truth_kg_m2 is None:
+            fail(["free_body", "load", str(index), "role"], "a proof body must be known; give truth_kg_m2")
     if not vehicle.urdf_path.is_file():
         fail(["vehicle", "urdf"], f"no file {vehicle.urdf_path}; put the URDF beside the vehicle file")

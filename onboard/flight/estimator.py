@@ -17,7 +17,7 @@ from onboard.flight.identification import build_identifier
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.signals import Signals
 from onboard.flight.zeroing import Zeroing
-from onboard.model.identify import Estimate, SignalNoise
+from onboard.model.identify import Estimate, Identifier, SignalNoise
 from onboard.model.identify import Signals as ModelSignals
 from onboard.model.rows import base_motion
 from onboard.timebase.timebase import (
@@ -56,20 +56,28 @@ def timebase_of(vehicle: config.Vehicle) -> Timebase:
 class Estimator:
     """Identifies one vehicle from its records.
 
+    Args:
+        vehicle: its file.
+        identifier: goes on with what another estimator of the same vehicle has learned, from another log say; a fresh
+            one where not given.
+
     Attributes:
+        identifier: what has been learned.
         inputs: channels it consumes, in the order that TICK records count them.
         outputs: dtype of every channel it makes.
     """
 
-    def __init__(self, vehicle: config.Vehicle) -> None:
+    def __init__(self, vehicle: config.Vehicle, identifier: Identifier | None = None) -> None:
         self.vehicle = vehicle
         settings = vehicle.file.estimation
         self.inputs = tuple(vehicle.file.device)
-        self._identifier, self.model = build_identifier(vehicle)
+        fresh, self.model = build_identifier(vehicle)
+        self.identifier = fresh if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
         self._signals = Signals(vehicle)
         self._phases = PhaseTrack(settings.phases)
         self._zeroing = Zeroing(settings.zero)
+        self._slow_force = np.zeros(3)
         self._period_ns = round(1e9 / settings.row_rate_hz)
         self._lag_ns = round(settings.lag_ms * 1e6)
         self._next_ns: int | None = None
@@ -79,9 +87,9 @@ class Estimator:
         self._joints = {d.joint: n for n, d in devices if isinstance(d, config.Cia406Device | config.RecordedRate)}
         self._rates = {n for n, d in devices if isinstance(d, config.RecordedRate)}
         self._cells = [n for n, d in devices if isinstance(d, config.Cia404Device)]
-        rows = len(self._identifier.model.rows)
-        parameters = len(self._identifier.base.names)
-        size = len(self._identifier.rls.state().triangle)
+        rows = len(self.identifier.model.rows)
+        parameters = len(self.identifier.base.names)
+        size = len(self.identifier.rls.state().triangle)
         self.outputs: dict[str, np.dtype[np.void]] = {
             "clock": channels.CLOCK,
             "row": channels.row_dtype(rows, len(self.model.joints)),
@@ -93,7 +101,7 @@ class Estimator:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the base parameters, in the order of ESTIMATE's ``mean``."""
-        return self._identifier.base.names
+        return self.identifier.base.names
 
     def process(self, now_ns: int, batches: Mapping[str, Rows], lag_ns: int | None = None) -> list[Batch]:
         """One step: take in ``batches`` by channel, make the rows that are due, answer.
@@ -162,17 +170,17 @@ class Estimator:
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
         signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma * self._inflation, measured_rate, noise)
-        found = self._identifier.update(signals, self._phases.attached(at_ns), refused)
+        found = self.identifier.update(signals, self._phases.attached(at_ns), refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
-        if self._identifier.rows_used:
-            made += self._answers(now_ns, int(at_ns[-1]), self._identifier.estimate())
+        if self.identifier.rows_used:
+            made += self._answers(now_ns, int(at_ns[-1]), self.identifier.estimate())
         return made
 
     def _measured(
         self, at_ns: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
         """Left-hand sides of the rows, their rates, their sigmas, each (n, rows), and reasons (n,)."""
-        rows = self._identifier.model.rows
+        rows = self.identifier.model.rows
         settings, n = self.vehicle.file.estimation, len(at_ns)
         measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.zeros((n, len(rows)))
         refused = np.zeros(n, np.int64)
@@ -206,8 +214,17 @@ class Estimator:
         if settings.gates.joint_rate_min_rad_s:
             refused |= range_gate(np.abs(joints[1]), settings.gates.joint_rate_min_rad_s, np.inf, GateReason.PHASE)
         if settings.gates.specific_force_m_s2:
-            refused |= magnitude_gate(specific_force, settings.gates.specific_force_m_s2, GateReason.DRAG)
+            refused |= magnitude_gate(self._slow(specific_force), settings.gates.specific_force_m_s2, GateReason.DRAG)
         return refused
+
+    def _slow(self, specific_force: Floats) -> Floats:
+        """Running mean of the specific force, (n, 3): drag grows slowly, and vibration is none of it."""
+        weight = self._period_ns * 1e-6 / self.vehicle.file.estimation.gates.specific_force_window_ms
+        means = np.full_like(specific_force, np.nan)
+        for tick in np.flatnonzero(np.isfinite(specific_force).all(axis=1)):
+            self._slow_force += min(weight, 1.0) * (specific_force[tick] - self._slow_force)
+            means[tick] = self._slow_force
+        return means
 
     def _row_batch(
         self,
@@ -226,11 +243,12 @@ class Estimator:
         return self._numbered("row", made)
 
     def _answers(self, now_ns: int, vehicle_ns: int, estimate: Estimate) -> list[Batch]:
+        settings = self.vehicle.file.estimation
         state = np.zeros(1, self.outputs["estimate"])
         state["host_ns"], state["vehicle_ns"] = now_ns, vehicle_ns
         state["rows_used"], state["rows_gated"] = estimate.rows_used, sum(estimate.refused.values())
         state["mean"] = estimate.mean
-        triangle = self._identifier.rls.state().triangle
+        triangle = self.identifier.rls.state().triangle
         state["triangle"] = triangle[np.triu_indices(len(triangle))]
         answers = np.zeros(len(estimate.names) + len(estimate.quantities), channels.QUANTITY)
         answers["host_ns"], answers["vehicle_ns"] = now_ns, vehicle_ns
@@ -238,6 +256,7 @@ class Estimator:
         for field in ("low", "high", "sigma", "supported"):
             answers[field][:p] = getattr(estimate, field)
         answers["value"][:p] = estimate.mean
+        answers["supported"][:p] &= ~np.isin(estimate.names, settings.nuisance)
         answers["name"][:p] = [name.encode() for name in estimate.names]
         for row, quantity in zip(answers[p:], estimate.quantities, strict=True):
             row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]

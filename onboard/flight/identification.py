@@ -6,12 +6,13 @@ from onboard import config
 from onboard.estimation.errors import EstimationError
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import ModelError
+from onboard.model.free_body import free_body_quantities
 from onboard.model.identify import Considered, Identifier, Quantity, mass_quantities
 from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
 from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
 
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
-BLOCKS_PER_KERNEL = 5
+KERNELS_PER_BLOCK = 5
 
 
 def build_model(vehicle: config.Vehicle) -> Vehicle:
@@ -51,14 +52,16 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
         prior = named_relative_sigma(row_model, settings.prior.relative, {**settings.prior.absolute, **offsets})
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
-            quantities = mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link)
+            quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link)
+        if vehicle.file.free_body:
+            quantities += free_body_quantities(row_model, base, prior)
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
     identifier = Identifier(
         row_model,
         base,
         prior,
-        BLOCKS_PER_KERNEL * settings.smoothing_ms * 1e-3,
+        (settings.block_ms or KERNELS_PER_BLOCK * settings.smoothing_ms) * 1e-3,
         quantities,
         considered,
         settings.gates.residual_sigma,

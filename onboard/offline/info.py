@@ -203,15 +203,13 @@ def _head(about: LogInfo) -> Table:
 
 def _channel_table(about: LogInfo) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
-    table.add_column("channel")
-    table.add_column("record")
+    table.add_column("channel", no_wrap=True)
     for heading in ("rows", "rate Hz", "missing", "in gaps", "unexplained", "flagged"):
         table.add_column(heading, justify="right")
     for channel in about.channels:
         rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
         table.add_row(
             Text(channel.name),
-            channel.record,
             f"{channel.rows:,}",
             rate,
             _count(channel.missing),

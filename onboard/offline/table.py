@@ -24,7 +24,7 @@ Result = dict[str, Any]
 def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
     """The last QUANTITY of each name in a log; empty when the estimator never answered."""
     answers: dict[str, dict[str, Any]] = {}
-    for _, rows in log.batches(["quantity"]):
+    for _, rows in log.batches(["quantity"]) if "quantity" in log.channels else ():
         for row in rows[-256:]:
             answers[row["name"].decode()] = {
                 "value": float(row["value"]),

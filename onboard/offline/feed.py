@@ -1,0 +1,88 @@
+"""A log through the flight's estimator, as in flight: steps of the vehicle's ``step_ms`` in the log's own time.
+
+Memory is constant in the length of the log: every channel is read by a pass of its own, a chunk at a time, so it is of
+no account in which order the channels lie in the file.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from drivers.records import Batch, Rows
+from onboard import config
+from onboard.flight.estimator import Estimator
+from onboard.flight.rings import device_channels
+from onboard.recording.errors import ChannelError
+from onboard.recording.reader import LogReader
+
+
+class _Source:
+    """The rows of one channel, in the order of the file."""
+
+    def __init__(self, log: LogReader, name: str) -> None:
+        self._batches = log.batches([name])
+        self._rows: Rows = np.empty(0, log.channels[name])
+        self._fill()
+
+    def _fill(self) -> None:
+        while not len(self._rows) and (batch := next(self._batches, None)) is not None:
+            self._rows = batch.rows
+
+    @property
+    def next_ns(self) -> int | None:
+        """Stamp of the next row; None at the end."""
+        return int(self._rows["host_ns"][0]) if len(self._rows) else None
+
+    def take(self, until_ns: int) -> Rows:
+        """Rows before the first that is stamped ``until_ns`` or later."""
+        parts = [self._rows[:0]]
+        while len(self._rows):
+            late = self._rows["host_ns"] >= until_ns
+            count = int(np.argmax(late)) if late.any() else len(self._rows)
+            parts.append(self._rows[:count])
+            self._rows = self._rows[count:]
+            if len(self._rows):
+                break
+            self._fill()
+        return np.concatenate(parts)
+
+
+def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
+    """That a log has every channel of a vehicle's devices, with rows of the right kind.
+
+    Raises:
+        ChannelError: it has not.
+    """
+    wanted = {name: dtype for name, dtype in device_channels(vehicle).items() if name in vehicle.file.device}
+    missing = [name for name in wanted if name not in log.channels]
+    other = [name for name, dtype in wanted.items() if name not in missing and log.channels[name] != dtype]
+    if missing or other:
+        what = f"no channel {', '.join(missing)}" if missing else f"another kind of rows in {', '.join(other)}"
+        raise ChannelError(
+            f"{log.path} has {what}, which vehicle {vehicle.file.vehicle.name!r} needs; it has "
+            f"{', '.join(log.channels) or 'none'}. Give the vehicle that it was flown with"
+        )
+
+
+def feed(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
+    """What the estimator answers, step by step; the last step waits for nothing, as at the end of a flight.
+
+    Args:
+        estimator: of the vehicle that the log was flown with.
+        log: its rows' ``host_ns`` are the time that passes.
+
+    Raises:
+        ChannelError: the log does not fit the vehicle.
+    """
+    check_channels(estimator.vehicle, log)
+    step_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6)
+    sources = {name: _Source(log, name) for name in estimator.inputs}
+    begin = [source.next_ns for source in sources.values() if source.next_ns is not None]
+    if not begin:
+        return
+    now_ns = min(begin)
+    yield from estimator.process(now_ns, {})
+    while any(source.next_ns is not None for source in sources.values()):
+        now_ns += step_ns
+        yield from estimator.process(now_ns, {name: source.take(now_ns) for name, source in sources.items()})
+    yield from estimator.process(now_ns, {}, 0)
