@@ -24,6 +24,8 @@ from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDe
 from drivers.unwrap import steps
 
 MOST_HELD = 4096  # data frames kept until the descriptor tells what they are
+LONGEST_FRAME_NS = 60e9  # between two frames of a node; what a clock gone wrong says beyond that is no interval
+LONGEST_GAP_NS = 1 << 62
 SILENT_AT_STOP_NS = 100 * MS
 NODE_NOT_VALID, NODE_SATURATED = 1, 2  # of the node's status byte; the rest is the node's own
 _SEQUENCE_AT = slice(4, 8)
@@ -217,14 +219,16 @@ class NodeFrame(SerialDevice):
             lost[0] = max(0, lost[0] - self._named)
             self._named = 0
         numbers = self._next + np.cumsum(lost) + np.arange(len(lost))
-        since = np.diff(placed.ticks)[placed.lost[1:] == 0]
-        if len(since):
-            self._frame_ns = float(np.median(since)) * 1e9 / tick_hz
+        since = np.diff(placed.ticks)
+        plain = (placed.lost[1:] == 0) & ~placed.jumped[1:] & ~placed.rebooted[1:] & (since > 0)
+        if plain.any():
+            self._frame_ns = min(float(np.median(since[plain])) * 1e9 / tick_hz, LONGEST_FRAME_NS)
         for place in np.flatnonzero(lost):
             count, last = int(lost[place]), int(numbers[place]) - 1
             cause = "node_reset" if placed.rebooted[place] else "frames_lost"
             for channel in self._value_channels():
-                self._report.gap(host_ns, channel, last - count + 1, last, round(count * self._frame_ns), cause)
+                duration_ns = min(round(count * self._frame_ns), LONGEST_GAP_NS)
+                self._report.gap(host_ns, channel, last - count + 1, last, duration_ns, cause)
         self._next = int(numbers[-1]) + 1
         return numbers
 

@@ -268,8 +268,9 @@ class Qsb(SerialDevice):
         self._hand_over_marks(now_ns, None)
         if self._last_ns is not None and now_ns - self._last_ns > SILENT_AT_STOP_NS:
             lost = round((now_ns - self._last_ns) / self.config.interval_ns)
-            text = self._cause or "silent"
-            self._report.gap(now_ns, self.name, self._next, self._next + lost - 1, now_ns - self._last_ns, text)
+            cause = self._cause or "silent"
+            if lost > 0:  # a long interval may not have passed yet
+                self._report.gap(now_ns, self.name, self._next, self._next + lost - 1, now_ns - self._last_ns, cause)
             self._next += lost
             self._named += lost
         self._cause = ""
