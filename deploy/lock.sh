@@ -25,7 +25,7 @@ with open("pyproject.toml", "rb") as file:
     print(*tomllib.load(file)["build-system"]["requires"], sep="\n")
 ' | "$tools/bin/uv" pip compile pyproject.toml - --extra "$extra" --output-file "$lock" \
         --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
-        --no-config --no-annotate --custom-compile-command 'sh deploy/lock.sh' --quiet "$@"
+        --only-binary :all: --no-config --no-annotate --custom-compile-command 'sh deploy/lock.sh' --quiet "$@"
     printf '%s: %s packages\n' "$lock" "$(grep -c '==' "$lock")"
 }
 
