@@ -35,3 +35,15 @@ class SdoAbortError(DriverError, RuntimeError):
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
         self.code = code
+
+
+class SelfTestError(DriverError, RuntimeError):
+    """A device's own test of itself does not come out as its factory says.
+
+    Attributes:
+        deviations: Relative deviation of each axis, gyro x, y, z, accel x, y, z; empty where they cannot be told.
+    """
+
+    def __init__(self, message: str, deviations: tuple[float, ...]) -> None:
+        super().__init__(message)
+        self.deviations = deviations

@@ -15,7 +15,7 @@ class I2cReply(NamedTuple):
 
 
 class I2cPort(Protocol):
-    """An I2C master. Raises OSError with the kernel's errno (EREMOTEIO, ENXIO, ETIMEDOUT, EIO) when a transfer fails."""
+    """An I2C master. Raises OSError with the kernel's errno (EREMOTEIO, ENXIO, ETIMEDOUT, EIO) when it fails."""
 
     def write(self, address: int, data: bytes) -> None:
         """START, address+W, ``data``, STOP."""
@@ -68,6 +68,26 @@ class PulsePort(Protocol):
 
     def close(self) -> None:
         """Give the line back."""
+
+
+class Driven(NamedTuple):
+    """An output line was set between these two instants, CLOCK_MONOTONIC ns."""
+
+    before_ns: int
+    after_ns: int
+
+
+class PulseOutputPort(Protocol):
+    """An output line, and the waiting for the instant to set it. Raises OSError when the line is gone."""
+
+    def wait_until(self, instant_ns: int) -> None:
+        """Return at CLOCK_MONOTONIC ``instant_ns``, or at once when that has passed."""
+
+    def drive(self, high: bool) -> Driven:
+        """Set the level."""
+
+    def close(self) -> None:
+        """Leave the line low and give it back."""
 
 
 class SerialPort(Protocol):

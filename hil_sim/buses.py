@@ -10,16 +10,16 @@ import errno
 import os
 import socket
 import struct
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Protocol, Self, runtime_checkable
 
 import can
 import numpy as np
 
-from hil_sim.devices.can_wire import CanTalker, CanWire, WireFrame
+from hil_sim.devices.can_wire import Babbler, CanTalker, CanWire, WireFrame, is_process_data
 from hil_sim.devices.sync_line import EdgeCapture
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind
 from hil_sim.i2c_dev import InstalledI2c, install_i2c
@@ -39,6 +39,11 @@ __all__ = [
 ]
 
 _EDGE: Final = struct.Struct("<qI")  # edge_ns, line_sequence
+_PROTOCOL_ERROR, _BUS_OFF, _BUS_ERROR, _RESTARTED = 0x008, 0x040, 0x080, 0x100  # linux/can/error.h
+
+
+def _os_error(code: int) -> OSError:
+    return OSError(code, os.strerror(code))
 
 
 class I2cSlave(Protocol):
@@ -78,7 +83,7 @@ class I2cBus:
         Raises:
             FaultError: a fault that an I2C bus cannot have.
         """
-        self._faults = faults.require(FaultKind.NACK)
+        self._faults = faults.require(FaultKind.NACK, FaultKind.TIMEOUT, FaultKind.STUCK_BUS, FaultKind.INTERMITTENT)
 
     def advance(self, now_ns: int) -> None:
         """Let every slave do what is due."""
@@ -92,17 +97,28 @@ class I2cBus:
             OSError: EREMOTEIO when nobody acknowledges, or what the slave or a fault says.
         """
         self.transfers += 1
-        fault = self._faults.active(FaultKind.NACK, now_ns) if self._faults else None
         slave = self._slaves.get(address)
-        if fault is not None or slave is None:
-            self.refused += 1
-            code = int(fault.value) if fault is not None and fault.value else errno.EREMOTEIO
-            raise OSError(code, os.strerror(code))
         try:
-            return slave.transfer(address, write, read_count, now_ns)
+            self._obstruct(now_ns)
+            if slave is None:
+                raise _os_error(errno.EREMOTEIO)
+            answer = slave.transfer(address, write, read_count, now_ns)
+            if self._faults and self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
+                raise _os_error(errno.ETIMEDOUT)
         except OSError:
             self.refused += 1
             raise
+        return answer
+
+    def _obstruct(self, now_ns: int) -> None:
+        """What keeps a transfer from beginning, if anything does."""
+        if not self._faults:
+            return
+        if self._faults.active(FaultKind.STUCK_BUS, now_ns) is not None:
+            raise _os_error(errno.EBUSY)
+        nack = self._faults.active(FaultKind.NACK, now_ns)
+        if nack is not None or self._faults.is_away(now_ns):
+            raise _os_error(int(nack.value) if nack is not None and nack.value else errno.EREMOTEIO)
 
     @staticmethod
     def transfer_ns(write_count: int, read_count: int, bit_rate: int = 400_000) -> int:
@@ -124,6 +140,14 @@ class CanLink(Protocol):
 
     def give(self, frames: Sequence[WireFrame]) -> None:
         """Frames it receives, with the stamp of its kernel in ``end_ns``."""
+
+
+@runtime_checkable
+class ReportsCanErrors(Protocol):
+    """An interface that also tells what its controller notices; an slcan adapter does not."""
+
+    def give_error(self, end_ns: int, classes: int) -> None:
+        """An error frame, its classes as in linux/can/error.h."""
 
 
 class CanBus:
@@ -156,7 +180,10 @@ class CanBus:
         self._rng = np.random.default_rng([seed, 0xCA])
         self._latency_ns = latency_ns
         self._jitter_ns = jitter_ns
+        self.errors = 0  # error frames told
+        self._bit_rate = bit_rate
         self._faults = NO_FAULTS
+        self._late: deque[tuple[int, WireFrame]] = deque()  # frames on their way to us, by time of arrival
         self._now_ns = 0
         self._last_stamp_ns = 0
 
@@ -167,7 +194,7 @@ class CanBus:
 
     def add(self, node: CanTalker) -> None:
         """Connect a node."""
-        self._wire.add(node)
+        self._wire.add(node, is_process_data)
 
     def inject(self, faults: DeviceFaults) -> None:
         """Set what breaks.
@@ -175,27 +202,71 @@ class CanBus:
         Raises:
             FaultError: a fault that a CAN bus cannot have.
         """
-        self._faults = faults.require(FaultKind.FRAME_DROP)
+        self._faults = faults.require(
+            FaultKind.FRAME_DROP,
+            FaultKind.BUS_OFF,
+            FaultKind.ERROR_FRAMES,
+            FaultKind.FLOOD,
+            FaultKind.DELAYED,
+            FaultKind.INTERMITTENT,
+        )
+        for window in faults.windows:
+            if window.kind is FaultKind.FLOOD:
+                babbler = Babbler(int(window.value), window.start_ns, window.end_ns, self._bit_rate)
+                self._wire.add(babbler, lambda identifier: True)
 
     def advance(self, now_ns: int) -> None:
         """Send what the flight computer sent since the last call, let nodes and wire go on, deliver what arrived."""
-        for identifier, data in self._link.take():
-            self._wire.send(identifier, data, self._now_ns)
+        sent = self._link.take()
+        if not (self._faults and self._is_cut(self._now_ns)):
+            for identifier, data in sent:
+                self._wire.send(identifier, data, self._now_ns)
         frames = self._wire.advance(now_ns)
-        self._now_ns = now_ns
+        before_ns, self._now_ns = self._now_ns, now_ns
         if self._link.listening:
             self.heard.update(frame.identifier for frame in frames)
         if self._faults:
             kept = [frame for frame in frames if not self._is_dropped(frame)]
             self.dropped += len(frames) - len(kept)
-            frames = kept
+            frames = self._arrived(kept, now_ns)
+            self._tell_errors(before_ns, now_ns)
         if frames:
             self.delivered += len(frames)
             self._link.give([self._stamped(frame) for frame in frames])
 
+    def _is_cut(self, now_ns: int) -> bool:
+        return self._faults.active(FaultKind.BUS_OFF, now_ns) is not None or self._faults.is_away(now_ns)
+
     def _is_dropped(self, frame: WireFrame) -> bool:
         fault = self._faults.active(FaultKind.FRAME_DROP, frame.end_ns)
-        return fault is not None and fault.value in (0, frame.identifier)
+        return self._is_cut(frame.end_ns) or (fault is not None and fault.value in (0, frame.identifier))
+
+    def _arrived(self, frames: list[WireFrame], now_ns: int) -> list[WireFrame]:
+        """Frames that are with us now, those that were delayed before included."""
+        for frame in frames:
+            delayed = self._faults.active(FaultKind.DELAYED, frame.end_ns)
+            here_ns = frame.end_ns + (0 if delayed is None else round(delayed.value * 1e9))
+            if self._late:
+                here_ns = max(here_ns, self._late[-1][0])
+            self._late.append((here_ns, frame))
+        arrived = []
+        while self._late and self._late[0][0] <= now_ns:
+            here_ns, frame = self._late.popleft()
+            arrived.append(frame._replace(end_ns=here_ns))
+        return arrived
+
+    def _tell_errors(self, before_ns: int, now_ns: int) -> None:
+        errors = [
+            (t, _PROTOCOL_ERROR | _BUS_ERROR) for t in self._faults.repeats(FaultKind.ERROR_FRAMES, before_ns, now_ns)
+        ]
+        for window in self._faults.windows:
+            if window.kind is FaultKind.BUS_OFF:
+                ends = ((window.start_ns, _BUS_OFF), (window.end_ns, _RESTARTED))
+                errors += [(t, classes) for t, classes in ends if before_ns < t <= now_ns]
+        for time_ns, classes in sorted(errors):
+            self.errors += 1
+            if isinstance(self._link, ReportsCanErrors):
+                self._link.give_error(time_ns, classes)
 
     def _stamped(self, frame: WireFrame) -> WireFrame:
         late_ns = self._latency_ns + int(self._rng.standard_exponential() * self._jitter_ns)
@@ -301,6 +372,10 @@ class VirtualCan:
             self._bus.send(
                 can.Message(timestamp=end_ns * 1e-9, arbitration_id=identifier, is_extended_id=False, data=data)
             )
+
+    def give_error(self, end_ns: int, classes: int) -> None:
+        """Send an error frame."""
+        self._bus.send(can.Message(timestamp=end_ns * 1e-9, arbitration_id=classes, is_error_frame=True, data=bytes(8)))
 
     def close(self) -> None:
         """Leave the channel."""

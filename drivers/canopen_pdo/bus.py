@@ -1,14 +1,17 @@
 """A CAN bus of CANopen nodes as one device: dispatches frames, numbers SYNCs, hands rows over once a pump."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import Channel, EventChannel, ProcessData
+from drivers.canopen_pdo.cia402 import Cia402Config, drive_values
 from drivers.canopen_pdo.cia404 import Cia404Config, LoadCell
 from drivers.canopen_pdo.cia406 import Cia406Config, Encoder
+from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.mapped_object import CanopenObjectConfig, MappedObject
 from drivers.canopen_pdo.node import Node
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
@@ -18,7 +21,7 @@ from drivers.ports import CanFrame, CanPort
 from drivers.records import CAN_SYNC, Batch, Severity
 from drivers.reporter import Reporter
 
-NodeConfig = Cia406Config | Cia404Config | CanopenObjectConfig
+NodeConfig = Cia402Config | Cia404Config | Cia406Config | CanopenObjectConfig
 
 OVERDUE = 2.5  # SYNC periods without SYNC after which held TPDOs are handed over
 STALLED = 100.0  # SYNC periods without SYNC after which arrival times are looked at as a whole
@@ -40,13 +43,15 @@ ERROR_CLASSES = {  # linux/can/error.h
 BUS_OFF = 0x040
 
 
-def process_data(config: NodeConfig) -> ProcessData:
-    """The kind of process data that a configuration names."""
+def process_data(config: NodeConfig) -> Sequence[ProcessData]:
+    """The process data that a configuration names: one channel, or up to three of a drive."""
+    if isinstance(config, Cia402Config):
+        return drive_values(config)
     if isinstance(config, Cia406Config):
-        return Encoder(config)
+        return [Encoder(config)]
     if isinstance(config, Cia404Config):
-        return LoadCell(config)
-    return MappedObject(config)
+        return [LoadCell(config)]
+    return [MappedObject(config)]
 
 
 @runtime_checkable
@@ -58,6 +63,14 @@ class CountsLostFrames(Protocol):
         """Since it was opened."""
 
 
+@runtime_checkable
+class AsksForFrames(Protocol):
+    """A port that can send remote frames."""
+
+    def request(self, identifier: int, size: int) -> None:
+        """Send a remote frame that asks for ``size`` bytes. Raises OSError."""
+
+
 class CanopenBus:
     """All CANopen nodes of one CAN bus, and its SYNC.
 
@@ -66,15 +79,24 @@ class CanopenBus:
         nodes: What is on it; several entries may share a node.
         sync: The SYNC producer.
         name: Source of the events of the bus itself.
+        guards: How nodes without heartbeat are watched.
 
     Attributes:
         unclaimed: Frames nobody here asked for.
 
     Raises:
-        ConfigurationError: Two channels of one name, or a node number that is none.
+        ConfigurationError: Two channels of one name, a node number that is none, a guard of no node, or one on a port
+            that sends no remote frames.
     """
 
-    def __init__(self, port: CanPort, nodes: Sequence[NodeConfig], sync: SyncConfig, name: str = "canopen") -> None:
+    def __init__(
+        self,
+        port: CanPort,
+        nodes: Sequence[NodeConfig],
+        sync: SyncConfig,
+        name: str = "canopen",
+        guards: Sequence[GuardConfig] = (),
+    ) -> None:
         self.name = name
         self.unclaimed = 0
         self._port = port
@@ -93,16 +115,16 @@ class CanopenBus:
         self._counting: CountsLostFrames | None = None
         self._channels: list[Channel] = []
         self._synchronous: list[SyncChannel] = []
-        names = [sync.name, *(config.name for config in nodes)]
+        values = [data for config in nodes for data in process_data(config)]
+        names = [sync.name, *(data.name for data in values)]
         if len(set(names)) < len(names):
             raise ConfigurationError(
                 f"bus {name} has two channels of one name ({', '.join(sorted(names))}): rename one"
             )
         by_node: dict[int, list[Channel]] = {}
-        for config in nodes:
-            if not 1 <= config.node <= 127:
-                raise ConfigurationError(f"{config.name}: node = {config.node}: CANopen has 1..127")
-            data = process_data(config)
+        for data in values:
+            if not 1 <= data.node <= 127:
+                raise ConfigurationError(f"{data.name}: node = {data.node}: CANopen has 1..127")
             channel: Channel
             if data.synchronous:
                 channel = SyncChannel(data, self._report, self._sync)
@@ -110,8 +132,12 @@ class CanopenBus:
             else:
                 channel = EventChannel(data, self._report, self._sync)
             self._channels.append(channel)
-            by_node.setdefault(config.node, []).append(channel)
-        self._nodes = [Node(number, channels, self._send, self._report) for number, channels in by_node.items()]
+            by_node.setdefault(data.node, []).append(channel)
+        guarding = self._guards(guards, by_node)
+        self._nodes = [
+            Node(number, channels, self._send, self._report, guarding.get(number))
+            for number, channels in by_node.items()
+        ]
         self._handlers = self._routes()
 
     @property
@@ -161,6 +187,17 @@ class CanopenBus:
         self._report.event(now_ns, Severity.INFO, "stopped", text)
         self._report.flush(now_ns)
         return self._handed_over()
+
+    def _guards(self, configs: Sequence[GuardConfig], nodes: Mapping[int, object]) -> dict[int, Guard]:
+        port = self._port
+        guards = {}
+        for config in configs:
+            if config.node not in nodes:
+                raise ConfigurationError(f"bus {self.name} guards node {config.node} and has no channel of it: drop it")
+            if not isinstance(port, AsksForFrames):
+                raise ConfigurationError(f"bus {self.name}: its port sends no remote frames: use heartbeats")
+            guards[config.node] = Guard(config, partial(self._ask, port, frame.HEARTBEAT + config.node))
+        return guards
 
     # Frames
 
@@ -241,6 +278,12 @@ class CanopenBus:
     def _send(self, identifier: int, data: bytes) -> None:
         try:
             self._port.send(identifier, data)
+        except OSError as error:
+            self._port_failed(error)
+
+    def _ask(self, port: AsksForFrames, identifier: int) -> None:
+        try:
+            port.request(identifier, 1)
         except OSError as error:
             self._port_failed(error)
 

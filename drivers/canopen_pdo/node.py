@@ -1,4 +1,4 @@
-"""One CANopen node seen from the master: set up, started, watched by its heartbeat, set up again when it rebooted."""
+"""One CANopen node seen from the master: set up, started, watched (heartbeat or guarding), set up again on reboot."""
 
 from collections.abc import Callable, Sequence
 from enum import Enum, auto
@@ -6,7 +6,8 @@ from enum import Enum, auto
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import Channel
 from drivers.canopen_pdo.frame import NmtCommand, NmtState
-from drivers.canopen_pdo.sdo import SdoClient, Setup, read_unsigned, write_unsigned
+from drivers.canopen_pdo.guarding import Guard
+from drivers.canopen_pdo.sdo import SdoClient, Setup, attempt, read_unsigned, write_unsigned
 from drivers.errors import ConfigurationError, DriverError, FrameError, NoAnswerError, SdoAbortError, WrongDeviceError
 from drivers.records import Severity
 from drivers.reporter import Reporter
@@ -36,22 +37,31 @@ class _State(Enum):
 class Node:
     """A node and the channels it feeds.
 
-    Set-up: pre-operational, identity 1000h, what each channel needs, heartbeat 1017h, NMT start.
+    Set-up: pre-operational, identity 1000h, heartbeat 1017h (or guarding 100Ch and 100Dh where it has none), what each
+    channel needs, NMT start.
 
     Args:
         number: Node number, 1..127.
         channels: Its channels.
         send: Sends a frame (COB-ID, data) and keeps bus faults to itself.
         report: Where events go.
+        guard: How it is watched where it has no heartbeat.
     """
 
     def __init__(
-        self, number: int, channels: Sequence[Channel], send: Callable[[int, bytes], None], report: Reporter
+        self,
+        number: int,
+        channels: Sequence[Channel],
+        send: Callable[[int, bytes], None],
+        report: Reporter,
+        guard: Guard | None = None,
     ) -> None:
         self.number = number
         self.channels = tuple(channels)
         self._send = send
         self._report = report
+        self._guard = guard
+        self._guarded_by: Guard | None = None  # while it makes no heartbeat
         self._sdo = SdoClient(number, send)
         self._state = _State.OFF
         self._deadline_ns = 0
@@ -86,10 +96,8 @@ class Node:
             self._guarded(lambda: self._sdo.poll(now_ns), now_ns)
         elif self._state is _State.AWAY and now_ns >= self._deadline_ns:
             self.begin(now_ns)
-        elif self._state is _State.RUNNING and now_ns - self._heard_ns > HEARTBEAT_LIMIT_NS:
-            text = f"node {self.number}: no heartbeat for {(now_ns - self._heard_ns) // 1_000_000} ms: set up anew"
-            self._report.event(now_ns, Severity.ERROR, "heartbeat_lost", text, self.source)
-            self._reset(now_ns)
+        elif self._state is _State.RUNNING:
+            self._watch(now_ns)
 
     def on_sdo(self, host_ns: int, data: bytes) -> None:
         """An answer of its SDO server."""
@@ -103,7 +111,11 @@ class Node:
         except FrameError as error:
             self._report.event(host_ns, Severity.WARNING, "bad_heartbeat", str(error), self.source)
             return
-        self._heard_ns = host_ns
+        if self._guarded_by is None or state is NmtState.BOOT_UP or self._guarded_by.answered(data):
+            self._heard_ns = host_ns
+        else:
+            text = f"node {self.number}: guarding bit does not toggle: its program stands, or a second node answers"
+            self._report.event(host_ns, Severity.WARNING, "guard_toggle", text, self.source)
         if self._state is _State.OFF:
             return
         if state is NmtState.BOOT_UP:
@@ -144,9 +156,35 @@ class Node:
                     f"node {self.number} has device type {device_type:08X}h, {channel.data.name} needs "
                     f"xxxx{profile:04X}h: check the node numbers"
                 )
-        yield from write_unsigned(0x1017, 0, HEARTBEAT_MS, 2)
+        yield from self._watching()
         for channel in self.channels:
             yield from channel.data.setup()
+
+    def _watching(self) -> Setup:
+        """Have it make a heartbeat; where it has none, tell it how it is guarded."""
+        self._guarded_by = None
+        guard = self._guard
+        try:
+            yield from write_unsigned(0x1017, 0, HEARTBEAT_MS, 2)
+        except SdoAbortError as error:
+            if guard is None:
+                raise ConfigurationError(f"{error}: it makes no heartbeat; configure node guarding for it") from error
+            yield from attempt(0x100C, 0, guard.config.guard_time_ms, 2)  # its own watch over us: it may do without
+            yield from attempt(0x100D, 0, guard.config.life_time_factor, 1)
+            self._guarded_by = guard
+
+    def _watch(self, now_ns: int) -> None:
+        guard = self._guarded_by
+        silent_ns = now_ns - self._heard_ns
+        if guard is not None and not guard.poll(now_ns):
+            code, what = "guarding_lost", "sign of life when guarded"
+        elif guard is None and silent_ns > HEARTBEAT_LIMIT_NS:
+            code, what = "heartbeat_lost", "heartbeat"
+        else:
+            return
+        text = f"node {self.number}: no {what} for {silent_ns // 1_000_000} ms: set up anew"
+        self._report.event(now_ns, Severity.ERROR, code, text, self.source)
+        self._reset(now_ns)
 
     def _guarded(self, step: Callable[[], None], now_ns: int) -> None:
         """Take a step of the set-up; what ends it early becomes an event."""
@@ -168,6 +206,8 @@ class Node:
         self._heard_ns = now_ns
         self._backoff_ns = BACKOFF_NS
         self._told = ""
+        if self._guarded_by is not None:
+            self._guarded_by.begin(now_ns)
         for channel in self.channels:
             channel.go_live()
         self._start(now_ns)

@@ -1,4 +1,4 @@
-"""InvenSense MPU-6050 inertial measurement unit on I2C, drained from its FIFO, and the clones sold under its name.
+"""InvenSense MPU-6050 inertial measurement unit on I2C, by its FIFO or its data registers, and clones under its name.
 
 Sources: register map RM-MPU-6000A 4.2, product specification PS-MPU-6000A 3.4. Known warts: one temperature LSB is
 given up for the sync flag; the chip runs up to 1 % off its nominal rate, so rows carry a sample number and no time.
@@ -7,5 +7,6 @@ given up for the sync flag; the chip runs up to 1 % off its nominal rate, so row
 from drivers.mpu6050.decode import decode_packets
 from drivers.mpu6050.device import Mpu6050
 from drivers.mpu6050.registers import CHIPS, Chip, Mpu6050Config
+from drivers.mpu6050.self_test import SelfTest
 
-__all__ = ["CHIPS", "Chip", "Mpu6050", "Mpu6050Config", "decode_packets"]
+__all__ = ["CHIPS", "Chip", "Mpu6050", "Mpu6050Config", "SelfTest", "decode_packets"]

@@ -12,6 +12,8 @@ _REMEDY = {
     errno.ENXIO: "check its power, wiring and AD0",
     errno.EREMOTEIO: "check its power, wiring and AD0",
     errno.ETIMEDOUT: "SDA may be held low: power-cycle it",
+    errno.ENODEV: "the adapter is gone: plug it in",
+    errno.ENOENT: "the adapter is gone: plug it in",
     errno.EAGAIN: "arbitration lost: look for another master",
 }
 _T = TypeVar("_T")

@@ -1,10 +1,11 @@
 """Registers of the MPU-6050 (RM-MPU-6000A 4.2) and what a configuration writes into them."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from drivers.errors import ConfigurationError
 
+SELF_TEST_X = 0x0D  # and Y, Z, A behind it
 SMPLRT_DIV = 0x19
 CONFIG = 0x1A
 GYRO_CONFIG = 0x1B
@@ -14,6 +15,7 @@ FIFO_EN = 0x23
 INT_PIN_CFG = 0x37
 INT_ENABLE = 0x38
 INT_STATUS = 0x3A
+ACCEL_XOUT_H = 0x3B
 USER_CTRL = 0x6A
 PWR_MGMT_1 = 0x6B
 PWR_MGMT_2 = 0x6C
@@ -30,7 +32,10 @@ DEVICE_RESET = 1 << 7  # PWR_MGMT_1
 SLEEP = 1 << 6
 CLOCK_PLL_GYRO_X = 1
 
-STREAMING = {USER_CTRL: USER_FIFO_EN, FIFO_EN: FIFO_EN_ALL}  # besides the configuration, while the FIFO runs
+DATA_RDY = 1 << 0  # INT_ENABLE, INT_STATUS
+
+FIFO_RUNS = {USER_CTRL: USER_FIFO_EN, FIFO_EN: FIFO_EN_ALL}  # besides the configuration
+BURST_RUNS = {USER_CTRL: 0, FIFO_EN: 0}
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 ACCEL_LSB_PER_G = {2: 16384.0, 4: 8192.0, 8: 4096.0, 16: 2048.0}  # AFS_SEL 0..3, PS 6.2
@@ -74,8 +79,9 @@ class Mpu6050Config:
         accel_range_g: 2, 4, 8 or 16.
         gyro_range_deg_s: 250, 500, 1000 or 2000.
         filter_code: DLPF_CFG, 0..6.
-        poll_period_ms: How often the FIFO is drained.
+        poll_period_ms: How often the FIFO is drained. A burst is read as often as the sample rate asks.
         max_transfer_bytes: Longest single read; some adapters end at 32, 255 or 4096 bytes.
+        mode: ``fifo``, or ``burst``: one transfer of the data registers a sample.
 
     Raises:
         ConfigurationError: A value the chip does not have, or a FIFO that would run over between two drains.
@@ -88,6 +94,7 @@ class Mpu6050Config:
     filter_code: int = 2
     poll_period_ms: float = 10.0
     max_transfer_bytes: int = 252
+    mode: Literal["fifo", "burst"] = "fifo"
 
     def __post_init__(self) -> None:
         if self.address not in {0x68, 0x69}:
@@ -100,7 +107,9 @@ class Mpu6050Config:
             raise ConfigurationError(f"filter_code = {self.filter_code}: DLPF_CFG is 0..6")
         if not 4 <= self.sample_rate_hz <= 1000 or 1000 % self.sample_rate_hz:
             raise ConfigurationError(f"sample_rate_hz = {self.sample_rate_hz}: use a whole fraction of 1000, 4 or more")
-        if not 0.0 < self.poll_period_ms * self.sample_rate_hz <= 18_000.0:
+        if self.mode not in {"fifo", "burst"}:
+            raise ConfigurationError(f"mode = {self.mode!r}: use fifo or burst")
+        if self.mode == "fifo" and not 0.0 < self.poll_period_ms * self.sample_rate_hz <= 18_000.0:
             raise ConfigurationError(
                 f"poll_period_ms = {self.poll_period_ms}: over 18 samples would gather, half a small FIFO: poll faster"
             )
@@ -134,7 +143,7 @@ def configuration(config: Mpu6050Config, chip: Chip) -> dict[int, int]:
         GYRO_CONFIG: list(GYRO_LSB_PER_DEG_S).index(config.gyro_range_deg_s) << 3,
         ACCEL_CONFIG: list(ACCEL_LSB_PER_G).index(config.accel_range_g) << 3,
         INT_PIN_CFG: 0,
-        INT_ENABLE: FIFO_OFLOW,
+        INT_ENABLE: FIFO_OFLOW if config.mode == "fifo" else DATA_RDY,
     }
     if chip.second_accel_config is not None:
         registers[ACCEL_CONFIG_2] = chip.second_accel_config | config.filter_code

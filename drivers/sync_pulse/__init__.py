@@ -1,6 +1,16 @@
-"""The coded sync pulse: the line it comes on, and the code that numbers it."""
+"""The coded sync pulse: the line it comes on, the code that numbers it, and the generator that makes it."""
 
 from drivers.sync_pulse.code import intervals, pulse_number, sync_numbers
 from drivers.sync_pulse.device import SyncPulse, SyncPulseConfig
+from drivers.sync_pulse.generator import PulseGenerator, PulseGeneratorConfig, PulseSchedule
 
-__all__ = ["SyncPulse", "SyncPulseConfig", "intervals", "pulse_number", "sync_numbers"]
+__all__ = [
+    "PulseGenerator",
+    "PulseGeneratorConfig",
+    "PulseSchedule",
+    "SyncPulse",
+    "SyncPulseConfig",
+    "intervals",
+    "pulse_number",
+    "sync_numbers",
+]

@@ -6,7 +6,7 @@ its library raises into OSError. Bus libraries are imported when a port is opene
 
 from collections.abc import Callable
 
-from drivers.ports import CanPort, I2cPort, PulsePort, SerialPort
+from drivers.ports import CanPort, I2cPort, PulseOutputPort, PulsePort, SerialPort
 from drivers.transports.url import parse
 
 Clock = Callable[[], int]
@@ -75,22 +75,45 @@ def open_pulse(url: str, clock: Clock) -> PulsePort:
     """Open the sync line.
 
     Args:
-        url: ``gpio:///dev/gpiochip0?line=17`` (rising edges, stamped by the kernel with CLOCK_MONOTONIC) or
-            ``gpio+unix:///path.sock`` (edges as datagrams ``<qI``: edge ns, line sequence; bound here).
+        url: ``gpio:///dev/gpiochip0?line=17`` (rising edges, stamped by the kernel with CLOCK_MONOTONIC),
+            ``pps:///dev/pps0`` (assert edges of a PPS source), or ``gpio+unix:///path.sock`` (edges as datagrams
+            ``<qI``: edge ns, line sequence; bound here).
         clock: CLOCK_MONOTONIC, ns.
 
     Raises:
         UrlError: The URL is not one of these.
         OSError: The line or socket cannot be had.
     """
-    bus = parse(url, {"gpio": ("path", "line"), "gpio+unix": ("path",)})
+    bus = parse(url, {"gpio": ("path", "line"), "pps": ("path",), "gpio+unix": ("path",)})
     if bus.kind == "gpio":
         from drivers.transports.gpio import GpiodPort  # noqa: PLC0415
 
         return GpiodPort.open(bus.path, bus.integer("line"), clock)
+    if bus.kind == "pps":
+        from drivers.transports.pps import PpsPort  # noqa: PLC0415
+
+        return PpsPort(bus.path, clock)
     from drivers.transports.gpio_unix import UnixPulsePort  # noqa: PLC0415
 
     return UnixPulsePort(bus.path, clock)
+
+
+def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
+    """Open the line that drives the sync line.
+
+    Args:
+        url: ``gpio-out:///dev/gpiochip0?line=27``.
+        clock: CLOCK_MONOTONIC, ns.
+
+    Raises:
+        UrlError: The URL is not of this form.
+        OSError: The line cannot be had.
+    """
+    bus = parse(url, {"gpio-out": ("path", "line")})
+    line = bus.integer("line")
+    from drivers.transports.gpio_out import GpiodOutput  # noqa: PLC0415
+
+    return GpiodOutput.open(bus.path, line, clock)
 
 
 def open_serial(url: str) -> SerialPort:

@@ -50,7 +50,14 @@ class LibraryCanPort:
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame, stamped with our clock. Raises OSError."""
         stamp_s = self._clock() * 1e-9
-        message = can.Message(stamp_s, identifier, is_extended_id=False, data=data)
+        self._queue(can.Message(stamp_s, identifier, is_extended_id=False, data=data))
+
+    def request(self, identifier: int, size: int) -> None:
+        """Send a remote frame that asks for ``size`` bytes. Raises OSError."""
+        stamp_s = self._clock() * 1e-9
+        self._queue(can.Message(stamp_s, identifier, is_extended_id=False, is_remote_frame=True, dlc=size))
+
+    def _queue(self, message: can.Message) -> None:
         try:
             self._bus.send(message)
         except can.CanError as error:

@@ -42,6 +42,17 @@ def encode_line(identifier: int, data: bytes) -> bytes:
     return f"t{identifier:03X}{len(data)}{data.hex().upper()}\r".encode()
 
 
+def encode_request(identifier: int, size: int) -> bytes:
+    """A standard remote frame as the line that makes the adapter send it.
+
+    Raises:
+        FrameError: The identifier or the size is not one of classic CAN.
+    """
+    if not 0 <= identifier <= 0x7FF or not 0 <= size <= 8:
+        raise FrameError(f"no standard CAN frame: identifier {identifier:#x}, {size} bytes: give 11 bits, 0..8")
+    return f"r{identifier:03X}{size}\r".encode()
+
+
 def decode_line(line: bytes) -> tuple[int, bytes] | None:
     """A line of the adapter, without its end: identifier and data of a standard data frame.
 
@@ -131,7 +142,13 @@ class SlcanPort:
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame. Raises OSError."""
-        line = encode_line(identifier, data)
+        self._put(encode_line(identifier, data))
+
+    def request(self, identifier: int, size: int) -> None:
+        """Send a remote frame that asks for ``size`` bytes. Raises OSError."""
+        self._put(encode_request(identifier, size))
+
+    def _put(self, line: bytes) -> None:
         if self._port.write(line) != len(line):
             raise OSError(errno.EIO, "the tty did not take the whole slcan line")
 

@@ -71,6 +71,10 @@ class SocketcanPort:
         """Queue one frame. Raises OSError (ENOBUFS: the queue is full; ENETDOWN: the interface is down)."""
         self._socket.send(_FRAME.pack(identifier, len(data), data))
 
+    def request(self, identifier: int, size: int) -> None:
+        """Queue a remote frame that asks for ``size`` bytes. Raises OSError."""
+        self._socket.send(_FRAME.pack(identifier | _REMOTE, size, b""))
+
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """All frames waiting, up to 4096; waits up to ``timeout_s`` for the first. Raises OSError."""
         if timeout_s > 0.0:

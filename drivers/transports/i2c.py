@@ -1,10 +1,15 @@
 """I2C through the kernel's i2c-dev node, by smbus2."""
 
+import contextlib
+import errno
+import os
 from collections.abc import Callable
 
 from smbus2 import SMBus, i2c_msg
 
 from drivers.ports import I2cReply
+
+ADAPTER_GONE = frozenset({errno.ENODEV, errno.ESHUTDOWN, errno.EBADF})
 
 
 class SmbusPort:
@@ -12,23 +17,74 @@ class SmbusPort:
 
     Every transfer is one I2C_RDWR call, so a write and its read are joined by a repeated start and no other process
     comes between; SMBus block reads would end at 32 bytes. Errors are the kernel's, with its errno.
+
+    An adapter that was unplugged takes its node with it, and comes back as another one of that name. A transfer whose
+    error says so, or after which the node is gone or is another one, drops the old node; the next transfer opens it
+    anew. (ENXIO alone does not tell: some controllers answer it for an address that nobody acknowledges.)
+
+    Attributes:
+        reopened: How often the node was opened anew.
     """
 
     def __init__(self, path: str, clock: Callable[[], int]) -> None:
-        self._bus = SMBus(path)
+        self._path = path
         self._clock = clock
+        self.reopened = 0
+        self._bus: SMBus | None = _opened(path)
+        self._node = _status(path)
 
     def write(self, address: int, data: bytes) -> None:
         """START, address+W, ``data``, STOP. Raises OSError."""
-        self._bus.i2c_rdwr(i2c_msg.write(address, data))
+        self._transfer(i2c_msg.write(address, data))
 
     def write_read(self, address: int, data: bytes, count: int) -> I2cReply:
         """Write ``data``, read ``count`` bytes after a repeated start. Raises OSError."""
         reading = i2c_msg.read(address, count)
-        self._bus.i2c_rdwr(i2c_msg.write(address, data), reading)
+        self._transfer(i2c_msg.write(address, data), reading)
         host_ns = self._clock()
         return I2cReply(bytes(reading), host_ns)
 
     def close(self) -> None:
         """Close the node."""
-        self._bus.close()
+        if self._bus is not None:
+            self._bus.close()
+            self._bus = None
+
+    def _transfer(self, *messages: i2c_msg) -> None:
+        bus = self._bus
+        if bus is None:
+            bus = self._bus = _opened(self._path)
+            self._node = _status(self._path)
+            self.reopened += 1
+        try:
+            bus.i2c_rdwr(*messages)
+        except OSError as error:
+            if error.errno == errno.EBADF:  # its number may be another file's by now
+                bus.fd = None
+            if error.errno in ADAPTER_GONE or self._is_another_node():
+                self.close()
+            raise
+
+    def _is_another_node(self) -> bool:
+        """The node that was opened had a name, and it is gone or another's."""
+        now = _status(self._path)
+        return self._node is not None and (now is None or not os.path.samestat(now, self._node))
+
+
+def _status(path: str) -> os.stat_result | None:
+    try:
+        return os.stat(path)
+    except OSError:
+        return None
+
+
+def _opened(path: str) -> SMBus:
+    """The node, opened; nothing is left open when that fails. Raises OSError."""
+    bus = SMBus()
+    try:
+        bus.open(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            bus.close()
+        raise
+    return bus

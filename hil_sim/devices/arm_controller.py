@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from hil_sim.devices.canopen_node import CanopenNode
 from hil_sim.devices.object_dictionary import Access, DataType, Entry
-from hil_sim.faults import NO_FAULTS, DeviceFaults
+from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, told_phases
 
 _PHASE = 0x2000_01_08
 _EVENTS = 0x2000_02_08
@@ -32,10 +32,11 @@ class ArmController(CanopenNode):
         *,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(node_id, 0x0000_0000, start_ns, faults)
+        super().__init__(node_id, 0x0000_0000, start_ns, faults, INPUT_KINDS)
         self._changes = [(start_ns + round(time_s * 1e9), phase) for time_s, phase in phase_changes]
         if self._changes != sorted(self._changes, key=lambda change: change[0]):
             raise ValueError("The phase changes are not in order of time; sort them.")
+        self._changes = told_phases(self._changes, faults)
         self._changes.reverse()
         self._phase = self._events = 0  # not objects of their own: an NMT reset does not touch the sequence
         u8 = DataType.U8

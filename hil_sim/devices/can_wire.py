@@ -3,10 +3,14 @@
 Frame lengths are exact: the CRC is computed and stuff bits are counted (ISO 11898-1), so the time at which a frame
 ends depends on its content, as on a real bus. A frame is received at the end of its end-of-frame field; three bits of
 intermission follow. Talkers never lose arbitration bit by bit: whoever is ready when the bus falls idle takes part.
-Error frames and retransmission are not modelled, nor remote frames and 29-bit identifiers.
+Frames of a node queue, but for the identifiers that it has a single buffer for: there a frame that still waits is
+overwritten by the next. Error frames and retransmission are not modelled, nor remote frames and
+29-bit identifiers.
 """
 
 import heapq
+from collections import Counter
+from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
 
 from hil_sim.faults import NEVER
@@ -112,6 +116,11 @@ class _Waiting(NamedTuple):
 _HOST: Final = -1
 
 
+def is_process_data(identifier: int) -> bool:
+    """SYNC and PDOs by the predefined connection set (CiA 301, 7.3.3): of these only the newest is worth sending."""
+    return identifier == 0x080 or 0x180 < identifier < 0x580
+
+
 class CanWire:
     """The wire, its nodes, and the flight computer's controller.
 
@@ -122,9 +131,11 @@ class CanWire:
     def __init__(self, bit_rate: int = 500_000) -> None:
         self._bit_ns = 1e9 / bit_rate
         self._nodes: list[CanTalker] = []
+        self._single: list[Callable[[int], bool]] = []
         self._later: list[tuple[int, _Waiting]] = []  # by ready time
         self._ready: list[_Waiting] = []  # by arbitration
         self._on_wire: tuple[int, _Waiting] | None = None
+        self.overwritten: Counter[int] = Counter()  # frames that never came to their turn, by identifier
         self._idle_ns = 0
         self._order = 0
         self._received: list[WireFrame] = []
@@ -134,9 +145,10 @@ class CanWire:
         """When something next happens on the wire or in a node."""
         return min(self._wire_due_ns(), min((node.due_ns for node in self._nodes), default=NEVER))
 
-    def add(self, node: CanTalker) -> None:
-        """Connect a node."""
+    def add(self, node: CanTalker, single_buffer: Callable[[int], bool] = lambda identifier: False) -> None:
+        """Connect a node, and say for which identifiers it has a single buffer."""
         index = len(self._nodes)
+        self._single.append(single_buffer)
         self._nodes.append(node)
 
         def transmit(identifier: int, data: bytes, ready_ns: int) -> None:
@@ -179,11 +191,20 @@ class CanWire:
 
     def _begin(self, start_ns: int) -> None:
         while self._later and self._later[0][0] <= start_ns:
-            heapq.heappush(self._ready, heapq.heappop(self._later)[1])
+            self._contend(heapq.heappop(self._later)[1])
         frame = heapq.heappop(self._ready)
         end_ns = start_ns + round(frame_bits(frame.identifier, frame.data) * self._bit_ns)
         self._on_wire = (end_ns, frame)
         self._idle_ns = end_ns + round(_INTERMISSION_BITS * self._bit_ns)
+
+    def _contend(self, frame: _Waiting) -> None:
+        if frame.sender != _HOST and self._single[frame.sender](frame.identifier):
+            for place, waiting in enumerate(self._ready):
+                if waiting.identifier == frame.identifier and waiting.sender == frame.sender:
+                    self.overwritten[frame.identifier] += 1
+                    self._ready[place] = frame._replace(order=waiting.order)
+                    return
+        heapq.heappush(self._ready, frame)
 
     def _end(self) -> None:
         if self._on_wire is None:
@@ -195,3 +216,37 @@ class CanWire:
                 node.receive(frame.identifier, frame.data, end_ns)
         if frame.sender != _HOST:
             self._received.append(WireFrame(end_ns, frame.identifier, frame.data))
+
+
+class Babbler:
+    """A broken node that sends one identifier without pause.
+
+    Args:
+        identifier: What it sends, with eight zero bytes.
+        start_ns: From when on.
+        end_ns: Until when.
+        bit_rate: bit/s.
+    """
+
+    def __init__(self, identifier: int, start_ns: int, end_ns: int, bit_rate: int = 500_000) -> None:
+        self.due_ns = start_ns
+        self._identifier = identifier
+        self._end_ns = end_ns
+        bits = frame_bits(identifier, bytes(8)) + _INTERMISSION_BITS
+        self._step_ns = bits * 1_000_000_000 // bit_rate  # never later than the frame before it has gone
+        self._transmit: Transmit | None = None
+
+    def connect(self, transmit: Transmit) -> None:
+        """Give it the wire."""
+        self._transmit = transmit
+
+    def act(self, now_ns: int) -> None:
+        """Send the next one."""
+        if now_ns < self._end_ns and self._transmit is not None:
+            self._transmit(self._identifier, bytes(8), now_ns)
+            self.due_ns = now_ns + self._step_ns
+        else:
+            self.due_ns = NEVER
+
+    def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
+        """It listens to nobody."""

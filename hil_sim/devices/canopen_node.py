@@ -13,7 +13,7 @@ from collections.abc import Callable
 from hil_sim.devices.can_wire import Transmit
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, ObjectDictionary, SdoAbortError
 from hil_sim.devices.tpdo import Tpdo
-from hil_sim.faults import NEVER, DeviceFaults, FaultKind
+from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
 
 _BOOT_NS = 50_000_000
 _BOOT_STAGGER_NS = 1_100_000
@@ -59,8 +59,16 @@ class CanopenNode:
         self.state = OFF
         self.dictionary = ObjectDictionary()
         self.uploads: Counter[tuple[int, int]] = Counter()  # SDO reads answered, by object
-        self._faults = faults.require(FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, *extra_faults)
-        self._silences = [w for w in faults.windows if w.kind is FaultKind.SILENT]
+        self._faults = faults.require(
+            FaultKind.OFF,
+            FaultKind.RESET,
+            FaultKind.SILENT,
+            FaultKind.INTERMITTENT,
+            FaultKind.GARBAGE,
+            FaultKind.SLOW,
+            *extra_faults,
+        )
+        self._rng = faults.rng()
         self._start_ns = start_ns
         self._transmit: Transmit | None = None
         self._tpdos: list[Tpdo] = []
@@ -73,9 +81,9 @@ class CanopenNode:
         )
         self._supply.appendleft((start_ns, self._power_up))
         self._next_supply(start_ns)
-        for window in self._silences:
-            if window.end_ns != NEVER:
-                self._at(f"recovery {window.start_ns}", window.end_ns, self._recovered_bus)
+        for away_ns, back_ns in faults.absences():
+            if back_ns != NEVER:
+                self._at(f"recovery {away_ns}", back_ns, self._recovered_bus)
         self._add_communication_objects(device_type)
 
     @property
@@ -296,9 +304,14 @@ class CanopenNode:
         self.emergency(0x0000, 0x00, b"", now_ns)
 
     def _is_silent(self, now_ns: int) -> bool:
-        return any(w.start_ns <= now_ns < w.end_ns for w in self._silences)
+        return bool(self._faults) and self._faults.is_away(now_ns)
 
     def _send(self, identifier: int, data: bytes, ready_ns: int) -> None:
+        if self._faults:
+            slow = self._faults.active(FaultKind.SLOW, ready_ns)
+            ready_ns += 0 if slow is None else round(slow.value * 1e9)
+            if self._faults.active(FaultKind.GARBAGE, ready_ns) is not None:
+                data = garbled(data, self._rng)
         if self._transmit is not None and not self._is_silent(ready_ns):
             self._transmit(identifier, data, ready_ns)
 

@@ -9,7 +9,7 @@ import math
 from hil_sim.analog import ScalarAnalog
 from hil_sim.devices.canopen_node import CanopenNode
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
 
 _POSITION = 0x6004_00_20
 _CODE_SEQUENCE, _SCALING = 0x0001, 0x0004
@@ -40,7 +40,7 @@ class Encoder406(CanopenNode):
         counts_per_revolution: int = 500_000,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(node_id, 0x0002_0196, start_ns, faults, (FaultKind.STUCK,))
+        super().__init__(node_id, 0x0002_0196, start_ns, faults, INPUT_KINDS)
         self._analog = FaultyScalar(analog, faults, start_ns)
         self._zero_count = zero_count
         add, u16, u32 = self.dictionary.add, DataType.U16, DataType.U32

@@ -7,7 +7,7 @@ The converter clips at the cell's capacity. 6150h bit 0 (value not valid) follow
 from hil_sim.analog import ScalarAnalog
 from hil_sim.devices.canopen_node import CanopenNode
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 
 _PROCESS_VALUE = 0x9130_01_20
 _STATUS = 0x6150_01_08
@@ -45,7 +45,7 @@ class LoadCell404(CanopenNode):
         flags_overload: bool = False,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(node_id, 0x0002_0194, start_ns, faults, (FaultKind.STUCK, FaultKind.SATURATED))
+        super().__init__(node_id, 0x0002_0194, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS))
         self._analog = FaultyScalar(analog, faults, start_ns)
         self._capacity_n = capacity_n
         self._flags_overload = flags_overload

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from hil_sim.analog import ChipClock, ImuAnalog
 from hil_sim.devices import mpu6050_map as reg
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyImu
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
 
 _RESET_NS = 1_000_000
 _FAST_TICK_NS = 125_000  # 8 kHz: DLPF_CFG 0 and 7
 _SLOW_TICK_NS = 1_000_000
 _HIGHEST_REGISTER = 0x7F
 _LAZY_NS = 50_000_000
+_SECOND_NS = 1_000_000_000
 
 
 class Mpu6050:
@@ -64,14 +65,27 @@ class Mpu6050:
             FaultKind.RESET,
             FaultKind.STUCK,
             FaultKind.SATURATED,
+            FaultKind.WRONG,
+            FaultKind.DELAYED,
+            FaultKind.GARBAGE,
+            FaultKind.INTERMITTENT,
+            FaultKind.SLOW,
+            FaultKind.CLOCK_JUMP,
             FaultKind.NACK,
+            FaultKind.TIMEOUT,
             FaultKind.WHO_AM_I,
             FaultKind.PULSE_DROP,
             FaultKind.PULSE_SPURIOUS,
         )
         self._analog = FaultyImu(analog, faults, start_ns)
-        self._pll = clock
-        self._rc = rc_clock or clock
+        if any(w.kind is FaultKind.CLOCK_JUMP and w.value > 0.0 for w in faults.windows):
+            raise FaultError(
+                f"{faults.device} counts samples and no time, its clock cannot be put forward; give a negative value."
+            )
+        self._healthy = clock
+        self._pll: ChipClock = FaultyClock(clock, faults)
+        self._rc: ChipClock = FaultyClock(rc_clock or clock, faults)
+        self._rng = faults.rng()
         self._start_ns = start_ns
         self._trim = trim or reg.FactoryTrim()
         self._self_test_gain = 1.0 + self_test_error
@@ -80,8 +94,9 @@ class Mpu6050:
         self._now_ns = self._settled_ns = start_ns
         self._pulses: list[tuple[float, float]] = []  # mission times of rise and fall
         self._produced = [0]
-        self._made = 0  # samples since power was first on, whether or not anybody wanted them
-        self._wanted: tuple[int, int] | None = None  # of these, before the first and up to the last into the FIFO
+        self._between = 0  # sample periods between two times in which the FIFO was filled
+        self._filled_s: float | None = None  # mission time of the last sample in it
+        self._filled_period_ns, self._filled_period_s = 0, 1.0  # sample period then: its own clock's, and true
         self._power_up(start_ns)
 
     @property
@@ -92,9 +107,13 @@ class Mpu6050:
 
     @property
     def sampled(self) -> int:
-        """Samples from the first to the last written to the FIFO, those made while it was off or being reset too."""
+        """Sample periods from the first to the last sample written to the FIFO, those in which it was off included.
+
+        While the chip is reset, asleep or without supply it makes none, or others: what counts is those it would have
+        made at the rate at which the FIFO was filled before.
+        """
         self._settle(self._now_ns)
-        return 0 if self._wanted is None else self._wanted[1] - self._wanted[0]
+        return sum(self._produced) + self._between
 
     @property
     def produced_by_enable(self) -> tuple[int, ...]:
@@ -151,14 +170,24 @@ class Mpu6050:
         """One transaction: START, ``write``, repeated START when ``read_count`` > 0, that many bytes, STOP.
 
         Raises:
-            OSError: EREMOTEIO when nothing acknowledges; the errno of a ``nack`` fault.
+            OSError: EREMOTEIO when nothing acknowledges; the errno of a ``nack`` fault; ETIMEDOUT.
         """
         self._now_ns = max(now_ns, self._now_ns)
         self._settle(self._now_ns)
         nack = self._faults.active(FaultKind.NACK, now_ns) if self._faults else None
-        if nack is not None or address != self.address or now_ns < self._off_until_ns:
+        away = bool(self._faults) and self._faults.is_away(now_ns)
+        if nack is not None or away or address != self.address or now_ns < self._off_until_ns:
             code = int(nack.value) if nack is not None and nack.value else errno.EREMOTEIO
             raise OSError(code, os.strerror(code))
+        answer = self._exchange(write, read_count, now_ns)
+        if self._faults:
+            if self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
+                raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            if self._faults.active(FaultKind.GARBAGE, now_ns) is not None:
+                return garbled(answer, self._rng)
+        return answer
+
+    def _exchange(self, write: bytes, read_count: int, now_ns: int) -> bytes:
         if write:
             self._pointer = write[0] & _HIGHEST_REGISTER
             for byte in write[1:]:
@@ -224,14 +253,13 @@ class Mpu6050:
         latest_s = (until_ns - self._start_ns) * 1e-9
         times_s = np.minimum(self._clock.times_s(ticks_ns), latest_s)  # (n,)
         counts = self._convert(ticks_ns, times_s, latest_s)  # (n, 7)
-        self._made += int(n)
         self._latch_fsync(counts, times_s)
         self._last = counts[-1]
         self._last_s = float(times_s[-1])
         self._forget_pulses()
         self._reg[reg.ACCEL_XOUT_H : reg.GYRO_ZOUT_L + 1] = self._last.astype(">i2").tobytes()
         self._reg[reg.INT_STATUS] |= reg.INT_DATA_RDY
-        self._fill_fifo(counts)
+        self._fill_fifo(counts, times_s)
 
     def _convert(
         self, ticks_ns: NDArray[np.float64], times_s: NDArray[np.float64], latest_s: float
@@ -291,7 +319,7 @@ class Mpu6050:
 
     # FIFO
 
-    def _fill_fifo(self, counts: NDArray[np.int16]) -> None:
+    def _fill_fifo(self, counts: NDArray[np.int16], times_s: NDArray[np.float64]) -> None:
         enabled = self._reg[reg.FIFO_EN]
         if not (self._reg[reg.USER_CTRL] & 0x40 and enabled & 0xF8):
             return
@@ -299,8 +327,14 @@ class Mpu6050:
         columns += [3] if enabled & 0x80 else []
         columns += [4 + axis for axis in range(3) if enabled & 0x40 >> axis]
         self._fifo += counts[:, columns].astype(">i2").tobytes()
+        if self._filled_s is not None and not self._produced[-1]:
+            self._between += max(round((float(times_s[0]) - self._filled_s) / self._filled_period_s) - 1, 0)
         self._produced[-1] += len(counts)
-        self._wanted = (self._made - len(counts) if self._wanted is None else self._wanted[0], self._made)
+        if self._filled_period_ns != self._period_ns:
+            shown_ns = self._healthy.chip_ns(self._start_ns + _SECOND_NS) - self._healthy.chip_ns(self._start_ns)
+            self._filled_period_ns = self._period_ns
+            self._filled_period_s = self._period_ns / shown_ns
+        self._filled_s = float(times_s[-1])
         self._trim_fifo()
 
     def _trim_fifo(self) -> None:

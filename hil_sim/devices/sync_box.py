@@ -12,7 +12,7 @@ from typing import Final
 
 from hil_sim.analog import ChipClock
 from hil_sim.devices.can_wire import Transmit
-from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
+from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, garbled
 
 SYNC_COB_ID: Final = 0x080
 _COUNTER_MAX: Final = 240
@@ -80,11 +80,21 @@ class SyncBox:
         first_sync: int = 0,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        faults.require(FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT)
+        faults.require(
+            FaultKind.OFF,
+            FaultKind.RESET,
+            FaultKind.SILENT,
+            FaultKind.INTERMITTENT,
+            FaultKind.WRONG,
+            FaultKind.GARBAGE,
+            FaultKind.SLOW,
+            FaultKind.CLOCK_JUMP,
+        )
         self.produced = 0
         self.pulses = 0
         self._faults = faults
-        self._clock = clock
+        self._rng = faults.rng()
+        self._clock: ChipClock = FaultyClock(clock, faults)
         self._period_ns = period_ns
         self._high_ns = high_ns
         self._pins: list[Pin] = []
@@ -125,17 +135,30 @@ class SyncBox:
             else:
                 self._sync_ns = NEVER
             return
+        while self._faults and self._sync_time_ns(self._sync + 1) <= now_ns:
+            self._sync += 1  # the clock was put forward over it
+        while self._next_pulse[0] < self._sync:
+            self._next_pulse = next(self._pulse_places)
         if self._sync == self._next_pulse[0]:
             rise_ns = self._clock.time_ns(self._clock.chip_ns(now_ns) + self._next_pulse[1])
             self._next_pulse = next(self._pulse_places)
             self.pulses += 1
             for pin in self._pins:
                 pin(rise_ns, self._high_ns)
-        if self._transmit is not None and self._faults.active(FaultKind.SILENT, now_ns) is None:
+        if self._transmit is not None and not self._faults.is_away(now_ns):
             self.produced += 1
-            self._transmit(SYNC_COB_ID, bytes([self._sync % _COUNTER_MAX + 1]), now_ns)
+            self._transmit(SYNC_COB_ID, self._counter(now_ns), now_ns)
         self._sync += 1
-        self._sync_ns = self._clock.time_ns(self._origin_chip_ns + self._sync * self._period_ns)
+        self._sync_ns = self._sync_time_ns(self._sync)
+
+    def _counter(self, now_ns: int) -> bytes:
+        wrong = self._faults.active(FaultKind.WRONG, now_ns)
+        number = self._sync if wrong is None else self._sync + int(wrong.value)
+        data = bytes([number % _COUNTER_MAX + 1])
+        return data if self._faults.active(FaultKind.GARBAGE, now_ns) is None else garbled(data, self._rng)
+
+    def _sync_time_ns(self, sync: int) -> int:
+        return self._clock.time_ns(self._origin_chip_ns + sync * self._period_ns)
 
     def _count_from(self, up_ns: int, first_sync: int) -> None:
         self._sync = first_sync

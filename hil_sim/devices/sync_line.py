@@ -38,6 +38,7 @@ class EdgeCapture:
         self._miss_probability = miss_probability
         self._spurious_mean_ns = 1e9 / spurious_rate_hz if spurious_rate_hz else 0.0
         self._faults = NO_FAULTS
+        self._chatter: list[int] = []
         self._stamps: list[int] = []
         self._sequence = 0
         self._now_ns: int | None = None
@@ -49,12 +50,27 @@ class EdgeCapture:
         Raises:
             FaultError: a fault that the line cannot have.
         """
-        self._faults = faults.require(FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS)
+        self._faults = faults.require(
+            FaultKind.PULSE_DROP,
+            FaultKind.PULSE_SPURIOUS,
+            FaultKind.INTERMITTENT,
+            FaultKind.DELAYED,
+            FaultKind.GARBAGE,
+        )
+        rng = faults.rng()
+        self._chatter = sorted(
+            round(time_ns)
+            for window in faults.windows
+            if window.kind is FaultKind.GARBAGE
+            for time_ns in rng.uniform(
+                window.start_ns, window.end_ns, rng.poisson(window.value * (window.end_ns - window.start_ns) * 1e-9)
+            )
+        )
 
     def edge(self, edge_ns: int, high_ns: int) -> None:
         """The line goes high at ``edge_ns``."""
         del high_ns
-        dropped = self._faults.active(FaultKind.PULSE_DROP, edge_ns) is not None
+        dropped = self._faults.active(FaultKind.PULSE_DROP, edge_ns) is not None or self._faults.is_away(edge_ns)
         if dropped or (self._miss_probability and self._rng.random() < self._miss_probability):
             self.missed += 1
         else:
@@ -75,10 +91,14 @@ class EdgeCapture:
 
     def _stamp(self, edge_ns: int) -> None:
         late_ns = self._latency_ns + round(self._rng.exponential(self._jitter_ns))
+        delayed = self._faults.active(FaultKind.DELAYED, edge_ns)
+        late_ns += 0 if delayed is None else round(delayed.value * 1e9)
         heapq.heappush(self._stamps, edge_ns + late_ns)
 
     def _extra_edges(self, since_ns: int, now_ns: int) -> list[int]:
         edges = self._faults.spurious_edges(since_ns, now_ns) if self._faults else []
+        while self._chatter and self._chatter[0] <= now_ns:
+            edges.append(self._chatter.pop(0))
         if self._spurious_mean_ns:
             if not self._next_spurious_ns:
                 self._next_spurious_ns = since_ns + self._rng.exponential(self._spurious_mean_ns)

@@ -1,4 +1,4 @@
-"""CANopen nodes and a SYNC producer for the tests of the driver, typed from CiA 301, 404 and 406: none of our code."""
+"""CANopen nodes and a SYNC producer for the tests of the driver, typed from CiA 301, 402, 404, 406: none of ours."""
 
 import errno
 import os
@@ -27,6 +27,7 @@ class FakeCan:
 
     def __init__(self) -> None:
         self.sent: list[tuple[int, bytes]] = []
+        self.asked: list[tuple[int, int]] = []  # remote frames: identifier, size
         self.inbox: list[CanFrame] = []
         self.down = False
         self.muted = False
@@ -34,6 +35,10 @@ class FakeCan:
     def send(self, identifier, data):
         self._check()
         self.sent.append((identifier, bytes(data)))
+
+    def request(self, identifier, size):
+        self._check()
+        self.asked.append((identifier, size))
 
     def receive(self, timeout_s):
         self._check()
@@ -74,10 +79,13 @@ class PeerNode:
         self.requests: list[tuple] = []
         self.heartbeat_ns = 0
         self.answers = 0  # TPDOs sent on SYNC
+        self.toggle = 0  # of its next answer to guarding
+        self.guarded = 0
 
     def boot(self, now_ns):
         """Power-on: everything as from the factory, and a boot-up message."""
         self.objects = dict(self.factory)
+        self.toggle = 0
         self.state = 0x7F
         self.heartbeat_ns = now_ns
         return [(0x700 + self.number, b"\0")]
@@ -119,6 +127,15 @@ class PeerNode:
             self.heartbeat_ns = now_ns
             return [(0x700 + self.number, bytes([self.state]))]
         return []
+
+    def guard(self):
+        """Answer to a remote frame; None when it does not answer (CiA 301, 7.2.8.3.2.1)."""
+        if self.deaf or int.from_bytes(self.objects.get((0x1017, 0), b"\0"), "little"):
+            return None
+        self.guarded += 1
+        answer = bytes([self.toggle | self.state])
+        self.toggle ^= 0x80
+        return answer
 
     def on_sync(self, number, now_ns):
         """TPDOs that this node sends on SYNC ``number``."""
@@ -196,6 +213,38 @@ class LoadCell(PeerNode):
         if index == 0x6150:
             return u8(self.status)
         return struct.pack("<i", -number if self.force is None else self.force)
+
+
+class Drive(PeerNode):
+    """CiA 402; its values are made of the SYNC number. From the factory its TPDOs carry the status word on events."""
+
+    def __init__(self, number=4, offset=0, **changes) -> None:
+        self.offset = offset
+        objects = {
+            (0x1000, 0): u32(0x0002_0192),
+            (0x1017, 0): u16(0),
+            (0x6076, 0): u32(1_270),  # mN m
+        }
+        for pdo, mapped in enumerate((0x6041_0010, 0x6041_0010, 0x6041_0010, 0x6041_0010)):
+            objects |= {
+                (0x1800 + pdo, 1): u32(0x4000_0180 + 0x100 * pdo + number),
+                (0x1800 + pdo, 2): u8(255),
+                (0x1A00 + pdo, 0): u8(1),
+                (0x1A00 + pdo, 1): u32(mapped),
+                (0x1A00 + pdo, 2): u32(0),
+                (0x1A00 + pdo, 3): u32(0),
+            }
+        for key, value in changes.pop("objects", {}).items():
+            objects.pop(key) if value is None else objects.update({key: value})
+        super().__init__(number, objects, **changes)
+
+    def value(self, index, number, now_ns):
+        if index == 0x6064:
+            return struct.pack("<i", (self.offset + number + 2**31) % 2**32 - 2**31)
+        if index == 0x606C:
+            return struct.pack("<i", -3 * number)
+        assert index == 0x6077
+        return struct.pack("<h", number % 2_000 - 1_000)
 
 
 class ArmController(PeerNode):
@@ -279,6 +328,13 @@ class Bench:
                     self.port.put(now + self.answer_ns, identifier, data)
 
     def _serve(self, now):
+        asked, self.port.asked = self.port.asked, []
+        for identifier, size in asked:
+            node = self.nodes.get(identifier - 0x700)
+            assert size == 1
+            answer = node.guard() if node and not self.drop(None, "question") else None
+            if answer is not None and not self.drop(None, identifier):
+                self.port.put(now, identifier, answer)
         sent, self.port.sent = self.port.sent, []
         for identifier, data in sent:
             if identifier == 0:

@@ -1,6 +1,7 @@
 """An MPU-6050 as the data sheet tells it, for the driver's tests: own register numbers, own FIFO, own clock.
 
-RM-MPU-6000A 4.2: section 3 (register map and reset values), 4.18 (INT_STATUS), 4.29 (FIFO_COUNT), 4.30 (FIFO_R_W).
+RM-MPU-6000A 4.2: section 3 (register map and reset values), 4.1 (self test), 4.18 (INT_STATUS, shadow registers), 4.29
+(FIFO_COUNT), 4.30 (FIFO_R_W).
 """
 
 import errno
@@ -38,6 +39,10 @@ class Mpu6050Model:
         self.broken = False  # powered, and its sampling stands still
         self.fail: Callable[[int], int] = lambda place: 0  # errno of the transfer with this number
         self.pops_before_failure = 0  # bytes a failing FIFO read takes with it
+        self.late: Callable[[], int] = lambda: 0  # ns that pass between the end of a read and its stamp
+        self.self_test_response = [0.0] * 6  # gyro, accel: counts at 250 deg/s and 8 g
+        self.factory_codes = bytes(4)
+        self.offsets = (12, -30, 7, 100, -60, 3900)  # gyro, accel: what it says at rest in its self test
         self.transfers: list[tuple] = []
         self.sync_samples: set[int] = set()
         self.words = sample_words
@@ -64,7 +69,35 @@ class Mpu6050Model:
                 if self.first is None:
                     self.first = grid
                 self._write_fifo(grid - self.first)
+        if now > self.grid and self.registers.get(0x38, 0) & 1 and not self.registers[0x6B] & 0x40 and not self.broken:
+            if self.first is None:
+                self.first = self.grid
+            self._show(now - 1 - self.first)
         self.grid = now
+
+    def _show(self, number: int) -> None:
+        """Sample ``number`` in the data registers."""
+        words = list(self.words(number))
+        words[3] = words[3] & ~1 | (number in self.sync_samples)
+        data = b"".join((word & 0xFFFF).to_bytes(2, "big") for word in words)
+        self.registers.update(zip(range(0x3B, 0x49), data, strict=True))
+        self.registers[0x3A] = self.registers.get(0x3A, 0) | 1
+        self.written = number + 1
+
+    def _show_self_test(self) -> None:
+        """The data registers of a chip at rest, with the actuators of 1Bh and 1Ch on or off."""
+        gyro, accel = self.registers.get(0x1B, 0), self.registers.get(0x1C, 0)
+        on = [gyro >> bit & 1 for bit in (7, 6, 5)] + [accel >> bit & 1 for bit in (7, 6, 5)]
+        if self.registers[0x6B] & 0x40:
+            values = [0] * 6
+        elif any(on) and (gyro & 0x18, accel & 0x18) != (0x00, 0x10):
+            raise AssertionError("self test at ranges for which there is no factory trim")
+        else:
+            parts = zip(self.offsets, on, self.self_test_response, strict=True)
+            values = [round(offset + bit * response) for offset, bit, response in parts]
+        words = [*values[3:], -3920, *values[:3]]
+        data = b"".join((word & 0xFFFF).to_bytes(2, "big") for word in words)
+        self.registers.update(zip(range(0x3B, 0x49), data, strict=True))
 
     def _write_fifo(self, number: int) -> None:
         words = list(self.words(number))
@@ -106,12 +139,16 @@ class Mpu6050Model:
         if register == 0x74:
             reply = bytes(self._pop() for _ in range(count))
         else:
+            if (register, count) == (0x3B, 14):
+                self._show_self_test()
+            self.registers.update(zip(range(0x0D, 0x11), self.factory_codes, strict=True))
             size = len(self.fifo).to_bytes(2, "big")
             self.registers[0x72], self.registers[0x73] = size
             reply = bytes(self.registers.get(register + place, 0) for place in range(count))
             if register <= 0x3A < register + count:
                 self.registers[0x3A] = 0
         self.clock.advance(self.byte_ns * count)
+        self.clock.advance(self.late())
         return I2cReply(reply, self.clock())
 
     def close(self) -> None:

@@ -85,11 +85,33 @@ def test_a_counter_that_wraps_is_unwrapped(clock, offset):
     assert joint["value_raw"][-1] > offset + 400
 
 
-def test_unwrapping_goes_both_ways_and_any_step_below_half():
+def as_sent(position):
+    return int(position % 2**32).to_bytes(4, "little")
+
+
+def test_unwrapping_goes_both_ways_in_steps_up_to_a_revolution():
+    data, turn = EncoderData(JOINT), JOINT.counts_per_revolution
+    steps = [5, -10, turn, *[turn] * 12, *[-turn] * 30, -7, turn // 2]
+    positions = 2**32 - 5 * turn + np.cumsum(steps)
+    got = [data.decode(as_sent(position)) for position in positions]
+    assert [sample.value_raw for sample in got] == (positions - (positions[0] - positions[0] % 2**32)).tolist()
+    assert not any(sample.status for sample in got)
+
+
+def test_garbage_is_not_valid_and_leaves_no_turn_of_the_counter_behind(rng):
     data = EncoderData(JOINT)
-    positions = np.cumsum([5, -10, 2**31 - 1, 2**31 - 1, -(2**31), -(2**31), -7, 2**30])
-    got = [data.decode(int(position % 2**32).to_bytes(4, "little")).value_raw for position in positions]
-    assert got == positions.tolist()
+    data.decode(as_sent(1000))
+    statuses = [data.decode(rng.bytes(4)).status for _ in range(500)]
+    assert sum(status is SampleStatus.NOT_VALID for status in statuses) > 490
+    sample = data.decode(as_sent(1001))
+    assert (sample.value_raw, sample.status) == (1001, SampleStatus.OK)
+
+
+def test_a_new_position_that_stays_is_believed():
+    data, far = EncoderData(JOINT), 1000 + 5 * JOINT.counts_per_revolution
+    data.decode(as_sent(1000))
+    statuses = [data.decode(as_sent(far + k)).status for k in range(30)]
+    assert statuses == [SampleStatus.NOT_VALID] * 19 + [SampleStatus.OK] * 11
 
 
 def test_load_cell_status_and_capacity(bench):

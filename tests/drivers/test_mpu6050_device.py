@@ -406,6 +406,20 @@ def test_a_fifo_just_short_of_full_is_drained_and_loses_nothing(clock):
     assert not len(of(flight.batches, "gap"))
 
 
+def test_a_full_fifo_that_has_lost_nothing_yet_costs_what_it_held(clock):
+    """73 packets, 1022 bytes: no room for another, and the oldest is still there."""
+    flight = Flight(clock, period_ns=1_000_000.0, phase_ns=500_000.0)
+    flight.start()
+    flight.fly(50)
+    clock.advance(73 * MS)
+    flight.batches += flight.device.pump(clock())
+    flight.fly(20)
+    flight.stop()
+    flight.check()
+    (gap,) = of(flight.batches, "gap")
+    assert int(gap["last_missing"]) - int(gap["first_missing"]) + 1 == 73
+
+
 def test_an_overflow_while_draining_is_noticed(clock):
     """72 packets counted; while they are read at 100 kbit/s, the FIFO first runs over."""
     flight = Flight(clock, period_ns=1_000_000.0, phase_ns=500_000.0)

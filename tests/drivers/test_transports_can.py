@@ -16,7 +16,7 @@ from hypothesis import given
 
 from drivers.errors import FrameError, UrlError
 from drivers.transports import open_can
-from drivers.transports.can_slcan import SlcanDecoder, decode_line, encode_line
+from drivers.transports.can_slcan import SlcanDecoder, decode_line, encode_line, encode_request
 from drivers.transports.can_socket import SO_RXQ_OVFL, SO_TIMESTAMPNS, SocketcanPort
 from drivers.transports.clock import realtime_minus_monotonic
 
@@ -444,3 +444,30 @@ def test_an_adapter_pulled_out_is_an_os_error(clock):
     with pytest.raises(OSError, match=r"."):
         port.send(0x080, b"")
     port.close()
+
+
+# Remote frames: what node guarding asks with
+
+
+def test_a_remote_frame_is_sent_as_the_kernel_wants_it(pair):
+    ours, theirs = pair
+    SocketcanPort(ours, time.monotonic_ns).request(0x701, 1)
+    assert theirs.recv(64) == struct.pack("=IB3x8s", 0x4000_0701, 1, b"")
+
+
+def test_a_remote_frame_through_python_can_is_one(clock):
+    port = open_can("can+virtual://remote?timestamps=monotonic", clock)
+    with can.Bus(interface="virtual", channel="remote", ignore_config=True) as other:
+        port.request(0x701, 1)
+        message = other.recv(1.0)
+    port.close()
+    assert (message.arbitration_id, message.is_remote_frame, message.dlc) == (0x701, True, 1)
+    assert not message.is_extended_id
+
+
+def test_a_remote_frame_as_a_line_of_an_adapter():
+    assert encode_request(0x701, 1) == b"r7011\r"
+    assert decode_line(b"r7011") is None, "one that comes back is not ours to answer"
+    for identifier, size in ((0x800, 1), (-1, 1), (0x701, 9), (0x701, -1)):
+        with pytest.raises(FrameError, match="give 11 bits"):
+            encode_request(identifier, size)

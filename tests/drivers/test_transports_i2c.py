@@ -11,7 +11,10 @@ import threading
 import pytest
 import smbus2.smbus2
 
+from drivers.mpu6050 import Mpu6050
 from drivers.transports import open_i2c
+from tests.drivers.batches import codes, of, texts, whole
+from tests.drivers.mpu6050_model import MS, Mpu6050Model
 
 I2C_FUNCS, I2C_RDWR = 0x0705, 0x0707  # linux/i2c-dev.h
 
@@ -84,6 +87,166 @@ def test_the_errno_of_the_kernel_comes_through(kernel, clock, code):
             transfer()
         assert caught.value.errno == code
     port.close()
+
+
+# An adapter that is unplugged and comes back
+
+
+def swapped(path):
+    """The node is another file from now on: it was unplugged and plugged in."""
+    other = path.with_suffix(".new")
+    other.write_bytes(b"")
+    other.rename(path)
+
+
+@pytest.fixture
+def plugged(kernel, monkeypatch, tmp_path, clock):
+    """A port on a node that has a name in the file system; opens counted, file descriptors that are open known."""
+    _, failure = kernel
+    path = tmp_path / "i2c-5"
+    path.write_bytes(b"")
+    opened = []
+    real_open = os.open
+
+    def counting(name, flags, *more, **named):
+        fd = real_open(name, flags, *more, **named)
+        opened.append(fd)
+        return fd
+
+    monkeypatch.setattr(smbus2.smbus2.os, "open", counting)
+    port = open_i2c(f"i2c://{path}", clock)
+    yield port, path, failure, opened
+    port.close()
+
+
+def is_open(fd):
+    try:
+        os.fstat(fd)
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("code", [errno.ENODEV, errno.ESHUTDOWN])
+def test_an_adapter_that_says_it_is_gone_is_opened_anew(plugged, code):
+    port, _, failure, opened = plugged
+    failure["errno"] = code
+    with pytest.raises(OSError, match=os.strerror(code)) as caught:
+        port.write_read(0x68, b"\x75", 1)
+    assert caught.value.errno == code
+    assert not is_open(opened[0]), "the dead node is given back at once"
+    failure["errno"] = 0
+    assert port.write_read(0x68, b"\x75", 1).data == b"\x01"
+    assert (len(opened), port.reopened) == (2, 1)
+
+
+def test_while_the_node_is_away_every_transfer_says_so_and_then_it_is_back(plugged):
+    port, path, failure, opened = plugged
+    path.unlink()
+    failure["errno"] = errno.ENODEV
+    codes = []
+    for _ in range(4):
+        with pytest.raises(OSError, match=r".") as caught:
+            port.write(0x68, b"\x6b\x00")
+        codes.append(caught.value.errno)
+    assert codes == [errno.ENODEV, *[errno.ENOENT] * 3]
+    path.write_bytes(b"")
+    failure["errno"] = 0
+    port.write(0x68, b"\x6b\x00")
+    assert (len(opened), port.reopened) == (2, 1)
+
+
+@pytest.mark.parametrize("code", [errno.ENXIO, errno.EIO, errno.EREMOTEIO, errno.ETIMEDOUT])
+def test_an_error_of_the_device_keeps_the_node_and_one_of_a_swapped_adapter_does_not(plugged, code):
+    port, path, failure, opened = plugged
+    failure["errno"] = code
+    for _ in range(3):
+        with pytest.raises(OSError, match=r"."):
+            port.write(0x68, b"\x6b\x00")
+    assert len(opened) == 1, "nobody acknowledged: the adapter is there"
+    swapped(path)
+    with pytest.raises(OSError, match=r"."):
+        port.write(0x68, b"\x6b\x00")
+    failure["errno"] = 0
+    port.write(0x68, b"\x6b\x00")
+    assert (len(opened), port.reopened) == (2, 1)
+
+
+def test_a_file_closed_under_us_is_opened_anew_and_its_number_left_alone(plugged):
+    port, _, failure, opened = plugged
+    os.close(opened[0])
+    other = os.open(os.devnull, os.O_RDONLY)  # gets the number
+    failure["errno"] = errno.EBADF
+    with pytest.raises(OSError, match=r"."):
+        port.write(0x68, b"\x6b\x00")
+    failure["errno"] = 0
+    port.write(0x68, b"\x6b\x00")
+    assert is_open(other)
+    assert port.reopened == 1
+    os.close(other)
+
+
+def test_a_node_that_is_no_i2c_bus_leaves_nothing_open(plugged, monkeypatch, clock):
+    _, path, _, opened = plugged
+
+    def no_functions(fd, request, argument=0):
+        raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
+
+    monkeypatch.setattr(smbus2.smbus2, "ioctl", no_functions)
+    with pytest.raises(OSError, match="ioctl"):
+        open_i2c(f"i2c://{path}", clock)
+    assert not is_open(opened[-1])
+
+
+def test_the_driver_flies_on_when_its_adapter_is_back(monkeypatch, clock, tmp_path):
+    """The retries of the device are what reopens the port: nothing else has to know."""
+    chip = Mpu6050Model(clock)
+    path = tmp_path / "i2c-5"
+    path.write_bytes(b"")
+    away = [False]
+
+    def ioctl(fd, request, argument=0):
+        if request == I2C_FUNCS:
+            return 0
+        if away[0]:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        messages = ctypes.cast(argument.msgs, ctypes.POINTER(KernelMessage))
+        data = bytes(messages[0].buf[: messages[0].len])
+        if argument.nmsgs == 1:
+            chip.write(messages[0].addr, data)
+            return 0
+        reply = chip.write_read(messages[0].addr, data, messages[1].len).data
+        for place, byte in enumerate(reply):
+            messages[1].buf[place] = byte
+        return 0
+
+    monkeypatch.setattr(smbus2.smbus2, "ioctl", ioctl)
+    port = open_i2c(f"i2c://{path}", clock)
+    device = Mpu6050("imu", port)
+    batches = device.start(clock())
+
+    def fly(polls):
+        made = []
+        for _ in range(polls):
+            clock.advance(10 * MS)
+            made += device.pump(clock())
+        return made
+
+    batches += fly(100)
+    away[0] = True
+    path.unlink()
+    batches += fly(100)
+    away[0] = False
+    path.write_bytes(b"")
+    batches += fly(200)
+    batches += device.stop(clock())
+    port.close()
+    rows = whole(batches, "imu")
+    assert codes(batches).count("bus_recovered") == 1
+    assert "plug it in" in texts(batches, "bus_error")[0]
+    assert [gap["cause"] for gap in of(batches, "gap")] == [b"bus_error"]
+    assert rows["tick"][-1] == chip.written - 1
+    assert port.reopened == 1
 
 
 class Server:

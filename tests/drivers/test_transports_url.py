@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from drivers.errors import DriverError, UrlError
-from drivers.transports import open_can, open_i2c, open_pulse, open_serial
+from drivers.transports import open_can, open_i2c, open_pulse, open_pulse_output, open_serial
 
 
 def clock():
@@ -31,7 +31,10 @@ def clock():
         (open_can, "can+slcan:///dev/ttyS0", "lacks bitrate: add '\\?bitrate="),
         (open_can, "can+slcan:///dev/ttyS0?bitrate=333333", "use one of 10000, 20000"),
         (open_pulse, "gpio:///dev/gpiochip0", "lacks line"),
-        (open_pulse, "pps:///dev/pps0", "gpio, gpio\\+unix"),
+        (open_pulse, "pulse:///dev/pps0", "gpio, pps, gpio\\+unix"),
+        (open_pulse, "pps:///dev/pps0?line=1", "unknown options line: it takes none"),
+        (open_pulse_output, "gpio:///dev/gpiochip0?line=27", "begin it with one of gpio-out"),
+        (open_pulse_output, "gpio-out:///dev/gpiochip0", "lacks line"),
         (open_serial, "serial:///dev/ttyUSB0", "lacks baud"),
         (open_serial, "serial:///dev/ttyUSB0?baud=9600&parity=X", "parity=N, E or O"),
         (open_serial, "serial:///dev/ttyUSB0?baud=9600&stop_bits=3", "stop_bits=1 or 2"),
@@ -53,7 +56,9 @@ def test_a_wrong_url_is_answered_with_the_right_one(opener, url, remedy):
         (open_can, "can+socketcan://no_such_can?bitrate=500000"),
         (open_can, "can+slcan:///dev/no-such-tty?bitrate=500000"),
         (open_pulse, "gpio:///dev/no-such-gpiochip?line=3"),
+        (open_pulse, "pps:///dev/no-such-pps"),
         (open_pulse, "gpio+unix:///no-such-folder/edges"),
+        (open_pulse_output, "gpio-out:///dev/no-such-gpiochip?line=3"),
         (open_serial, "serial:///dev/no-such-tty?baud=9600"),
     ],
 )

@@ -12,7 +12,7 @@ from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.twin_bench import MS, START_NS, Analog, CanRig, RateClock
 
 FIRST_INTERVALS = [30, 30, 31, 30, 30, 32, 30, 30, 33, 30, 30, 34]  # SYNC periods between pulses 0, 1, 2, ...
-FIRST_DELAYS = [0, 19, 6, 25, 12, 31, 18, 5, 24, 11, 30, 17, 4]  # of pulses 0, 1, 2, ... after their SYNC, 31.25 us each
+FIRST_DELAYS = [0, 19, 6, 25, 12, 31, 18, 5, 24, 11, 30, 17, 4]  # after their SYNC, 31.25 us each
 STEP_NS = 31_250
 
 

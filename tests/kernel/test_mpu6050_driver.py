@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from drivers.mpu6050 import Mpu6050
+from drivers.mpu6050 import Mpu6050, Mpu6050Config
 from drivers.ports import I2cPort
 from drivers.records import Batch, Rows
 from drivers.transports import open_i2c
@@ -136,4 +136,52 @@ def test_the_driver_outlives_its_node(serve: Callable[..., Served]) -> None:
     port.close()
     assert events(batches) == [b"bus_error", b"no_answer", b"stopped"]
     texts = [batch.rows["text"][0] for batch in batches if batch.channel == "event"]
-    assert all(b"ENOTCONN" in text for text in texts[:2])
+    assert all(b"ENOENT): the adapter is gone: plug it in" in text for text in texts[:2])
+
+
+def test_an_adapter_that_was_unplugged_is_taken_up_again(serve: Callable[..., Served]) -> None:
+    """Its node goes and comes back as another one of the same name; the driver keeps the port it was given."""
+    served = serve()
+    port = open_i2c(served.urls["i2c_1"], time.monotonic_ns)
+    device = Mpu6050("imu", port)
+    batches = device.start(time.monotonic_ns())
+
+    def pump_for(duration_s: float) -> None:
+        end = time.monotonic() + duration_s
+        while time.monotonic() < end:
+            batches.extend(device.pump(time.monotonic_ns()))
+            time.sleep(POLL_S)
+
+    pump_for(1.0)
+    served.kill()
+    pump_for(0.5)
+    serve()
+    pump_for(3.0)
+    batches += device.stop(time.monotonic_ns())
+    port.close()
+    told = [code for code in events(batches) if code != b"fifo_overflow"]
+    assert told[0] == b"started"
+    assert told[-3:] == [b"bus_recovered", b"started", b"stopped"]
+    assert b"bus_error" in told
+    assert len(rows_of(batches, "imu")) > 1_000
+
+
+def test_burst_mode_takes_every_sample_of_a_slow_chip_once(port: I2cPort) -> None:
+    device = Mpu6050("imu", port, Mpu6050Config(sample_rate_hz=20, mode="burst"))
+    batches = device.start(time.monotonic_ns())
+    end = time.monotonic() + 4.0
+    while time.monotonic() < end:
+        batches += device.pump(time.monotonic_ns())
+        time.sleep(device.period_ns * 1e-9)
+    batches += device.stop(time.monotonic_ns())
+    rows = rows_of(batches, "imu")
+    assert [code for code in events(batches) if code != b"stopped"] == [b"started"]
+    assert len(rows) + missing(batches) > 60
+    steps = np.diff(sample_ms(rows))
+    assert np.all(steps > 0), "no sample twice"
+    assert set((steps / 50.0).round().astype(int)) <= {1, 2, 3, 4}
+
+
+def test_the_twin_passes_its_self_test(port: I2cPort) -> None:
+    result = Mpu6050("imu", port).self_test(time.sleep)
+    assert max(map(abs, (*result.gyro_deviation, *result.accel_deviation))) < 0.14

@@ -70,6 +70,32 @@ def test_no_edge_in_time_is_an_error(pps: int) -> None:
         fetch(pps, 0.1)
 
 
+def test_the_port_gives_each_edge_once_in_monotonic_time() -> None:
+    port = open_pulse("pps:///dev/pps0", time.monotonic_ns)
+    assert port.receive(0.0) == []  # the edge from before it was opened is nobody's
+    edges = []
+    while len(edges) < 3:
+        before_ns = time.monotonic_ns()
+        got = port.receive(2.0)
+        after_ns = time.monotonic_ns()
+        assert len(got) == 1
+        assert before_ns < got[0].edge_ns < got[0].host_ns < after_ns
+        edges += got
+        assert port.receive(0.0) == []
+    assert [edge.line_sequence - edges[0].line_sequence for edge in edges] == [0, 1, 2]
+    assert port.receive(0.05) == []
+    port.close()
+
+
+def test_the_port_says_which_edges_it_could_not_keep() -> None:
+    port = open_pulse("pps:///dev/pps0", time.monotonic_ns)
+    (one,) = port.receive(2.0)
+    time.sleep(2.5)  # two edges, of which the kernel keeps the last
+    (two,) = port.receive(2.0)
+    assert two.line_sequence - one.line_sequence == 2
+    port.close()
+
+
 def test_this_kernel_has_no_gpio_and_says_so() -> None:
     with pytest.raises(FileNotFoundError):
         open_pulse("gpio:///dev/gpiochip0?line=17", time.monotonic_ns)

@@ -1,0 +1,155 @@
+"""CiA 402 drive: actual position 6064h, velocity 606Ch and torque 6077h on every SYNC, up to three channels of a node.
+
+The values wanted are mapped side by side into as few TPDOs as hold them, in that order. Known warts: position and
+velocity are in the user's units of the drive (CiA 402-2 lets 608Fh, 6091h, 6092h and 6096h scale them), which it does
+not tell in one way that all drives keep to; the configuration says them, and nothing here can check it. TPDOs that are
+not used stay as the maker set them: an event-driven one that floods the bus is to be switched off by its tool.
+"""
+
+import math
+from dataclasses import dataclass
+
+from drivers.canopen_pdo import frame
+from drivers.canopen_pdo.channel import ProcessData, Sample
+from drivers.canopen_pdo.sdo import Setup, ensure_tpdo, read_unsigned
+from drivers.errors import ConfigurationError, FrameError
+
+POSITION, VELOCITY, TORQUE = 0x6064_0020, 0x606C_0020, 0x6077_0010  # as mapping entries
+RATED_TORQUE = 0x6076  # mN m
+PDO_BITS = 64
+TWO_PI = 2.0 * math.pi
+
+
+@dataclass(frozen=True)
+class Cia402Config:
+    """A drive. A channel that is not named is not mapped.
+
+    Attributes:
+        node: Node number.
+        counts_per_revolution: Position units in a revolution of the joint, gear included.
+        position: Channel of 6064h, rad.
+        velocity: Channel of 606Ch, rad/s.
+        torque: Channel of 6077h, N m.
+        velocity_scale_rad_s: Velocity unit of the drive, rad/s of the joint; None: counts a second.
+        rated_torque_N_m: Rated torque of the motor; None: read from 6076h.
+        gear_ratio: Revolutions of the motor in one of the joint, for its torque; negative where they turn oppositely.
+        tpdos: The TPDOs to use, as many as are needed in this order.
+    """
+
+    node: int
+    counts_per_revolution: int
+    position: str | None = None
+    velocity: str | None = None
+    torque: str | None = None
+    velocity_scale_rad_s: float | None = None
+    rated_torque_N_m: float | None = None  # noqa: N815 - a unit, as in vehicle.toml
+    gear_ratio: float = 1.0
+    tpdos: tuple[int, ...] = (1, 2)
+
+    def __post_init__(self) -> None:
+        if not self.names:
+            raise ConfigurationError(f"drive at node {self.node} has no channel: name position, velocity or torque")
+        if self.counts_per_revolution < 1:
+            raise ConfigurationError(f"{self.name}: counts_per_revolution = {self.counts_per_revolution}: 1 or more")
+        if self.velocity_scale_rad_s is not None and not abs(self.velocity_scale_rad_s) > 0.0:
+            raise ConfigurationError(f"{self.name}: velocity_scale_rad_s = {self.velocity_scale_rad_s}: give the unit")
+        if self.rated_torque_N_m is not None and not self.rated_torque_N_m > 0.0:
+            raise ConfigurationError(f"{self.name}: rated_torque_N_m = {self.rated_torque_N_m}: above 0, or leave it")
+        if not abs(self.gear_ratio) > 0.0:
+            raise ConfigurationError(f"{self.name}: gear_ratio = {self.gear_ratio}: motor revolutions per joint's")
+        if len(set(self.tpdos)) < len(self.tpdos) or not set(self.tpdos) <= {1, 2, 3, 4}:
+            raise ConfigurationError(f"{self.name}: tpdos = {self.tpdos}: use different ones of 1..4")
+        if len(self.layout) > len(self.tpdos):
+            raise ConfigurationError(f"{self.name}: its values fill {len(self.layout)} TPDOs: name more tpdos")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its channels."""
+        return tuple(name for name in (self.position, self.velocity, self.torque) if name is not None)
+
+    @property
+    def name(self) -> str:
+        """Its first channel."""
+        return self.names[0]
+
+    @property
+    def layout(self) -> list[tuple[int, ...]]:
+        """Mapping entries of each TPDO."""
+        wanted = {POSITION: self.position, VELOCITY: self.velocity, TORQUE: self.torque}
+        layout: list[tuple[int, ...]] = [()]
+        for entry in (entry for entry, name in wanted.items() if name is not None):
+            if sum(each & 0xFF for each in (*layout[-1], entry)) > PDO_BITS:
+                layout.append(())
+            layout[-1] += (entry,)
+        return layout
+
+
+class DriveValue(ProcessData):
+    """One of the three values of a drive: signed counts as sent; a position is unwrapped modulo 2^32.
+
+    Args:
+        config: The drive.
+        name: Channel.
+        entry: ``POSITION``, ``VELOCITY`` or ``TORQUE``.
+    """
+
+    profile = 0x0192
+
+    def __init__(self, config: Cia402Config, name: str, entry: int) -> None:
+        layout = config.layout
+        place = next(place for place, mapping in enumerate(layout) if entry in mapping)
+        self._tpdo = config.tpdos[place]
+        super().__init__(name, config.node, frame.TPDO[self._tpdo] + config.node)
+        self._config = config
+        self._entry = entry
+        self._mapping = layout[place]
+        before = self._mapping[: self._mapping.index(entry)]
+        self._start = sum(each & 0xFF for each in before) // 8
+        self._size = (entry & 0xFF) // 8
+        self._length = sum(each & 0xFF for each in self._mapping) // 8
+        self._position: int | None = None
+        per_count = TWO_PI / config.counts_per_revolution
+        if entry == POSITION:
+            self.unit, self.scale = "rad", per_count
+        elif entry == VELOCITY:
+            self.unit = "rad/s"
+            self.scale = per_count if config.velocity_scale_rad_s is None else config.velocity_scale_rad_s
+        else:
+            self.unit = "N m"
+            self.scale = self._per_mille(config.rated_torque_N_m or 0.0)
+
+    def setup(self) -> Setup:
+        """Read the rated torque where it is needed, map the values to their TPDO.
+
+        Raises:
+            ConfigurationError: The drive does not know its rated torque.
+        """
+        if self._entry == TORQUE and self._config.rated_torque_N_m is None:
+            rated = yield from read_unsigned(RATED_TORQUE)
+            if rated == 0:
+                raise ConfigurationError("drive has rated torque 0 (6076h): write it, or give rated_torque_N_m")
+            self.scale = self._per_mille(rated * 1e-3)
+        yield from ensure_tpdo(self._tpdo, self.cob_id, 1, self._mapping)
+
+    def decode(self, data: bytes) -> Sample:
+        """The value's bytes out of the TPDO. Raises FrameError."""
+        if len(data) != self._length:
+            raise FrameError(
+                f"{self.name}: TPDO of {len(data)} bytes, its objects have {self._length}: "
+                f"check the mapping {0x1A00 + self._tpdo - 1:04X}h"
+            )
+        raw = int.from_bytes(data[self._start : self._start + self._size], "little", signed=True)
+        if self._entry == POSITION:
+            before = raw if self._position is None else self._position
+            raw = self._position = before + (raw - before + (1 << 31)) % (1 << 32) - (1 << 31)
+        return Sample(raw)
+
+    def _per_mille(self, rated_N_m: float) -> float:
+        """Joint torque of a thousandth of the rated motor torque, N m."""
+        return rated_N_m * 1e-3 * self._config.gear_ratio
+
+
+def drive_values(config: Cia402Config) -> list[DriveValue]:
+    """The channels of a drive."""
+    wanted = ((config.position, POSITION), (config.velocity, VELOCITY), (config.torque, TORQUE))
+    return [DriveValue(config, name, entry) for name, entry in wanted if name is not None]

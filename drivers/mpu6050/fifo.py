@@ -1,0 +1,156 @@
+"""Samples by way of the chip's FIFO: drained once a poll, started anew when it ran over or slipped."""
+
+from drivers.mpu6050 import registers as reg
+from drivers.mpu6050.bus import NOT_ACKNOWLEDGED, RegisterBus, explain
+from drivers.mpu6050.decode import PACKET_BYTES, decode_packets, first_misaligned
+from drivers.mpu6050.registers import Mpu6050Config
+from drivers.mpu6050.sample_clock import Onset
+from drivers.mpu6050.stream import SampleStream
+from drivers.records import Severity
+from drivers.reporter import Reporter
+
+MOST_STARTS = 3  # one after the other, when it runs over before it is counted
+MOST_COUNTS = 12  # after a gap, until the start of the FIFO is known to a third of a sample
+
+
+class Fifo:
+    """The FIFO of a chip that has been set up.
+
+    Args:
+        config: How the chip was set up.
+        bus: Its registers.
+        stream: Numbers its samples.
+        report: Where events go.
+
+    Attributes:
+        chip: The die.
+        running: It is started, and what it holds is counted.
+        registers: What holds besides the configuration while it runs.
+    """
+
+    registers = reg.FIFO_RUNS
+
+    def __init__(self, config: Mpu6050Config, bus: RegisterBus, stream: SampleStream, report: Reporter) -> None:
+        self.chip = reg.CHIPS[0x68]
+        self.running = False
+        self._config = config
+        self._bus = bus
+        self._stream = stream
+        self._report = report
+        self._temperature: int | None = None
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two drains."""
+        return round(self._config.poll_period_ms * 1e6)
+
+    def restart(self, now_ns: int, at_least: int = 0) -> None:
+        """Empty and start it; then name what was lost: what the clock says, ``at_least`` samples. Raises OSError."""
+        self.running = False
+        self._temperature = None
+        stream, clock = self._stream, self._stream.clock
+        for _ in range(MOST_STARTS):
+            onset, overrun = self._begin()
+            if not overrun:
+                break
+        if clock:
+            first = max(clock.number_after(onset), stream.next + at_least)
+            clock.gap(first - stream.next)
+            stream.lose(now_ns, first)
+            if stream.after_reset:
+                clock.forget_phase()
+        for before_ns, host_ns, queued in onset.reads:
+            clock.observe(host_ns, stream.next + queued, before_ns)
+        self.running = True
+
+    def take(self, now_ns: int) -> bool:
+        """Hand over what it holds. False: it was empty. Raises OSError."""
+        reply = self._bus.read(reg.FIFO_COUNT_H, 2)
+        count = int.from_bytes(reply.data)
+        samples, part = divmod(min(count, self.chip.fifo_bytes), PACKET_BYTES)
+        if self._is_over(count):
+            self._overflow(now_ns, samples + (part > 0), count)  # of a broken packet the rest was overwritten
+            return True
+        if part:
+            self._discard(now_ns, "misaligned", samples, f"FIFO holds {count} bytes, no whole packets: it was reset")
+            return True
+        self._stream.cause = ""
+        if not samples:
+            return False
+        data, broke_off = self._pop(samples * PACKET_BYTES)
+        if broke_off is None:
+            try:  # only now, for it may have run over after it was counted
+                if self._bus.byte(reg.INT_STATUS) & reg.FIFO_OFLOW:
+                    self._overflow(now_ns, samples + 1, count)
+                    return True
+            except OSError as error:
+                broke_off = error
+        rows = decode_packets(data, self._config)
+        slip = first_misaligned(rows["temperature_raw"], self._temperature)
+        if slip is None:
+            self._stream.clock.observe(reply.host_ns, self._stream.next + samples, min(now_ns, reply.host_ns))
+        rows = rows[:slip]
+        good = self._stream.hand_over(rows, reply.host_ns)
+        if good:
+            self._temperature = int(rows["temperature_raw"][-1])
+        if slip is not None:
+            self._discard(now_ns, "misaligned", samples - good, "temperature word jumped: the FIFO was reset")
+        elif broke_off is not None and broke_off.errno in NOT_ACKNOWLEDGED:
+            raise broke_off  # the rest is still in the FIFO
+        elif broke_off is not None:
+            self._discard(now_ns, "bus_error", samples - good, f"FIFO read broke off {explain(broke_off)}")
+        return True
+
+    def silence(self) -> None:
+        """Let it take no more samples. Raises OSError."""
+        self._bus.write(reg.FIFO_EN, 0)
+
+    def _begin(self) -> tuple[Onset, bool]:
+        """Empty and start it, and count what it takes until that tells when it began: one count may be stamped late.
+
+        Returns:
+            When it began, and whether the host was so late that it ran over meanwhile.
+        """
+        self._bus.write(reg.FIFO_EN, 0)
+        self._bus.write(reg.USER_CTRL, 0)
+        self._bus.write(reg.USER_CTRL, reg.USER_FIFO_RESET)
+        self._bus.write(reg.USER_CTRL, reg.USER_FIFO_EN)
+        stopped_ns = self._bus.read(reg.INT_STATUS).host_ns  # clears the overflow
+        self._bus.write(reg.FIFO_EN, reg.FIFO_EN_ALL)
+        clock = self._stream.clock
+        onset = Onset(stopped_ns, clock.period_ns())
+        for _ in range(MOST_COUNTS):
+            reply = self._bus.read(reg.FIFO_COUNT_H, 2)
+            count = int.from_bytes(reply.data)
+            overrun = self._is_over(count)
+            if not (overrun and onset.reads):
+                onset.observe(reply.host_ns, min(count, self.chip.fifo_bytes) // PACKET_BYTES)
+            if overrun or onset.settled or not clock:
+                break
+        return onset, overrun
+
+    def _is_over(self, count: int) -> bool:
+        return count > self.chip.fifo_bytes - PACKET_BYTES
+
+    def _pop(self, left: int) -> tuple[bytes, OSError | None]:
+        """``left`` bytes in transfers of whole packets; fewer, and the reason, when the bus fails on the way."""
+        longest = self._config.max_transfer_bytes // PACKET_BYTES * PACKET_BYTES
+        pieces: list[bytes] = []
+        while left:
+            size = min(left, longest)
+            try:
+                pieces.append(self._bus.pop(reg.FIFO_R_W, size))
+            except OSError as error:
+                return b"".join(pieces), error
+            left -= size
+        return b"".join(pieces), None
+
+    def _overflow(self, now_ns: int, at_least: int, count: int) -> None:
+        text = f"FIFO ran over, {count} bytes counted: it was reset; pump more often"
+        self._discard(now_ns, "fifo_overflow", at_least, text)
+
+    def _discard(self, now_ns: int, cause: str, at_least: int, text: str) -> None:
+        """Give up what it holds (``at_least`` samples are lost) and start it anew."""
+        self._stream.cause = self._stream.cause or cause
+        self._report.event(now_ns, Severity.WARNING, cause, text)
+        self.restart(now_ns, at_least)

@@ -1,0 +1,58 @@
+"""The numbers of a chip's samples: rows out, lost ones named, whichever way the samples are fetched."""
+
+import numpy as np
+
+from drivers.mpu6050.sample_clock import SampleClock
+from drivers.records import Rows, SampleStatus
+from drivers.reporter import Reporter
+
+
+class SampleStream:
+    """Numbers samples from the first start on, samples known to be lost included.
+
+    Args:
+        name: Channel.
+        nominal_period_ns: Sample period as configured.
+        report: Where rows and gaps go.
+
+    Attributes:
+        clock: Sample total against host time.
+        next: Number of the next sample.
+        cause: Why samples may be missing from here on; empty while the stream is whole.
+        after_reset: The sampling began anew: the next row says so.
+    """
+
+    def __init__(self, name: str, nominal_period_ns: int, report: Reporter) -> None:
+        self._name = name
+        self._nominal_period_ns = nominal_period_ns
+        self._report = report
+        self.clock = SampleClock(nominal_period_ns)
+        self.next = 0
+        self.cause = ""
+        self.after_reset = False
+
+    def begin(self) -> None:
+        """A start, perhaps not the first: time passed since the last stop is no gap."""
+        self.clock = SampleClock(self._nominal_period_ns)
+        self.after_reset = self.next > 0
+
+    def hand_over(self, rows: Rows, host_ns: int) -> int:
+        """Number the rows and put them out; how many they were."""
+        if not len(rows):
+            return 0
+        rows["sequence"] = rows["tick"] = np.arange(self.next, self.next + len(rows), dtype=np.uint64)
+        rows["host_ns"] = host_ns
+        if self.after_reset:
+            rows["status"][0] |= SampleStatus.AFTER_RESET
+            self.after_reset = False
+        self.next += len(rows)
+        self._report.rows(self._name, rows)
+        return len(rows)
+
+    def lose(self, now_ns: int, up_to: int) -> None:
+        """Name the samples from the next one up to, not including, ``up_to`` as lost, and go on from there."""
+        if up_to > self.next:
+            duration_ns = round((up_to - self.next) * self.clock.period_ns())
+            self._report.gap(now_ns, self._name, self.next, up_to - 1, duration_ns, self.cause)
+            self.next = up_to
+        self.cause = ""

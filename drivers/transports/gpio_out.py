@@ -1,0 +1,56 @@
+"""A GPIO line of the kernel as the output that drives the sync line, by libgpiod version 2."""
+
+import time
+from collections.abc import Callable
+from typing import Self
+
+import gpiod
+from gpiod.line import Direction, Value
+
+from drivers.ports import Driven
+
+SPIN_NS = 150_000  # the end of a wait is spent reading the clock: waking up takes the kernel 50 us or more
+
+
+def wait_until(
+    instant_ns: int, clock: Callable[[], int], sleep: Callable[[float], object] = time.sleep, spin_ns: int = SPIN_NS
+) -> None:
+    """Return at ``instant_ns``, or at once when that has passed. How late it became, the caller's stamps tell."""
+    left_ns = instant_ns - clock()
+    if left_ns > spin_ns:
+        sleep((left_ns - spin_ns) * 1e-9)
+    while clock() < instant_ns:
+        pass
+
+
+class GpiodOutput:
+    """A ``PulseOutputPort`` on one line, low when opened."""
+
+    def __init__(self, request: gpiod.LineRequest, line: int, clock: Callable[[], int]) -> None:
+        self._request = request
+        self._line = line
+        self._clock = clock
+
+    @classmethod
+    def open(cls, chip: str, line: int, clock: Callable[[], int]) -> Self:
+        """Request ``line`` of ``chip`` (``/dev/gpiochip0``) as an output. Raises OSError."""
+        settings = gpiod.LineSettings(direction=Direction.OUTPUT, output_value=Value.INACTIVE)
+        return cls(gpiod.request_lines(chip, {line: settings}, consumer="heft"), line, clock)
+
+    def wait_until(self, instant_ns: int) -> None:
+        """Return at ``instant_ns``, or at once when that has passed."""
+        wait_until(instant_ns, self._clock)
+
+    def drive(self, high: bool) -> Driven:
+        """Set the level, between two stamps. Raises OSError."""
+        value = Value.ACTIVE if high else Value.INACTIVE
+        before_ns = self._clock()
+        self._request.set_value(self._line, value)
+        return Driven(before_ns, self._clock())
+
+    def close(self) -> None:
+        """Leave the line low and give it back."""
+        try:
+            self._request.set_value(self._line, Value.INACTIVE)
+        finally:
+            self._request.release()
