@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from drivers.errors import SelfTestError
 from drivers.mpu6050 import Mpu6050, Mpu6050Config
 from drivers.ports import I2cPort
 from drivers.records import Batch, Rows
@@ -117,7 +118,8 @@ def test_a_brown_out_is_noticed_and_flown_on(serve: Callable[..., Served]) -> No
     batches = fly(Mpu6050("imu", port), 3.0 - served.age_s)
     port.close()
     rows = check_accounts(batches)
-    told = [code for code in events(batches) if code != b"fifo_overflow"]
+    # a reset in the middle of a drain is first seen as bytes that are none
+    told = [code for code in events(batches) if code not in {b"fifo_overflow", b"misaligned"}]
     assert told == [b"started", b"brown_out", b"started", b"stopped"]
     (gap,) = [gap for gap in gaps_of(batches) if gap["cause"] == b"brown_out"]
     assert len(rows[rows["sequence"] > gap["last_missing"]]) > 300
@@ -182,6 +184,8 @@ def test_burst_mode_takes_every_sample_of_a_slow_chip_once(port: I2cPort) -> Non
     assert set((steps / 50.0).round().astype(int)) <= {1, 2, 3, 4}
 
 
-def test_the_twin_passes_its_self_test(port: I2cPort) -> None:
-    result = Mpu6050("imu", port).self_test(time.sleep)
-    assert max(map(abs, (*result.gyro_deviation, *result.accel_deviation))) < 0.14
+def test_the_twin_answers_a_self_test_as_its_factory_would(port: I2cPort) -> None:
+    """But for accel x, into which this twin writes the time: it is not at rest."""
+    with pytest.raises(SelfTestError, match=r"accel x .* off the factory trim") as caught:
+        Mpu6050("imu", port).self_test(time.sleep)
+    assert [abs(value) < 0.02 for value in caught.value.deviations] == [True, True, True, False, True, True]
