@@ -103,7 +103,11 @@ def _fly(arguments: argparse.Namespace) -> int:
     urls = dict(_bus_and_url(text) for text in arguments.url)
     vehicle = config.load(arguments.vehicle).with_urls(urls)
     log = arguments.log or _next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
-    flight = runner.fly(vehicle, log, duration_s=arguments.duration)
+    try:
+        flight = runner.fly(vehicle, log, duration_s=arguments.duration)
+    except runner.FlightError as error:
+        sys.stderr.write(f"heft: {error}\n")
+        return FAILED
     print(flight.log)
     for name in flight.died:
         sys.stderr.write(f"heft: the {name} worker died; its message stands above, and an event in the log\n")
@@ -122,7 +126,7 @@ def _hil(arguments: argparse.Namespace) -> int:
 
     from hil_sim.mission import open_in_process
     from onboard import config
-    from onboard.flight import hil
+    from onboard.flight import hil, runner
     from onboard.offline import table
 
     console = _console()
@@ -139,7 +143,11 @@ def _hil(arguments: argparse.Namespace) -> int:
         task = progress.add_task(f"{name}, seed {seed}", total=1.0)
         if arguments.realtime:
             serve = ["-m", "hil_sim.serve", name, "--seed", str(seed)]
-            flown = hil.fly_realtime(vehicle, serve, log, lambda done: progress.update(task, completed=done))
+            try:
+                flown = hil.fly_realtime(vehicle, serve, log, lambda done: progress.update(task, completed=done))
+            except runner.FlightError as error:
+                sys.stderr.write(f"heft: {error}\n")
+                return FAILED
         else:
             world, urls = open_in_process(name, seed)
             with world:

@@ -142,6 +142,14 @@ class SyncPulseDevice(_Device):
 
 BusDevice = Mpu6050Device | CanopenSyncDevice | Cia406Device | Cia404Device | CanopenObjectDevice | SyncPulseDevice
 RecordedDevice = RecordedImu | RecordedRate
+_BUS_OF: dict[type[BaseModel], str] = {
+    Mpu6050Device: "I2C",
+    CanopenSyncDevice: "CAN",
+    Cia406Device: "CAN",
+    Cia404Device: "CAN",
+    CanopenObjectDevice: "CAN",
+    SyncPulseDevice: "a pulse line",
+}
 _DEVICES: tuple[type[BaseModel], ...] = (*get_args(BusDevice), *get_args(RecordedDevice))
 Device = Annotated[BusDevice | RecordedDevice, Field(discriminator="kind")]
 
@@ -406,6 +414,16 @@ def _check_names(vehicle: Vehicle) -> None:
     for name, device in file.device.items():
         if not isinstance(device, RecordedDevice) and device.bus not in file.bus:
             fail(["device", name, "bus"], f"no bus {device.bus!r}; there are: {', '.join(file.bus)}")
+        if isinstance(device, Cia406Device | Cia404Device):
+            syncs = [d for d in file.device.values() if isinstance(d, CanopenSyncDevice) and d.bus == device.bus]
+            if len(syncs) != 1:
+                fail(["device", name], f"bus {device.bus!r} has {len(syncs)} canopen_sync devices; it needs one")
+    if not any(isinstance(device, Mpu6050Device | RecordedImu) for device in file.device.values()):
+        fail(["device"], "no device is an IMU; the base's motion has to be measured: add one")
+    for bus in file.bus:
+        kinds = {_BUS_OF[type(device)] for device in vehicle.devices_on(bus).values()}
+        if len(kinds) > 1:
+            fail(["bus", bus], f"bus {bus!r} has devices of {' and '.join(sorted(kinds))}; give each its own bus")
     phases = file.estimation.phases
     if phases and phases.channel not in file.device:
         fail(["estimation", "phases", "channel"], f"no device {phases.channel!r}; there are: {', '.join(file.device)}")

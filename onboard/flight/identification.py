@@ -5,7 +5,7 @@ import numpy as np
 from onboard import config
 from onboard.estimation.errors import EstimationError
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
-from onboard.model.errors import ModelError
+from onboard.model.errors import ModelError, UrdfError
 from onboard.model.free_body import free_body_quantities
 from onboard.model.identify import Considered, Identifier, Quantity, mass_quantities
 from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
@@ -35,6 +35,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
     settings = vehicle.file.estimation
     try:
         model = build_model(vehicle)
+        _check_joints(vehicle, model)
         rows: list[WrenchRow] = []
         considered: list[Considered] = []
         for name, device in vehicle.file.device.items():
@@ -55,23 +56,36 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
             quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link)
         if vehicle.file.free_body:
             quantities += free_body_quantities(row_model, base, prior)
+        identifier = Identifier(
+            row_model,
+            base,
+            prior,
+            (settings.block_ms or KERNELS_PER_BLOCK * settings.smoothing_ms) * 1e-3,
+            quantities,
+            considered,
+            settings.gates.residual_sigma,
+            imu_frame=next(
+                device.frame
+                for device in vehicle.file.device.values()
+                if isinstance(device, config.Mpu6050Device | config.RecordedImu)
+            ),
+        )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
-    identifier = Identifier(
-        row_model,
-        base,
-        prior,
-        (settings.block_ms or KERNELS_PER_BLOCK * settings.smoothing_ms) * 1e-3,
-        quantities,
-        considered,
-        settings.gates.residual_sigma,
-        imu_frame=next(
-            device.frame
-            for device in vehicle.file.device.values()
-            if isinstance(device, config.Mpu6050Device | config.RecordedImu)
-        ),
-    )
     return identifier, model
+
+
+def _check_joints(vehicle: config.Vehicle, model: Vehicle) -> None:
+    """Every joint that moves is measured by one device, and every such device names a joint."""
+    measured = [
+        device.joint
+        for device in vehicle.file.device.values()
+        if isinstance(device, config.Cia406Device | config.RecordedRate)
+    ]
+    moving = [joint.name for joint in model.joints]
+    if sorted(measured) != sorted(moving):
+        listed, named = ", ".join(moving) or "none", ", ".join(measured) or "none"
+        raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
 
 
 def _considered(name: str, device: config.Cia404Device) -> list[Considered]:

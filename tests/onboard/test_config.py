@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from onboard import config
+from onboard.flight.estimator import Estimator
 
 TEXT = config.packaged("rocksat").read_text()
 
@@ -50,6 +51,42 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
 )
 def test_other_mistakes(old: str, new: str, expected: str) -> None:
     assert expected in refuse(old, new)
+
+
+def without(device: str) -> str:
+    start = TEXT.index(f"[device.{device}]")
+    return TEXT[start : TEXT.index("[device.", start + 1)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (without("imu_base"), "", "no device is an IMU"),
+        (without("can_sync"), "", "bus 'can_0' has 0 canopen_sync devices; it needs one"),
+        ('bus = "i2c_1"', 'bus = "can_0"', "bus 'can_0' has devices of CAN and I2C"),
+    ],
+)
+def test_devices_that_cannot_fly_together(old: str, new: str, expected: str) -> None:
+    assert expected in refuse(old, new)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('frame = "imu_base"', 'frame = "nose"', "no link, joint or frame 'nose'"),
+        (
+            'joint = "joint_1"\ncounts',
+            'joint = "elbow"\ncounts',
+            "moving joints are joint_1, the devices measure elbow",
+        ),
+        ("arm = 1.0, ", "", "give a relative sigma for each of plate, arm, tip_mass"),
+    ],
+)
+def test_names_that_the_urdf_does_not_have_are_refused_before_the_flight(old: str, new: str, expected: str) -> None:
+    assert old in TEXT
+    vehicle = config.parse(TEXT.replace(old, new, 1), config.packaged("rocksat"))
+    with pytest.raises(config.ConfigError, match=expected):
+        Estimator(vehicle)
 
 
 def test_a_missing_file_says_so(tmp_path: Path) -> None:
