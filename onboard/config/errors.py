@@ -1,0 +1,28 @@
+"""The one error of a vehicle file, and where in its text a key stands."""
+
+import re
+
+
+class ConfigError(ValueError):
+    """The vehicle file cannot be used; the message names file, line and remedy."""
+
+
+def line_of(text: str, where: list[str]) -> int:
+    """Line of the key at ``where``, else of the nearest table around it."""
+    table: list[str] = []
+    seen: dict[str, int] = {}
+    best, depth = 1, 0
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := re.match(r"\s*\[(\[?)\s*([^\]]+?)\s*\]", line):
+            table = [part.strip().strip("\"'") for part in header[2].split(".")]
+            if header[1]:
+                seen[header[2]] = seen.get(header[2], -1) + 1
+                table.append(str(seen[header[2]]))
+            here = table
+        elif key := re.match(r"\s*([A-Za-z0-9_\-\"'.]+)\s*=", line):
+            here = [*table, *(part.strip("\"'") for part in key[1].split("."))]
+        else:
+            continue
+        if here == where[: len(here)] and len(here) > depth:
+            best, depth = number, len(here)
+    return best

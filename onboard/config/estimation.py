@@ -1,0 +1,74 @@
+"""``[estimation]``: phases, gates, priors, rows and what is reported."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from onboard.config.types import NotNegative, Positive, Section
+
+
+class Phases(Section):
+    """Which phases of the mission are for identification, as told by a channel."""
+
+    channel: str
+    identify: list[int]
+    payload_gone: int | None = None
+    end: int | None = None
+    settle_ms: NotNegative = 300
+
+
+class Gates(Section):
+    """When a row may not be used."""
+
+    joint_limits_deg: tuple[float, float] | None = None
+    joint_rate_min_rad_s: Positive | None = None
+    specific_force_m_s2: Positive | None = None
+    specific_force_window_ms: Positive = 500
+    residual_sigma: Positive = 6.0
+
+
+class Zero(Section):
+    """Where the accelerometer is zeroed: coasting at rest in ``phases``, ``ticks`` row periods of it at least."""
+
+    phases: list[int]
+    ticks: Annotated[int, Field(ge=1)] = 100
+
+
+class Prior(Section):
+    """What is known beforehand: relative sigma by link, absolute sigma of the other columns, SI units."""
+
+    relative: dict[str, Positive] = Field(default_factory=dict)
+    absolute: dict[str, Positive] = Field(default_factory=dict)
+
+
+class Masses(Section):
+    """Masses to report from inertia about ``joint``, under the URDF's radii of gyration."""
+
+    joint: str
+    arm_link: str
+
+
+class Estimation(Section):
+    """The estimator's ticks, its smoothing kernel, its rows, its gates.
+
+    ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
+    ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
+    ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
+    ``nuisance`` names base parameters that take up what is not theirs: estimated, and never reported as supported.
+    """
+
+    step_ms: Positive = 50
+    row_rate_hz: Positive = 100
+    lag_ms: Positive = 200
+    smoothing_ms: Positive = 100
+    block_ms: Positive | None = None
+    base_rows: list[Literal["force", "moment"]] = Field(default_factory=list)
+    base_force_sigma_N: Positive = 0.1  # noqa: N815
+    base_moment_sigma_N_m: Positive = 5e-4  # noqa: N815
+    zero_force_sigma_m_s2: Positive | None = None
+    phases: Phases | None = None
+    zero: Zero | None = None
+    gates: Gates = Gates()
+    prior: Prior = Prior()
+    masses: Masses | None = None
+    nuisance: list[str] = Field(default_factory=list)
