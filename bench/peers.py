@@ -7,7 +7,7 @@ import binascii
 import struct
 from collections.abc import Callable
 
-from drivers.ports import CanFrame, I2cReply
+from drivers.ports import CanFrame, Edge, I2cReply
 
 QSB_TICK_NS = 1_953_125
 NIMU_HEADER = b"\xff\xff\xff\xff\x26"
@@ -16,7 +16,8 @@ NIMU_HEADER = b"\xff\xff\xff\xff\x26"
 _DATA = struct.Struct("<BBHIIIIB")
 _DESCRIPTOR = struct.Struct("<BBHIQI")
 
-# CANopen: (node, index, subindex): bytes. An encoder whose TPDO2 is set up, a load cell, a controller with a phase.
+# CANopen: (node, index, subindex): bytes. An encoder whose TPDO2 is set up, a load cell, a controller with a phase
+# that is guarded, a drive.
 OBJECTS: dict[tuple[int, int, int], bytes] = {
     (1, 0x1000, 0): (0x0002_0196).to_bytes(4, "little"),
     (1, 0x1017, 0): bytes(2),
@@ -38,10 +39,23 @@ OBJECTS: dict[tuple[int, int, int], bytes] = {
     (2, 0x1A00, 1): (0x9130_0120).to_bytes(4, "little"),
     (2, 0x1A00, 2): (0x6150_0108).to_bytes(4, "little"),
     (3, 0x1000, 0): bytes(4),
-    (3, 0x1017, 0): bytes(2),
+    (3, 0x100C, 0): bytes(2),
+    (3, 0x100D, 0): bytes(1),
     (3, 0x2000, 1): b"\7",
     (3, 0x1A00, 0): b"\1",
     (3, 0x1A00, 1): (0x2000_0108).to_bytes(4, "little"),
+    (4, 0x1000, 0): (0x0002_0192).to_bytes(4, "little"),
+    (4, 0x1017, 0): bytes(2),
+    (4, 0x6076, 0): (1_270).to_bytes(4, "little"),
+    (4, 0x1800, 1): (0x184).to_bytes(4, "little"),
+    (4, 0x1800, 2): b"\1",
+    (4, 0x1A00, 0): b"\2",
+    (4, 0x1A00, 1): (0x6064_0020).to_bytes(4, "little"),
+    (4, 0x1A00, 2): (0x606C_0020).to_bytes(4, "little"),
+    (4, 0x1801, 1): (0x284).to_bytes(4, "little"),
+    (4, 0x1801, 2): b"\1",
+    (4, 0x1A01, 0): b"\1",
+    (4, 0x1A01, 1): (0x6077_0010).to_bytes(4, "little"),
 }
 
 
@@ -104,12 +118,20 @@ class MemoryCan:
         self.clock = clock
         self.answering = answering
         self.waiting: list[CanFrame] = []
+        self._toggle = 0
 
     def send(self, identifier: int, data: bytes) -> None:
         """Queue one frame."""
         answer = sdo_answer(identifier, data) if self.answering else None
         if answer is not None:
             self.waiting.append(CanFrame(self.clock(), *answer))
+
+    def request(self, identifier: int, size: int) -> None:
+        """A remote frame: a guarded node says that it is operational."""
+        del size
+        if self.answering:
+            self.waiting.append(CanFrame(self.clock(), identifier, bytes([self._toggle | 5])))
+            self._toggle ^= 0x80
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """All frames waiting."""
@@ -119,6 +141,25 @@ class MemoryCan:
 
     def mute(self) -> None:
         """Take no more."""
+
+    def close(self) -> None:
+        """Leave."""
+
+
+class MemoryPulses:
+    """A ``PulsePort`` in memory; while ``fails`` it raises."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Edge] = []
+        self.fails = False
+
+    def receive(self, timeout_s: float) -> list[Edge]:
+        """All edges waiting."""
+        del timeout_s
+        if self.fails:
+            raise OSError(5, "Input/output error")
+        edges, self.waiting = self.waiting, []
+        return edges
 
     def close(self) -> None:
         """Leave."""
@@ -183,7 +224,7 @@ class MemoryMpu6050:
 def sdo_answer(identifier: int, data: bytes) -> tuple[int, bytes] | None:
     """What the node of ``OBJECTS`` answers to an SDO request; None to anything else."""
     node = identifier - 0x600
-    if not 1 <= node <= 3:
+    if not 1 <= node <= 4:
         return None
     command, index, subindex = struct.unpack_from("<BHB", data)
     head = data[1:4]

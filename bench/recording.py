@@ -5,8 +5,11 @@
     python bench/recording.py [--records N] [--directory DIR]
 
 Records are those of a flight: two IMUs and two scalar channels in turn. Ours repeats the definitions in every chunk of
-16 KiB and syncs to the disk every 150 ms, as in flight; the batch is what the recorder finds in a ring at a step. Each
-line is measured in a process of its own, whose peak memory is given.
+16 KiB and syncs to the disk every 150 ms, as in flight; the batch is what the recorder finds in a ring at a step. The
+``flight`` lines are a DYMAFLEX's mix (2 IMUs at 1 kHz, 5 joints and a load cell at 500 Hz), a recorder's step of 50 ms
+at a time: through the writer alone, in segments, and from shared-memory rings through the recorder. Each line is
+measured in a process of its own, whose peak memory is given; on a machine that does something else too, the column per
+second of processor time tells more than the one by the clock.
 """
 
 import argparse
@@ -24,6 +27,7 @@ import numpy as np
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -31,13 +35,24 @@ from drivers import records
 from drivers.records import Rows
 from onboard.offline.dump import dump
 from onboard.recording.reader import LogReader
+from onboard.recording.recorder import Recorder
 from onboard.recording.schema import ros2msg
+from onboard.recording.segmented import Preamble, SegmentedLog
+from onboard.recording.segments import segments
 from onboard.recording.writer import LogWriter
+from onboard.ring import RingReader, RingWriter
 
 CHANNELS = {"imu_0": records.IMU, "imu_1": records.IMU, "joint_1": records.SCALAR, "load_cell": records.SCALAR}
-BATCHES = (5, 20, 50, 200, 1000)
-Answer = SimpleQueue[tuple[float, float]]
+FLIGHT_ROWS = {"imu_0": 50, "imu_1": 50, **{f"joint_{n}": 25 for n in range(1, 6)}, "load_cell": 25}  # in 50 ms
+BATCHES = (1, 5, 20, 50, 200, 1000)
+Seconds = NDArray[np.float64]  # (2,): of the clock, and of the processor
+Answer = SimpleQueue[tuple[Seconds, float]]
 STOCK_SHARE = 4  # the stock reader gets this fraction of the records: it is that slow
+
+
+def now() -> Seconds:
+    """What a clock and the processor's account of this process show."""
+    return np.array([time.perf_counter(), time.process_time()])
 
 
 def rows_of(dtype: np.dtype[np.void], count: int) -> Rows:
@@ -57,11 +72,11 @@ def rows_of(dtype: np.dtype[np.void], count: int) -> Rows:
     return rows
 
 
-def write_ours(path: Path, count: int, batch: int) -> float:
+def write_ours(path: Path, count: int, batch: int) -> Seconds:
     """Seconds to write ``count`` records in batches of ``batch``."""
     per_channel = count // len(CHANNELS)
     rows = {name: rows_of(dtype, per_channel) for name, dtype in CHANNELS.items()}
-    start = time.perf_counter()
+    start = now()
     with LogWriter.create(path, overwrite=True) as writer:
         for name, dtype in CHANNELS.items():
             writer.register(name, dtype)
@@ -69,16 +84,59 @@ def write_ours(path: Path, count: int, batch: int) -> float:
             for name, part in rows.items():
                 writer.write(name, part[first : first + batch])
             writer.sync(time.monotonic_ns())
-    return time.perf_counter() - start
+    return now() - start
 
 
-def write_stock(path: Path, count: int, chunk_bytes: int, compression: str) -> float:
+def flight_rows(count: int) -> tuple[dict[str, Rows], int]:
+    """Rows of a flight by channel, ``count`` in all, and how many steps of 50 ms they are."""
+    steps = count // sum(FLIGHT_ROWS.values())
+    kinds = {name: records.IMU if name.startswith("imu") else records.SCALAR for name in FLIGHT_ROWS}
+    return {name: rows_of(kinds[name], steps * n) for name, n in FLIGHT_ROWS.items()}, steps
+
+
+def write_flight(path: Path, count: int) -> Seconds:
+    """Seconds to write ``count`` records of a flight in segments of 64 MiB, a step at a time."""
+    rows, steps = flight_rows(count)
+    start = now()
+    log = SegmentedLog(path, Preamble("bench"))
+    for name, part in rows.items():
+        log.register(name, part.dtype)
+    for step in range(steps):
+        for name, n in FLIGHT_ROWS.items():
+            log.write(name, rows[name][step * n : (step + 1) * n])
+        log.sync(time.monotonic_ns())
+    log.close()
+    return now() - start
+
+
+def record_flight(path: Path, count: int) -> Seconds:
+    """Seconds of the recorder for the same, out of rings that somebody else fills between its steps."""
+    rows, steps = flight_rows(count)
+    seconds = np.zeros(2)
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as directory:
+        rings = {
+            name: RingWriter(Path(directory) / f"{name}.ring", part.dtype, 20 * FLIGHT_ROWS[name])
+            for name, part in rows.items()
+        }
+        recorder = Recorder(SegmentedLog(path, Preamble("bench")), [RingReader(ring.path) for ring in rings.values()])
+        for step in range(steps):
+            for name, n in FLIGHT_ROWS.items():
+                rings[name].push(rows[name][step * n : (step + 1) * n])
+            start = now()
+            recorder.step(time.monotonic_ns())
+            seconds += now() - start
+        start = now()
+        recorder.close(time.monotonic_ns())
+        return seconds + now() - start
+
+
+def write_stock(path: Path, count: int, chunk_bytes: int, compression: str) -> Seconds:
     """Seconds for the stock writer, which is handed messages that are bytes already."""
     per_channel = count // len(CHANNELS)
     messages = {
         name: [b"\0\1\0\0" + row.tobytes() for row in rows_of(dtype, per_channel)] for name, dtype in CHANNELS.items()
     }
-    start = time.perf_counter()
+    start = now()
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=chunk_bytes, compression=CompressionType[compression])
         writer.start(profile="ros2", library="stock")
@@ -90,37 +148,37 @@ def write_stock(path: Path, count: int, chunk_bytes: int, compression: str) -> f
             for name, number in numbers.items():
                 writer.add_message(number, n * 1_000_000, messages[name][n], n * 1_000_000, n)
         writer.finish()  # type: ignore[no-untyped-call]  # the package annotates only in part
-    return time.perf_counter() - start
+    return now() - start
 
 
-def read_ours(path: Path) -> float:
+def read_ours(path: Path) -> Seconds:
     """Seconds to read every row."""
-    start = time.perf_counter()
+    start = now()
     rows = sum(len(batch.rows) for batch in LogReader(path).batches())
     assert rows
-    return time.perf_counter() - start
+    return now() - start
 
 
-def read_stock(path: Path) -> float:
+def read_stock(path: Path) -> Seconds:
     """Seconds to read every message, without decoding it."""
-    start = time.perf_counter()
+    start = now()
     with path.open("rb") as file:
         messages = sum(1 for _ in NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False))
     assert messages
-    return time.perf_counter() - start
+    return now() - start
 
 
-def dump_ours(path: Path, directory: Path) -> float:
+def dump_ours(path: Path, directory: Path) -> Seconds:
     """Seconds to dump a log to CSV, raw and SI."""
-    start = time.perf_counter()
+    start = now()
     dump(path, directory)
-    return time.perf_counter() - start
+    return now() - start
 
 
-def dump_stock(path: Path, directory: Path) -> float:
+def dump_stock(path: Path, directory: Path) -> Seconds:
     """Seconds of the stock reader, ``mcap-ros2-support`` and the csv module, raw only."""
     directory.mkdir(parents=True, exist_ok=True)
-    start = time.perf_counter()
+    start = now()
     with path.open("rb") as file, (directory / "stock.csv").open("w", newline="") as out:
         table = csv.writer(out)
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -130,29 +188,29 @@ def dump_stock(path: Path, directory: Path) -> float:
                 value = getattr(message, name)
                 cells += value if isinstance(value, list | tuple) else [value]
             table.writerow(cells)
-    return time.perf_counter() - start
+    return now() - start
 
 
-def only_imu(path: Path, count: int) -> float:
+def only_imu(path: Path, count: int) -> Seconds:
     """Seconds to write a log of one IMU, for the dumps."""
-    start = time.perf_counter()
+    start = now()
     with LogWriter.create(path, overwrite=True, durable=False) as writer:
         writer.register("imu_0", records.IMU)
         rows = rows_of(records.IMU, count)
         for first in range(0, count, 100):
             writer.write("imu_0", rows[first : first + 100])
-    return time.perf_counter() - start
+    return now() - start
 
 
 def _measure(
-    answer: "multiprocessing.SimpleQueue[tuple[float, float]]", work: Callable[..., float], *arguments: object
+    answer: "multiprocessing.SimpleQueue[tuple[Seconds, float]]", work: Callable[..., Seconds], *arguments: object
 ) -> None:
     seconds = work(*arguments)
     answer.put((seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
 
 
-def measured(work: Callable[..., float], *arguments: object) -> tuple[float, float]:
-    """Seconds that ``work`` says, and peak MiB, in a fresh process."""
+def measured(work: Callable[..., Seconds], *arguments: object) -> tuple[Seconds, float]:
+    """What ``work`` says, and peak MiB, in a fresh process."""
     context = multiprocessing.get_context("spawn")
     answer: Answer = context.SimpleQueue()
     process = context.Process(target=_measure, args=(answer, work, *arguments))
@@ -168,17 +226,23 @@ def main() -> None:
     parser.add_argument("--directory", type=Path, help="where the logs go while measuring (default: a new one in /tmp)")
     arguments = parser.parse_args()
     count: int = arguments.records
-    table = Table("what", "how", "k records/s", "peak MiB", "file MB", box=None)
+    table = Table("what", "how", "k records/s", "per CPU s", "peak MiB", "file MB", box=None)
 
-    def line(what: str, how: str, records_done: int, result: tuple[float, float], path: Path | None = None) -> None:
-        size = "" if path is None else f"{path.stat().st_size / 1e6:.1f}"
-        table.add_row(what, how, f"{records_done / result[0] / 1e3:,.0f}", f"{result[1]:.0f}", size)
+    def line(what: str, how: str, records_done: int, result: tuple[Seconds, float], path: Path | None = None) -> None:
+        size = "" if path is None else f"{sum(part.stat().st_size for part in segments(path)) / 1e6:.1f}"
+        rates = (f"{rate:,.0f}" for rate in records_done / result[0] / 1e3)
+        table.add_row(what, how, *rates, f"{result[1]:.0f}", size)
 
     folder = Path(tempfile.mkdtemp(dir=arguments.directory))
     try:
         ours, stock, imu = folder / "ours.mcap", folder / "stock.mcap", folder / "imu.mcap"
         for batch in BATCHES:
             line("write", f"ours, {batch} rows a batch", count, measured(write_ours, ours, count, batch), ours)
+        for how, work in (("ours, in segments", write_flight), ("ours, recorder from rings", record_flight)):
+            log = folder / "flight.mcap"
+            line("write flight", how, count, measured(work, log, count), log)
+            for path in segments(log):
+                path.unlink()
         for size, compression in ((16384, "NONE"), (1 << 20, "NONE"), (1 << 20, "ZSTD")):
             result = measured(write_stock, stock, count, size, compression)
             line("write", f"stock, {size >> 10} KiB chunks, {compression.lower()}", count, result, stock)

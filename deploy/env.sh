@@ -70,8 +70,8 @@ heft_env() {
         return 0
     fi
     case $1 in
-        hil) heft_lock=requirements.lock heft_grants=hil ;;
-        test) heft_lock=requirements-test.lock heft_grants='hil test' ;;
+        hil) heft_lock=requirements.lock heft_grants=hil heft_size='200 MB to fetch, 900 MB on disk' ;;
+        test) heft_lock=requirements-test.lock heft_grants='hil test' heft_size='340 MB to fetch, 1.4 GB on disk' ;;
         *) heft_die 64 "no environment is called $1: hil or test." ;;
     esac
     if ! "$heft_venv/bin/python" -m pip --version >/dev/null 2>&1; then
@@ -79,7 +79,7 @@ heft_env() {
         heft_check_system
         "$heft_python" -m venv --clear "$heft_venv" || heft_die 75 "could not make $heft_venv (see above)."
     fi
-    printf 'heft: installing into %s, once (200 MB to fetch, 900 MB on disk)\n' "$heft_venv" >&2
+    printf 'heft: installing into %s, once (%s)\n' "$heft_venv" "$heft_size" >&2
     rm -f "$heft_venv/heft-hil" "$heft_venv/heft-test"
     heft_pip --require-hashes --only-binary :all: -r "$root/deploy/$heft_lock"
     heft_pip --quiet --no-deps --no-index --no-build-isolation --editable "$root"

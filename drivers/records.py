@@ -83,7 +83,7 @@ class SampleStatus(IntFlag):
 
     OK = 0
     SATURATED = 1
-    NOT_VALID = 2  # the device itself says so
+    NOT_VALID = 2  # the device itself says so, or what it says cannot be: an event tells why
     AFTER_RESET = 4  # first sample after the device restarted: its tick began again
 
 

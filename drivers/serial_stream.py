@@ -201,9 +201,13 @@ class SerialDevice(ABC):
     def stop(self, now_ns: int) -> list[Batch]:
         """Take what is left, silence the device, name what is missing, close the port."""
         if self._running:
-            chunk = self._link.read(now_ns, self._wanted())
-            if chunk is not None:
+            wanted = self._wanted()
+            for _ in range(TURNS):  # what came while the rest was made rows of, too
+                chunk = self._link.read(now_ns, wanted)
+                if chunk is None:
+                    break
                 self._receive(now_ns, chunk)
+                wanted = 0
             self._finish(now_ns)
             self._link.close()
             self._connected = self._running = False

@@ -1,8 +1,7 @@
-"""The media between the twins and the flight computer, and their ends in this process.
+"""The media between the twins and the flight computer (serial lines are in ``serial_bus``).
 
 ``I2cBus``, ``CanBus`` and ``PulseLine`` are the wires: a mission plugs its twins into them and advances them; the
-runner chooses what is at the other end. ``InProcess`` is tier T0: smbus2 with its ioctl answered, python-can's
-``virtual`` interface, and pulse datagrams. Nothing here reads a clock or starts a thread, so a run is the same to the
+runner chooses what is at the other end. Nothing here reads a clock or starts a thread, so a run is the same to the
 byte each time.
 """
 
@@ -11,32 +10,15 @@ import os
 import socket
 import struct
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Protocol, Self, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
-import can
 import numpy as np
 
 from hil_sim.devices.can_wire import Babbler, CanTalker, CanWire, WireFrame, is_process_data
 from hil_sim.devices.sync_line import EdgeCapture
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind
-from hil_sim.i2c_dev import InstalledI2c, install_i2c
-
-__all__ = [
-    "CanBus",
-    "CanLink",
-    "EdgeDatagrams",
-    "EdgeLink",
-    "I2cBus",
-    "I2cSlave",
-    "InProcess",
-    "InstalledI2c",
-    "PulseLine",
-    "VirtualCan",
-    "install_i2c",
-]
+from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _EDGE: Final = struct.Struct("<qI")  # edge_ns, line_sequence
 _PROTOCOL_ERROR, _BUS_OFF, _BUS_ERROR, _RESTARTED = 0x008, 0x040, 0x080, 0x100  # linux/can/error.h
@@ -44,6 +26,20 @@ _PROTOCOL_ERROR, _BUS_OFF, _BUS_ERROR, _RESTARTED = 0x008, 0x040, 0x080, 0x100  
 
 def _os_error(code: int) -> OSError:
     return OSError(code, os.strerror(code))
+
+
+class Bus(Protocol):
+    """Any bus."""
+
+    @property
+    def due_ns(self) -> int:
+        """When something next happens on it."""
+
+    def inject(self, faults: DeviceFaults) -> None:
+        """Set what breaks."""
+
+    def advance(self, now_ns: int) -> None:
+        """Let everything happen that is due at ``now_ns``."""
 
 
 class I2cSlave(Protocol):
@@ -66,6 +62,11 @@ class I2cBus:
         self.refused = 0
         self._slaves: dict[int, I2cSlave] = {}
         self._faults = NO_FAULTS
+
+    @property
+    def due_ns(self) -> int:
+        """Never: slaves are asked."""
+        return NEVER
 
     def add(self, slave: I2cSlave) -> None:
         """Connect a slave.
@@ -131,8 +132,8 @@ class I2cBus:
 class CanLink(Protocol):
     """The flight computer's CAN interface, seen from the wire."""
 
-    def take(self) -> list[tuple[int, bytes]]:
-        """Frames the flight computer sent since the last call: (identifier, data)."""
+    def take(self) -> list[tuple[int, bytes | int]]:
+        """Frames the flight computer sent since the last call: identifier, and data or how many a remote one asks."""
 
     @property
     def listening(self) -> bool:
@@ -220,7 +221,10 @@ class CanBus:
         sent = self._link.take()
         if not (self._faults and self._is_cut(self._now_ns)):
             for identifier, data in sent:
-                self._wire.send(identifier, data, self._now_ns)
+                if isinstance(data, bytes):
+                    self._wire.send(identifier, data, self._now_ns)
+                else:
+                    self._wire.request(identifier, data, self._now_ns)
         frames = self._wire.advance(now_ns)
         before_ns, self._now_ns = self._now_ns, now_ns
         if self._link.listening:
@@ -295,6 +299,16 @@ class PulseLine:
         self.seen = 0
         self.heard = 0  # of these, taken by somebody
         self._link = link
+        self._source: CanTalker | None = None
+
+    @property
+    def due_ns(self) -> int:
+        """When the box that drives it next does something."""
+        return NEVER if self._source is None else self._source.due_ns
+
+    def drive(self, source: CanTalker) -> None:
+        """Let the line move a box that no CAN bus moves."""
+        self._source = source
 
     def inject(self, faults: DeviceFaults) -> None:
         """Set what breaks.
@@ -309,7 +323,9 @@ class PulseLine:
         self.capture.edge(edge_ns, high_ns)
 
     def advance(self, now_ns: int) -> None:
-        """Report the edges stamped up to ``now_ns``."""
+        """Let the box act, and report the edges stamped up to ``now_ns``."""
+        while self.due_ns <= now_ns and self._source is not None:
+            self._source.act(self.due_ns)
         for edge_ns, line_sequence in self.capture.advance(now_ns):
             self.seen += 1
             self.heard += self._link.give(edge_ns, line_sequence)
@@ -341,87 +357,3 @@ class EdgeDatagrams:
     def close(self) -> None:
         """Close the sending end."""
         self._socket.close()
-
-
-class VirtualCan:
-    """The far end of a python-can ``virtual`` channel; ``timestamp`` is ``CLOCK_MONOTONIC`` in seconds.
-
-    Args:
-        channel: Its name in this process.
-    """
-
-    def __init__(self, channel: str) -> None:
-        self._bus = can.Bus(channel, interface="virtual", preserve_timestamps=True)
-
-    @property
-    def listening(self) -> bool:
-        """Always: in one process nobody can be late."""
-        return True
-
-    def take(self) -> list[tuple[int, bytes]]:
-        """Data frames with 11-bit identifiers sent by others on the channel."""
-        frames = []
-        while (message := self._bus.recv(0)) is not None:
-            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-                frames.append((message.arbitration_id, bytes(message.data)))
-        return frames
-
-    def give(self, frames: Sequence[WireFrame]) -> None:
-        """Send frames with their stamps."""
-        for end_ns, identifier, data in frames:
-            self._bus.send(
-                can.Message(timestamp=end_ns * 1e-9, arbitration_id=identifier, is_extended_id=False, data=data)
-            )
-
-    def give_error(self, end_ns: int, classes: int) -> None:
-        """Send an error frame."""
-        self._bus.send(can.Message(timestamp=end_ns * 1e-9, arbitration_id=classes, is_error_frame=True, data=bytes(8)))
-
-    def close(self) -> None:
-        """Leave the channel."""
-        self._bus.shutdown()
-
-
-class InProcess:
-    """Tier T0: three buses in this process on a virtual clock.
-
-    Args:
-        directory: Where the flight computer binds its pulse socket, as ``sync_line.sock``.
-        clock: The virtual ``CLOCK_MONOTONIC``, ns; read at each I2C transfer.
-        name: Distinguishes several in one process.
-        seed: Of all stamp jitter.
-    """
-
-    def __init__(self, directory: Path | str, clock: Callable[[], int], *, name: str = "hil", seed: int = 0) -> None:
-        i2c_path = f"/dev/i2c-{name}"
-        edges = Path(directory) / "sync_line.sock"
-        self.urls = {
-            "i2c_1": f"i2c://{i2c_path}",
-            "can_0": f"can+virtual://{name}_can_0?timestamps=monotonic",
-            "sync_line": f"gpio+unix://{edges}",
-        }
-        self.i2c = I2cBus()
-        self._installed = install_i2c(i2c_path, self.i2c, clock)
-        self._can_link = VirtualCan(f"{name}_can_0")
-        self.can = CanBus(self._can_link, seed=seed)
-        self._edges = EdgeDatagrams(edges)
-        self.pulse = PulseLine(self._edges, seed=seed)
-
-    @property
-    def lost_edges(self) -> int:
-        """Edges that found nobody listening."""
-        return self._edges.lost
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Take the buses away."""
-        self._installed.uninstall()
-        self._can_link.close()
-        self._edges.close()

@@ -7,21 +7,20 @@ noise sample. Twins are made by ``attach``, when the buses and the start time ar
 import dataclasses
 import tempfile
 import zlib
+from collections.abc import Mapping
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hil_sim.buses import CanBus, I2cBus, InProcess, PulseLine
-from hil_sim.devices.arm_controller import ArmController
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.mpu6050 import Mpu6050
-from hil_sim.devices.sync_box import SYNC_COB_ID, SyncBox
+from hil_sim.buses import Bus, CanBus, PulseLine
 from hil_sim.faults import Fault, FaultPlan
+from hil_sim.in_process import in_process
 from hil_sim.plant import Plant, mass_properties
 from hil_sim.scenario import Scenario, ScenarioError, load
-from hil_sim.sensors import DriftingClock, EncoderSensor, ImuSensor, LoadCellSensor
+from hil_sim.sensors import DriftingClock
+from hil_sim.twins import Sensor, Twins, sensor
 
 _VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
 
@@ -35,6 +34,7 @@ class Mission:
 
     Attributes:
         plant: the world.
+        sensors: what the devices measure with, by signal.
         faults: the scenario's ``[[fault]]`` tables.
         start_ns: ``CLOCK_MONOTONIC`` ns of mission time 0 (power-up of all devices); set by ``attach``.
         now_ns: up to when the mission has been advanced.
@@ -47,17 +47,18 @@ class Mission:
         self.scenario = scenario
         self.seed = seed
         self.plant = Plant(scenario, self._rng("rocket"))
-        self.imu = ImuSensor(self.plant, scenario.imu, self._rng("imu_base"))
-        self.encoder = EncoderSensor(self.plant, scenario.encoder, self._rng("joint_1"))
-        self.load_cell = LoadCellSensor(self.plant, scenario.load_cell, self._rng("load_cell"))
-        clocks = scenario.clock
-        self._imu_clock = DriftingClock.draw(clocks.imu_base, self._rng("clock.imu_base"))
-        self._imu_rc_clock = DriftingClock.draw(clocks.imu_base_rc, self._rng("clock.imu_base_rc"))
-        self._sync_clock = DriftingClock.draw(clocks.sync_box, self._rng("clock.sync_box"))
+        self.sensors: dict[str, Sensor] = {}
+        self._clocks: dict[str, DriftingClock] = {}
+        for name, device in scenario.device.items():
+            for signal, (table, _) in device.signals(name).items():
+                self.sensors[signal] = sensor(self.plant, scenario.sensor[table], self._rng(signal))
+            for clock in device.clocks(name):
+                self._clocks[clock] = DriftingClock.draw(scenario.clock[clock], self._rng(f"clock.{clock}"))
         self.faults = tuple(_fault(table) for table in scenario.fault)
         self.start_ns = _VIRTUAL_START_NS
         self.now_ns = self.start_ns
-        self._attached: _Twins | None = None
+        self._twins: Twins | None = None
+        self._buses: list[Bus] = []
         self._resources = ExitStack()
 
     def _rng(self, subsystem: str) -> np.random.Generator:
@@ -75,48 +76,28 @@ class Mission:
         """True once advanced to the end."""
         return self.now_ns >= self.end_ns
 
-    def attach(self, *, i2c: I2cBus, can: CanBus, pulse: PulseLine, start_ns: int = _VIRTUAL_START_NS) -> None:
+    def attach(self, buses: Mapping[str, Bus], start_ns: int = _VIRTUAL_START_NS) -> None:
         """Make the devices, plug them into the buses, and power them all up at ``start_ns``.
 
+        Args:
+            buses: Those of the scenario, by name.
+            start_ns: ``CLOCK_MONOTONIC`` ns of mission time 0.
+
         Raises:
+            ScenarioError: a device that cannot be as its table says.
             FaultError: a fault that its device cannot have, or of a device that is not there.
             RuntimeError: attached before; a mission is flown once.
         """
-        if self._attached is not None:
+        if self._twins is not None:
             raise RuntimeError("this mission is attached already; make a new Mission for another run")
         self.start_ns = self.now_ns = start_ns
         plan = FaultPlan(self.faults, start_ns)
-        encoder, cell = self.scenario.encoder, self.scenario.load_cell
-        imu = Mpu6050(
-            self.imu,
-            dataclasses.replace(self._imu_clock, start_ns=start_ns),
-            start_ns,
-            faults=plan.of("imu_base"),
-            rc_clock=dataclasses.replace(self._imu_rc_clock, start_ns=start_ns),
-        )
-        sync_box = SyncBox(
-            dataclasses.replace(self._sync_clock, start_ns=start_ns), start_ns, faults=plan.of("sync_box")
-        )
-        joint = Encoder406(
-            1,
-            self.encoder,
-            start_ns,
-            zero_count=encoder.zero_count,
-            counts_per_revolution=encoder.counts_per_revolution,
-            faults=plan.of("joint_1"),
-        )
-        load_cell = LoadCell404(2, self.load_cell, start_ns, capacity_n=cell.capacity_N, faults=plan.of("load_cell"))
-        arm = ArmController(3, self.plant.program.phase_changes, start_ns, faults=plan.of("arm_phase"))
-        i2c.add(imu)
-        for node in (sync_box, joint, load_cell, arm):
-            can.add(node)
-        sync_box.connect_pin(imu.fsync)
-        sync_box.connect_pin(pulse.edge)
-        i2c.inject(plan.of("i2c_1"))
-        can.inject(plan.of("can_0"))
-        pulse.inject(plan.of("sync_line"))
+        clocks = {name: dataclasses.replace(clock, start_ns=start_ns) for name, clock in self._clocks.items()}
+        self._twins = Twins(self.scenario, buses, self.sensors, clocks, plan.of, start_ns, self.seed)
         plan.check_all_taken()
-        self._attached = _Twins(i2c, can, pulse, imu, sync_box, joint, load_cell, arm)
+        # the sync box first: what its pulse reaches may not be ahead of it
+        can, lines = ([b for b in buses.values() if isinstance(b, kind)] for kind in (CanBus, PulseLine))
+        self._buses = [*can, *lines, *(b for b in buses.values() if not isinstance(b, CanBus | PulseLine))]
 
     def advance(self, now_ns: int) -> None:
         """Everything that happens up to ``now_ns``: physics first, then frames and edges in the order of the wires.
@@ -124,28 +105,26 @@ class Mission:
         Raises:
             RuntimeError: not attached.
         """
-        twins = self._twins()
+        if self._twins is None:
+            raise RuntimeError("no buses yet; call Mission.attach first")
         self.plant.advance(1e-9 * (now_ns - self.start_ns))
         self.now_ns = now_ns
-        twins.can.advance(now_ns)
-        twins.i2c.advance(now_ns)
-        twins.pulse.advance(now_ns)
+        for bus in self._buses:
+            bus.advance(now_ns)
 
     def produced(self) -> dict[str, int]:
         """Samples made so far, per channel of the flight log.
 
-        The IMU's count from the first to the last meant for its FIFO; SYNCs and edges, which are sent whether or not
-        anybody listens, from when the flight computer opened the bus.
+        The IMU's count from the first to the last meant for its FIFO, or read out of its registers as new; those of a
+        device that talks unasked on a serial line, SYNCs and edges, which come whether or not anybody listens, while
+        the flight computer had the bus open; a device that is asked is meant to make one for each question.
+
+        Raises:
+            RuntimeError: not attached.
         """
-        twins = self._twins()
-        return {
-            "imu_base": twins.imu.sampled,
-            "joint_1": twins.joint.produced,
-            "load_cell": twins.load_cell.produced,
-            "arm_phase": twins.arm.produced,
-            "can_sync": twins.can.heard[SYNC_COB_ID],
-            "pulse": twins.pulse.heard,
-        }
+        if self._twins is None:
+            raise RuntimeError("no buses yet; call Mission.attach first")
+        return self._twins.produced()
 
     def truth(self) -> dict[str, Any]:
         """What an estimate is to be compared with: scalars, lists and arrays, SI units, frame 3 where one matters."""
@@ -167,13 +146,8 @@ class Mission:
             "ejection_s": program.ejection_s,
             "duration_s": program.duration_s,
             "start_ns": self.start_ns,
-            "imu_base": self.imu.truth(),
-            "joint_1": self.encoder.truth(),
-            "load_cell": self.load_cell.truth(),
-            "clock": {
-                "imu_base": _clock_truth(self._imu_clock),
-                "sync_box": _clock_truth(self._sync_clock),
-            },
+            **{name: sensor.truth() for name, sensor in self.sensors.items()},
+            "clock": {name: _clock_truth(clock) for name, clock in self._clocks.items()},
             "faults": [dataclasses.asdict(fault) for fault in self.faults],
         }
 
@@ -190,23 +164,6 @@ class Mission:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _twins(self) -> "_Twins":
-        if self._attached is None:
-            raise RuntimeError("no buses yet; call Mission.attach first")
-        return self._attached
-
-
-@dataclasses.dataclass(frozen=True)
-class _Twins:
-    i2c: I2cBus
-    can: CanBus
-    pulse: PulseLine
-    imu: Mpu6050
-    sync_box: SyncBox
-    joint: Encoder406
-    load_cell: LoadCell404
-    arm: ArmController
 
 
 def open_in_process(scenario: str | Scenario, seed: int) -> tuple[Mission, dict[str, str]]:
@@ -225,10 +182,11 @@ def open_in_process(scenario: str | Scenario, seed: int) -> tuple[Mission, dict[
     mission = Mission(load(scenario) if isinstance(scenario, str) else scenario, seed)
     with ExitStack() as stack:
         directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
-        buses = stack.enter_context(InProcess(directory, lambda: mission.now_ns, seed=seed))
-        mission.attach(i2c=buses.i2c, can=buses.can, pulse=buses.pulse, start_ns=mission.start_ns)
+        tables = mission.scenario.bus
+        ports = stack.enter_context(in_process(tables, Path(directory), lambda: mission.now_ns, seed=seed))
+        mission.attach(ports.buses, mission.start_ns)
         mission.own(stack.pop_all())
-    return mission, dict(buses.urls)
+    return mission, ports.urls
 
 
 def _fault(table: dict[str, Any]) -> Fault:

@@ -1,6 +1,8 @@
 """A mission as data: the TOML of ``scenarios/`` read into frozen objects, every unit in its key, unknown keys refused.
 
-The models below are the schema; the numbers and where they come from stand in the TOML file, beside each other.
+The models below and in ``sensor_tables`` and ``device_tables`` are the schema; the numbers and where they come from
+stand in the TOML file, beside each other. A scenario may be ``based_on`` another: its tables lie over those of the
+other, but the wiring (``bus``, ``device``, ``clock``) is its own or all the other's, never a mixture.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
@@ -11,36 +13,35 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, ValidationError, model_validator
 
-Vector = tuple[float, float, float]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-NonNegative = Annotated[float, Field(ge=0.0)]
+from hil_sim import wiring
+from hil_sim.device_tables import BusTable, DeviceTable
+from hil_sim.sensor_tables import Clock, Fraction, NonNegative, Sensor, Table, Vector
+
+_WIRING = {"bus", "device", "clock"}
 
 
 class ScenarioError(ValueError):
     """A scenario that cannot be used; the message names the file and the key, and says what to do."""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Header(_Table):
-    """``[scenario]``."""
+class Header(Table):
+    """``[scenario]``. ``based_on``: the packaged scenario over which this one's tables lie."""
 
     name: str
     description: str
+    based_on: str | None = None
 
 
-class Physics(_Table):
+class Physics(Table):
     """``[physics]``: time grid of the plant."""
 
     step_us: PositiveInt
     chunk_steps: PositiveInt
 
 
-class Geometry(_Table):
+class Geometry(Table):
     """``[geometry]``: modified Denavit-Hartenberg rows (Khalil-Kleinfinger) and the IMU's place on the plate."""
 
     frame_1_theta_deg: float
@@ -52,7 +53,7 @@ class Geometry(_Table):
     imu_roll_pitch_yaw_deg: Vector
 
 
-class Inertia(_Table):
+class Inertia(Table):
     """Tensor elements about the centre of mass, as printed by a CAD program (products with their sign)."""
 
     xx: PositiveFloat
@@ -63,7 +64,7 @@ class Inertia(_Table):
     yz: float
 
 
-class Body(_Table):
+class Body(Table):
     """``[body.*]``: ``com_mm`` in the body's own frame; ``as_built_factor`` scales mass and inertia together."""
 
     mass_g: PositiveFloat
@@ -72,14 +73,14 @@ class Body(_Table):
     as_built_factor: PositiveFloat = 1.0
 
 
-class Bodies(_Table):
+class Bodies(Table):
     """``[body]``: arm in frame 3, tip mass in frame 5."""
 
     arm: Body
     tip_mass: Body
 
 
-class Joint(_Table):
+class Joint(Table):
     """``[joint]``: the harmonic drive, all referred to the joint, all proximal to the load cell."""
 
     reflected_rotor_inertia_kg_m2: PositiveFloat
@@ -89,7 +90,7 @@ class Joint(_Table):
     ripple_cycles_per_rev: PositiveFloat
 
 
-class Servo(_Table):
+class Servo(Table):
     """``[servo]``: position loop of the arm controller with feed-forward and a torque limit."""
 
     stiffness_Nm_rad: PositiveFloat
@@ -98,7 +99,7 @@ class Servo(_Table):
     friction_feedforward: Fraction
 
 
-class Stops(_Table):
+class Stops(Table):
     """``[stops]``: a boss on the arm meets a pad before the positive stop, and the two hard stops."""
 
     contact_radius_mm: PositiveFloat
@@ -116,7 +117,7 @@ class Stops(_Table):
         return self
 
 
-class Ejection(_Table):
+class Ejection(Table):
     """``[ejection]``: the spring between arm and tip mass."""
 
     speed_m_s: NonNegative
@@ -124,7 +125,7 @@ class Ejection(_Table):
     direction_frame_5: Vector
 
 
-class Rocket(_Table):
+class Rocket(Table):
     """``[rocket]``: rigid motion of the vehicle that carries the plate."""
 
     spin_rad_s: float
@@ -134,7 +135,7 @@ class Rocket(_Table):
     centre_of_mass_to_plate_m: Vector
 
 
-class Mode(_Table):
+class Mode(Table):
     """A structural mode: lightly damped, driven by noise. Exactly one of the two amplitudes is used by its list."""
 
     frequency_Hz: PositiveFloat
@@ -142,7 +143,7 @@ class Mode(_Table):
     rms: Vector
 
 
-class Vibration(_Table):
+class Vibration(Table):
     """``[vibration]``: what the structure adds to the rigid motion."""
 
     broadband_mg: Vector
@@ -151,7 +152,7 @@ class Vibration(_Table):
     angular_mode_mrad_s: tuple[Mode, ...]
 
 
-class Reentry(_Table):
+class Reentry(Table):
     """``[reentry]``: dynamic pressure grows exponentially around a reference time in the mission."""
 
     reference_s: float
@@ -167,7 +168,7 @@ class Reentry(_Table):
     gust_time_s: PositiveFloat
 
 
-class Hold(_Table):
+class Hold(Table):
     """``[[sequence]]`` action ``hold``: stay at the zero of the joint."""
 
     phase: Annotated[int, Field(ge=0, le=255)]
@@ -175,7 +176,7 @@ class Hold(_Table):
     duration_s: PositiveFloat
 
 
-class Push(_Table):
+class Push(Table):
     """``[[sequence]]`` action ``push``: run into a stop, press for a while, come back."""
 
     phase: Annotated[int, Field(ge=0, le=255)]
@@ -186,7 +187,7 @@ class Push(_Table):
     retreat_s: PositiveFloat
 
 
-class Sweep(_Table):
+class Sweep(Table):
     """``[[sequence]]`` action ``sweep``: minimum-jerk strokes between -amplitude and +amplitude."""
 
     phase: Annotated[int, Field(ge=0, le=255)]
@@ -198,7 +199,7 @@ class Sweep(_Table):
     transfer_s: PositiveFloat
 
 
-class Eject(_Table):
+class Eject(Table):
     """``[[sequence]]`` action ``eject``: the tip mass leaves at the start; the arm holds its zero."""
 
     phase: Annotated[int, Field(ge=0, le=255)]
@@ -209,77 +210,7 @@ class Eject(_Table):
 Action = Annotated[Hold | Push | Sweep | Eject, Field(discriminator="action")]
 
 
-class Axes(_Table):
-    """Errors of one triad (accelerometer or gyro); ``sigma`` values are drawn once per seed and axis."""
-
-    noise_density: NonNegative
-    bias_sigma: Vector
-    bias_per_kelvin_sigma: Vector
-    scale_sigma: NonNegative
-    cross_axis_sigma: NonNegative
-    bandwidth_Hz: Annotated[tuple[PositiveFloat, ...], Field(min_length=8, max_length=8)]
-    delay_ms: Annotated[tuple[NonNegative, ...], Field(min_length=8, max_length=8)]
-
-
-class Imu(_Table):
-    """``[imu]``."""
-
-    accel_g: Axes
-    gyro_deg_s: Axes
-    gyro_per_g_sigma_deg_s: NonNegative
-    mounting_sigma_deg: NonNegative
-    temperature_start_degC: float
-    temperature_rise_K: float
-    temperature_time_s: PositiveFloat
-    temperature_noise_counts: NonNegative
-
-
-class Encoder(_Table):
-    """``[encoder]``."""
-
-    counts_per_revolution: PositiveInt
-    zero_count: Annotated[int, Field(ge=0, lt=2**32)]
-    gear_ratio: PositiveFloat
-    eccentricity_urad: NonNegative
-    transmission_error_urad: NonNegative
-
-
-class LoadCell(_Table):
-    """``[load_cell]``."""
-
-    lever_mm: PositiveFloat
-    lever_sigma_mm: NonNegative
-    capacity_N: PositiveFloat
-    scale_sigma: NonNegative
-    nonlinearity_of_rated_output: NonNegative
-    creep_fraction: NonNegative
-    creep_time_s: PositiveFloat
-    zero_sigma_N: NonNegative
-    zero_drift_sigma_N_s: NonNegative
-    zero_walk_N_sqrt_s: NonNegative
-    noise_rms_N: NonNegative
-    delay_ms: PositiveFloat
-    full_scale_readings_s: tuple[float, ...]
-    full_scale_window_ms: PositiveFloat
-
-
-class Clock(_Table):
-    """``[clock.*]``: relative rate error and its drift, drawn once per seed; the rate is clipped at ``rate_limit``."""
-
-    rate_sigma: NonNegative
-    rate_limit: NonNegative
-    drift_sigma_per_s: NonNegative
-
-
-class Clocks(_Table):
-    """``[clock]``."""
-
-    imu_base: Clock
-    imu_base_rc: Clock
-    sync_box: Clock
-
-
-class Scenario(_Table):
+class Scenario(Table):
     """A whole mission. ``fault`` tables are passed on to ``hil_sim.faults`` as they are."""
 
     scenario: Header
@@ -294,10 +225,10 @@ class Scenario(_Table):
     vibration: Vibration
     reentry: Reentry
     sequence: Annotated[tuple[Action, ...], Field(min_length=1)]
-    imu: Imu
-    encoder: Encoder
-    load_cell: LoadCell
-    clock: Clocks
+    sensor: dict[str, Sensor]
+    clock: dict[str, Clock]
+    bus: dict[str, BusTable]
+    device: Annotated[dict[str, DeviceTable], Field(min_length=1)]
     fault: tuple[dict[str, Any], ...] = ()
 
     @model_validator(mode="after")
@@ -307,6 +238,13 @@ class Scenario(_Table):
         for step in self.sequence:
             if step.action == "sweep" and step.amplitude_deg >= self.stops.pad_deg:
                 raise ValueError(f"a sweep of +-{step.amplitude_deg} deg meets the pad at {self.stops.pad_deg} deg")
+        return self
+
+    @model_validator(mode="after")
+    def _wiring_is_sound(self) -> "Scenario":
+        wrong = list(wiring.problems(self.bus, self.device, self.sensor, self.clock))
+        if wrong:
+            raise ValueError("; ".join(wrong))
         return self
 
 
@@ -326,6 +264,12 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
     Raises:
         ScenarioError: no such scenario, not TOML, or a key that is unknown, missing, or out of range.
     """
+    label, table = _read(name_or_path)
+    return parse(_merged(table, overrides or {}), label)
+
+
+def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, dict[str, Any]]:
+    """What to call a file, and its tables over those of the one that it is based on."""
     if str(name_or_path).endswith(".toml"):
         label = str(name_or_path)
         source: Traversable = Path(name_or_path)
@@ -338,7 +282,13 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
         raise ScenarioError(f"{label} does not exist; packaged scenarios are {', '.join(names())}") from error
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{label} is not TOML: {error}; correct the file") from error
-    return parse(_merged(table, overrides or {}), label)
+    base = table.get("scenario", {}).get("based_on")
+    if base is None:
+        return label, table
+    if label in above:
+        raise ScenarioError(f"{label} is based on itself; take a based_on out")
+    _, below = _read(str(base), (*above, label))
+    return label, _merged({key: value for key, value in below.items() if key not in _WIRING & table.keys()}, table)
 
 
 def parse(table: Mapping[str, Any], label: str = "scenario") -> Scenario:

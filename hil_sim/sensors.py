@@ -18,7 +18,7 @@ from scipy import optimize, signal, special
 
 from hil_sim.motion import STANDARD_GRAVITY
 from hil_sim.plant import Plant
-from hil_sim.scenario import Axes, Clock, Encoder, Imu, LoadCell
+from hil_sim.sensor_tables import Axes, Clock, Encoder, Imu, LoadCell
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int16]
@@ -215,7 +215,7 @@ class ImuSensor:
     def _stream(self, name: str, axes: Axes, dlpf_cfg: int, columns: slice) -> _Stream:
         key = (name, dlpf_cfg)
         if key not in self._streams:
-            response = low_pass(axes.bandwidth_Hz[dlpf_cfg], 1e-3 * axes.delay_ms[dlpf_cfg], self._plant.step_s)
+            response = low_pass(*axes.filter(dlpf_cfg), self._plant.step_s)
             self._streams[key] = _Stream(response, self._plant.rows, 3)
         stream = self._streams[key]
         if stream.count < self._raw_count:
@@ -239,6 +239,7 @@ class EncoderSensor:
     """A motor-side encoder seen through the gear: the joint angle with two cyclic errors, in whole counts."""
 
     def __init__(self, plant: Plant, table: Encoder, rng: np.random.Generator) -> None:
+        self.counts_per_revolution = table.counts_per_revolution
         self._plant = plant
         self._table = table
         self._phase: list[float] = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
@@ -266,6 +267,7 @@ class LoadCellSensor:
     """Moment over a lever, through a bridge and a transmitter: force with scale, zero, creep, filter and noise."""
 
     def __init__(self, plant: Plant, table: LoadCell, rng: np.random.Generator) -> None:
+        self.capacity_N = table.capacity_N
         self._plant = plant
         self._table = table
         h = plant.step_s

@@ -5,85 +5,28 @@
 ``install_serial`` lets ``serial.Serial`` open it by path. Tier T1 is ``PtySerial``: the same twin on a pseudo-terminal
 for any program. A pty has no parity, no modem lines and no speed of its own, but the speed that its user sets is seen
 here and honoured.
-
-What can break on the line, between ``start_s`` and ``end_s`` (what can break in the twin is in ``hil_sim.faults``):
-
-===============  =====================================================================================================
-kind             effect
-===============  =====================================================================================================
-``byte_loss``    each character, either way, is lost with probability ``value``
-``byte_garble``  each character, either way, has one bit inverted with probability ``value``
-``unplug``       the adapter is pulled out of the flight computer: its port dies and must be opened again afterwards
-===============  =====================================================================================================
 """
 
-import math
-from collections.abc import Iterable
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Final, NamedTuple, Protocol
+from collections import deque
+from collections.abc import Callable
+from typing import Final, Protocol
 
 import numpy as np
 
 from hil_sim.devices.serial_wire import Heard, LineFormat, SerialDevice, SerialWire
-from hil_sim.faults import NEVER, FaultError
+from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after two status bytes
 
 
-class LineFaultKind(StrEnum):
-    """What can break on a serial line. The module's table says what each does."""
-
-    BYTE_LOSS = "byte_loss"
-    BYTE_GARBLE = "byte_garble"
-    UNPLUG = "unplug"
-
-
-@dataclass(frozen=True, slots=True)
-class LineFault:
-    """One fault of a serial line; fields as of ``hil_sim.faults.Fault``.
-
-    Args:
-        kind: What happens.
-        device: Name of the bus it happens to.
-        start_s: Mission time of its beginning, s.
-        end_s: Mission time of its end, s.
-        value: Probability for one character.
-
-    Raises:
-        FaultError: an unknown kind, or times or a value that make no sense for it.
-    """
-
-    kind: LineFaultKind
-    device: str
-    start_s: float
-    end_s: float = math.inf
-    value: float = 0.0
-
-    def __post_init__(self) -> None:
-        try:
-            object.__setattr__(self, "kind", LineFaultKind(self.kind))
-        except ValueError:
-            known = ", ".join(LineFaultKind)
-            raise FaultError(f"No fault of a serial line is called {self.kind!r}; name one of: {known}.") from None
-        if not (math.isfinite(self.start_s) and 0.0 <= self.start_s < self.end_s):
-            raise FaultError(
-                f"Fault {self.kind} of {self.device} lasts from {self.start_s} s to {self.end_s} s; "
-                "give 0 <= start_s < end_s."
-            )
-        if self.kind is not LineFaultKind.UNPLUG and not 0.0 < self.value <= 1.0:
-            raise FaultError(f"Fault {self.kind} of {self.device} needs `value`, a probability above 0 and up to 1.")
-
-
-class _Window(NamedTuple):
-    kind: LineFaultKind
-    start_ns: int
-    end_ns: int
-    value: float
-
-
 class SerialLink(Protocol):
     """The flight computer's serial port, seen from the line."""
+
+    messages: int
+    """Times that the flight computer spoke."""
+
+    discarded: int
+    """Times that it threw away what had come, as far as one can tell from here."""
 
     @property
     def line(self) -> LineFormat | None:
@@ -102,6 +45,34 @@ class SerialLink(Protocol):
         """The adapter is back."""
 
 
+class _Wire(SerialWire):
+    """One that knows which of the device's messages are samples."""
+
+    def __init__(self, device: SerialDevice, sample_length: Callable[[bytes], int]) -> None:
+        self._sample_length = sample_length
+        self._ends_ns: deque[int] = deque()  # of samples that may still be under way
+        super().__init__(device)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the two ends understand each other."""
+        return self.host is not None and self.host.agrees_with(self._device.line)
+
+    def under_way(self, now_ns: int) -> int:
+        """Samples of which the end was not there yet at ``now_ns``."""
+        while self._ends_ns and self._ends_ns[0] <= now_ns:
+            self._ends_ns.popleft()
+        return len(self._ends_ns)
+
+    def _transmit(self, data: bytes, ready_ns: int) -> int:
+        end_ns = super()._transmit(data, ready_ns)
+        length = self._sample_length(data)
+        if length:
+            character_ns = self._device.line.character_ns
+            self._ends_ns.append(end_ns - round(len(data) * character_ns) + round(length * character_ns))
+        return end_ns
+
+
 class SerialBus:
     """A line with the flight computer at one end and a device at the other, or several stations on an RS-485 line.
 
@@ -115,41 +86,63 @@ class SerialBus:
     """
 
     def __init__(self, link: SerialLink, seed: int = 0, *, latency_ns: int = 0) -> None:
+        self.samples = 0  # that devices had to say while the flight computer had its port open; see ``add``
         self.to_host = 0  # characters delivered
         self.to_device = 0  # characters sent
         self.lost = 0
         self.garbled = 0
         self._link = link
-        self._wires: list[SerialWire] = []
+        self._wires: list[_Wire] = []
+        self._made: Callable[[], int] = lambda: 0
+        self._made_before: int | None = None  # the port was first open
+        self._discarded = False
         self._latency_ns = latency_ns
         self._held: list[Heard] = []  # in the USB adapter
         self._rng = np.random.default_rng([seed, 0x5E])
-        self._faults: tuple[_Window, ...] = ()
+        self._faults = NO_FAULTS
         self._plugged = True
         self._now_ns = 0
 
     @property
+    def questions(self) -> int:
+        """Times that the flight computer spoke."""
+        return self._link.messages
+
+    @property
     def due_ns(self) -> int:
         """When something next happens on the line, in a device or in the adapter."""
-        times = [t for w in self._faults for t in (w.start_ns, w.end_ns) if t > self._now_ns]
+        times = [t for w in self._faults.windows for t in (w.start_ns, w.end_ns) if t > self._now_ns]
         if self._held:
             times.append((self._now_ns // self._latency_ns + 1) * self._latency_ns)
         return min([*times, *(wire.due_ns for wire in self._wires)], default=NEVER)
 
-    def add(self, device: SerialDevice) -> None:
-        """Connect a device."""
-        self._wires.append(SerialWire(device))
+    def add(
+        self,
+        device: SerialDevice,
+        made: Callable[[], int] = lambda: 0,
+        sample_length: Callable[[bytes], int] = lambda message: 0,
+    ) -> None:
+        """Connect a device.
 
-    def inject(self, faults: Iterable[LineFault], start_ns: int) -> None:
-        """Set what breaks; mission time 0 is ``start_ns``."""
-        self._faults = tuple(
-            _Window(
-                fault.kind,
-                start_ns + round(fault.start_s * 1e9),
-                NEVER if math.isinf(fault.end_s) else start_ns + round(fault.end_s * 1e9),
-                fault.value,
-            )
-            for fault in faults
+        Args:
+            device: It.
+            made: Of a device that talks unasked: samples it has made. ``samples`` counts them from when the flight
+                computer first had its port open at the device's speed, and had thrown away what was in it, to when it
+                last had it open; those that it could not hear because something broke included, but not those of
+                which the end is still under way.
+            sample_length: How many characters of a message make a sample; 0: it is none.
+        """
+        self._wires.append(_Wire(device, sample_length))
+        self._made = made
+
+    def inject(self, faults: DeviceFaults) -> None:
+        """Set what breaks on the line; what can break in the twin is the twin's.
+
+        Raises:
+            FaultError: a fault that a serial line cannot have.
+        """
+        self._faults = faults.require(
+            FaultKind.BYTE_LOSS, FaultKind.BYTE_GARBLE, FaultKind.UNPLUG, FaultKind.INTERMITTENT
         )
 
     def advance(self, now_ns: int) -> None:
@@ -161,13 +154,22 @@ class SerialBus:
         if self._faults:
             sent = bytes(c.byte for c in self._through_faults([Heard(self._now_ns, byte) for byte in sent]))
         for wire in self._wires:
-            wire.host = host
+            wire.host = host or (wire.host if sent else None)  # closing a port sends what is still in it
             wire.send(sent, self._now_ns)
+            wire.host = host
         self.to_device += len(sent)
+        hears = host is not None and any(wire.agrees for wire in self._wires)
+        discards = bool(self._link.discarded) and not self._discarded  # pyserial does on opening
+        if hears and (self._made_before is None or discards):
+            self._made_before = self._made()
+            self._discarded = discards
         while (stop_ns := self._next_plugging(now_ns)) is not None:
             self._go_on(stop_ns)
-            self._set_plugged(self._active(LineFaultKind.UNPLUG, stop_ns) is None)
+            self._set_plugged(self._faults.active(FaultKind.UNPLUG, stop_ns) is None)
         self._go_on(now_ns)
+        if hears and self._plugged and self._made_before is not None:
+            there_ns = self._held[0].end_ns - 1 if self._held else now_ns
+            self.samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
 
     def _go_on(self, now_ns: int) -> None:
         arrived = sorted(character for wire in self._wires for character in wire.advance(now_ns))
@@ -189,7 +191,8 @@ class SerialBus:
         return handed_over
 
     def _next_plugging(self, until_ns: int) -> int | None:
-        times = (t for w in self._faults if w.kind is LineFaultKind.UNPLUG for t in (w.start_ns, w.end_ns))
+        windows = (w for w in self._faults.windows if w.kind is FaultKind.UNPLUG)
+        times = (t for w in windows for t in (w.start_ns, w.end_ns))
         return min((t for t in times if self._now_ns < t <= until_ns), default=None)
 
     def _set_plugged(self, plugged: bool) -> None:
@@ -208,19 +211,13 @@ class SerialBus:
     def _through_faults(self, characters: list[Heard]) -> list[Heard]:
         kept = []
         for character in characters:
-            loss = self._active(LineFaultKind.BYTE_LOSS, character.end_ns)
-            if loss is not None and self._rng.random() < loss.value:
+            loss = self._faults.active(FaultKind.BYTE_LOSS, character.end_ns)
+            if self._faults.is_away(character.end_ns) or (loss is not None and self._rng.random() < loss.value):
                 self.lost += 1
                 continue
-            garble = self._active(LineFaultKind.BYTE_GARBLE, character.end_ns)
+            garble = self._faults.active(FaultKind.BYTE_GARBLE, character.end_ns)
             if garble is not None and self._rng.random() < garble.value:
                 self.garbled += 1
                 character = Heard(character.end_ns, character.byte ^ 1 << int(self._rng.integers(8)))  # noqa: PLW2901
             kept.append(character)
         return kept
-
-    def _active(self, kind: LineFaultKind, now_ns: int) -> _Window | None:
-        for window in self._faults:
-            if window.kind is kind and window.start_ns <= now_ns < window.end_ns:
-                return window
-        return None

@@ -10,8 +10,9 @@ import fcntl
 import os
 import select
 import struct
+import termios
 import tty
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -21,6 +22,7 @@ import serial
 from hil_sim.devices.serial_wire import LineFormat
 
 _QUEUE_BYTES: Final = 65_536  # a tty's buffers, before it throws characters away
+_FLUSHREAD: Final = 1  # linux asm-generic/ioctls.h: TIOCPKT_FLUSHREAD
 _TCGETS2: Final = 0x802C_542A  # linux asm-generic/ioctls.h
 _TERMIOS2: Final = struct.Struct("=IIIIB19sII")  # iflag, oflag, cflag, lflag, line, cc, ispeed, ospeed
 
@@ -35,6 +37,8 @@ class VirtualSerial:
 
     def __init__(self, path: str, on_dtr: Callable[[bool], None] | None = None) -> None:
         self.path = path
+        self.messages = 0  # written to the port
+        self.discarded = 0  # opening throws away what came before it
         self.overrun = 0  # characters for which there was no room
         self._on_dtr = on_dtr
         self._port: VirtualPort | None = None
@@ -89,6 +93,10 @@ class VirtualSerial:
         """``port`` was closed."""
         if self._port is port:
             self._port = None
+
+    def spoke(self) -> None:
+        """Something was written to the open port."""
+        self.messages += 1
 
     def drive_dtr(self, level: bool) -> None:
         """The open port drives its DTR line."""
@@ -180,6 +188,7 @@ class VirtualPort:
         if self.gone:
             raise serial.SerialException(f"write failed: [Errno {errno.EIO}] {os.strerror(errno.EIO)}")
         self.outgoing += data
+        self._adapter.spoke()
         return len(data)
 
     def reset_input_buffer(self) -> None:
@@ -210,35 +219,47 @@ class VirtualPort:
             raise serial.PortNotOpenError
 
 
+_adapters: Final[dict[str, VirtualSerial]] = {}
+_real: Final[Any] = serial.Serial
+
+
+class _Serial(_real):  # type: ignore[misc]  # pyserial picks its base by platform at run time
+    """``serial.Serial`` that knows the simulated paths."""
+
+    def __new__(cls, port: str | None = None, baudrate: int = 9600, *args: Any, **options: Any) -> Any:
+        adapter = _adapters.get(port) if port is not None else None
+        if adapter is None:
+            return super().__new__(cls)
+        line = LineFormat(baudrate, options.get("parity", "N"), int(options.get("stopbits", 1)))
+        return adapter.open(line)
+
+
 class InstalledSerial:
     """Paths that ``serial.Serial`` opens in this process until ``uninstall``."""
 
-    def __init__(self, adapters: Mapping[str, VirtualSerial]) -> None:
-        real: Any = serial.Serial
-
-        class Serial(real):  # type: ignore[misc]  # pyserial picks its base by platform at run time
-            """``serial.Serial`` that knows the simulated paths."""
-
-            def __new__(cls, port: str | None = None, baudrate: int = 9600, *args: Any, **options: Any) -> Any:
-                adapter = adapters.get(port) if port is not None else None
-                if adapter is None:
-                    return super().__new__(cls)
-                line = LineFormat(baudrate, options.get("parity", "N"), int(options.get("stopbits", 1)))
-                return adapter.open(line)
-
-        self._real = real
-        self._ours = Serial
-        serial.Serial = Serial  # type: ignore[misc]  # for the length of a simulated run
+    def __init__(self, paths: tuple[str, ...]) -> None:
+        self._paths = paths
 
     def uninstall(self) -> None:
-        """Give ``serial.Serial`` back."""
-        if serial.Serial is self._ours:
-            serial.Serial = self._real  # type: ignore[misc]  # as it was
+        """Take the paths away; with the last one, ``serial.Serial`` is pyserial's own again."""
+        for path in self._paths:
+            _adapters.pop(path, None)
+        if not _adapters:
+            serial.Serial = _real  # type: ignore[misc]  # as it was
 
 
 def install_serial(*adapters: VirtualSerial) -> InstalledSerial:
-    """Let ``serial.Serial(path, ...)`` open ``adapters`` by their paths; all other paths stay what they were."""
-    return InstalledSerial({adapter.path: adapter for adapter in adapters})
+    """Let ``serial.Serial(path, ...)`` open ``adapters`` by their paths; all other paths stay what they were.
+
+    Raises:
+        ValueError: something is installed at one of the paths already.
+    """
+    for adapter in adapters:
+        if adapter.path in _adapters:
+            raise ValueError(f"A simulated adapter is at {adapter.path} already; uninstall it first.")
+    _adapters.update({adapter.path: adapter for adapter in adapters})
+    serial.Serial = _Serial  # type: ignore[misc]  # for the length of a simulated run
+    return InstalledSerial(tuple(adapter.path for adapter in adapters))
 
 
 class PtySerial:
@@ -249,6 +270,8 @@ class PtySerial:
     """
 
     def __init__(self, link: Path | None = None) -> None:
+        self.messages = 0  # taken
+        self.discarded = 0  # times that the user emptied the terminal's input
         self.overrun = 0  # characters for which there was no room
         self._link = link
         self._output = bytearray()
@@ -281,7 +304,7 @@ class PtySerial:
             return b""
         self._flush()
         try:
-            return os.read(self._master, _QUEUE_BYTES)
+            status, *data = os.read(self._master, _QUEUE_BYTES)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -289,6 +312,9 @@ class PtySerial:
                 raise
             self._output.clear()
             return b""
+        self.discarded += status & _FLUSHREAD
+        self.messages += bool(data)
+        return bytes(data)
 
     def give(self, data: bytes) -> None:
         """Characters for the user."""
@@ -307,6 +333,7 @@ class PtySerial:
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
+        fcntl.ioctl(self._master, termios.TIOCPKT, struct.pack("i", 1))  # every read begins with a status
         self._terminal = os.ttyname(slave)
         os.close(slave)
         self._poll.register(self._master, 0)
@@ -317,12 +344,12 @@ class PtySerial:
     def close(self) -> None:
         """Take it away."""
         if self._master >= 0:
+            if self._link is not None:  # first: who sees the end of file may look for it at once
+                self._link.unlink(missing_ok=True)
             self._poll.unregister(self._master)
             os.close(self._master)
             self._master = -1
             self._output.clear()
-            if self._link is not None:
-                self._link.unlink(missing_ok=True)
 
     def _is_hung_up(self) -> bool:
         return any(events & select.POLLHUP for _, events in self._poll.poll(0))

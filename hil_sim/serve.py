@@ -2,10 +2,11 @@
 
     python -m hil_sim.serve SCENARIO --seed N --directory DIR
 
-I2C is a Unix stream socket, CAN a Lawicel adapter on a pseudo-terminal, the pulse line datagrams to a socket that the
-flight computer binds. When everything can be opened, one JSON line says where (``i2c_1``, ``can_0``, ``sync_line``)
-and when mission time 0 is (``start_ns``). At the end of the mission, or on SIGTERM or SIGINT, a second line gives
-``produced``, ``truth`` and ``server`` (what was lost on the way, and how late the loop ever was).
+I2C is a Unix stream socket, CAN a Lawicel adapter on a pseudo-terminal, a serial line a pseudo-terminal, the pulse line
+datagrams to a socket that the flight computer binds. When everything can be opened, one JSON line says where, by the
+name of each bus, when mission time 0 is (``start_ns``) and how long the mission lasts (``duration_s``). At the end of
+the mission, or on SIGTERM or SIGINT, a second line gives ``produced``, ``truth`` and ``server`` (what was lost on the
+way, and how late the loop ever was).
 """
 
 import argparse
@@ -13,140 +14,148 @@ import contextlib
 import gc
 import json
 import os
-import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final
 
 import numpy as np
 
-from hil_sim.buses import CanBus, EdgeDatagrams, I2cBus, PulseLine
+from hil_sim.buses import CanBus, I2cBus
+from hil_sim.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from hil_sim.i2c_socket import I2cSocket
+from hil_sim.in_process import EdgePort
+from hil_sim.ports import Port, Ports, open_ports, serial_options
+from hil_sim.realtime import Server
+from hil_sim.serial_bus import SerialBus
+from hil_sim.serial_port import PtySerial
 from hil_sim.slcan import SlcanAdapter
 
-_LONGEST_NAP_NS: Final = 5_000_000
 _PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
-_SHORTEST_NAP_S: Final = 50e-6  # events closer than this go out together
+_USB_FRAME_NS: Final = 1_000_000  # no adapter hands characters over more often
 
 
-class Mission(Protocol):
-    """What is served: ``hil_sim.mission.Mission``, or a smaller one in a test."""
+class _I2cPort(Port):
+    def __init__(self, path: Path, bit_rate: int) -> None:
+        path.unlink(missing_ok=True)
+        self._wires = I2cBus()
+        self._socket = I2cSocket(path, self._wires, bit_rate)
+        super().__init__(self._wires, f"i2c+unix://{path}")
 
     @property
-    def end_ns(self) -> int:
-        """Its end, ``CLOCK_MONOTONIC`` ns."""
+    def files(self) -> list[int]:
+        return [file.fileno() for file in self._socket.files]
 
     @property
-    def finished(self) -> bool:
-        """Whether it has been advanced to its end."""
-
-    def attach(self, *, i2c: I2cBus, can: CanBus, pulse: PulseLine, start_ns: int) -> None:
-        """Plug its twins into the buses; mission time 0 is ``start_ns``."""
+    def due_ns(self) -> int:
+        return self._socket.due_ns
 
     def advance(self, now_ns: int) -> None:
-        """Let world and twins go on to ``now_ns``."""
+        self._socket.advance(now_ns)
 
-    def produced(self) -> dict[str, int]:
-        """Samples made, per channel."""
-
-    def truth(self) -> dict[str, Any]:
-        """What an estimate is to be compared with."""
-
-
-class Server:
-    """The three buses of one flight computer, reachable from another process.
-
-    Args:
-        directory: Where the sockets are; made if it is not there.
-        seed: Of the stamp jitter.
-        i2c_bit_rate: bit/s; a reply waits for as long as the wires would be busy.
-        can_bit_rate: bit/s.
-    """
-
-    def __init__(
-        self, directory: Path, seed: int = 0, *, i2c_bit_rate: int = 400_000, can_bit_rate: int = 500_000
-    ) -> None:
-        directory.mkdir(parents=True, exist_ok=True)
-        i2c_path, edge_path = directory / "i2c_1.sock", directory / "sync_line.sock"
-        i2c_path.unlink(missing_ok=True)
-        self.i2c = I2cBus()
-        self._i2c_socket = I2cSocket(i2c_path, self.i2c, i2c_bit_rate)
-        self._adapter = SlcanAdapter(can_bit_rate)
-        self.can = CanBus(self._adapter, can_bit_rate, seed)
-        self._edges = EdgeDatagrams(edge_path)
-        self.pulse = PulseLine(self._edges, seed)
-        self.late_max_ns = 0
-        self.turns = 0
-        self.urls = {
-            "i2c_1": f"i2c+unix://{i2c_path}",
-            "can_0": f"can+slcan://{self._adapter.path}?bitrate={can_bit_rate}",
-            "sync_line": f"gpio+unix://{edge_path}",
-        }
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def counts(self) -> dict[str, int]:
+        return {"transfers": self._wires.transfers, "refused": self._wires.refused}
 
     def close(self) -> None:
-        """Unplug everything."""
-        self._i2c_socket.close()
+        self._socket.close()
+
+
+class _CanPort(Port):
+    def __init__(self, bit_rate: int, seed: int) -> None:
+        self._adapter = SlcanAdapter(bit_rate)
+        self._wire = CanBus(self._adapter, bit_rate, seed)
+        super().__init__(self._wire, f"can+slcan://{self._adapter.path}?bitrate={bit_rate}")
+
+    @property
+    def files(self) -> list[int]:
+        return [] if self._adapter.hung_up else [self._adapter.fileno()]
+
+    def counts(self) -> dict[str, int]:
+        return {"frames_dropped": self._wire.dropped, "frames_lost_in_adapter": self._adapter.lost}
+
+    def close(self) -> None:
         self._adapter.close()
-        self._edges.close()
-
-    def run(self, mission: Mission, stop: Callable[[], bool] = lambda: False) -> None:
-        """Keep a mission, attached to these buses, in step with ``CLOCK_MONOTONIC`` until it ends or ``stop()``."""
-        due_ns = time.monotonic_ns()
-        while not mission.finished and not stop():
-            now_ns = min(time.monotonic_ns(), mission.end_ns)
-            self.turns += 1
-            self.late_max_ns = max(self.late_max_ns, now_ns - due_ns)
-            mission.advance(now_ns)
-            self._i2c_socket.advance(now_ns)
-            due_ns = min(self.can.due_ns, self._i2c_socket.due_ns, now_ns + _LONGEST_NAP_NS)
-            nap_s = max((due_ns - time.monotonic_ns()) * 1e-9, _SHORTEST_NAP_S)
-            files: list[Any] = [*self._i2c_socket.files]
-            if not self._adapter.hung_up:
-                files.append(self._adapter)
-            select.select(files, [], [], nap_s)
-
-    def summary(self) -> dict[str, float]:
-        """What the server itself did and lost."""
-        return {
-            "turns": self.turns,
-            "late_max_ms": self.late_max_ns * 1e-6,
-            "can_frames_dropped": self.can.dropped,
-            "can_frames_lost_in_adapter": self._adapter.lost,
-            "edges_without_receiver": self._edges.lost,
-            "edges_seen": self.pulse.seen,
-            "i2c_transfers": self.i2c.transfers,
-            "i2c_refused": self.i2c.refused,
-        }
 
 
-def _plain(value: object) -> object:
-    """NumPy values as JSON has them."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} has no place in a JSON line.")
+class SerialPort(Port):
+    """A pseudo-terminal, linked to as ``path``; kernel tier and this one share it."""
+
+    def __init__(self, path: Path, table: SerialBusTable, seed: int) -> None:
+        self._terminal = PtySerial(path)
+        self._line = SerialBus(self._terminal, seed, latency_ns=round(table.adapter_latency_ms * 1e6))
+        super().__init__(self._line, f"serial://{path}?{serial_options(table)}")
+
+    @property
+    def files(self) -> list[int]:
+        """See ``Port``."""
+        return self._terminal.files
+
+    @property
+    def due_ns(self) -> int:
+        """See ``Port``."""
+        return -(-self._line.due_ns // _USB_FRAME_NS) * _USB_FRAME_NS
+
+    def counts(self) -> dict[str, int]:
+        """See ``Port``."""
+        line = self._line
+        return {"characters_to_host": line.to_host, "characters_to_device": line.to_device, "lost": line.lost}
+
+    def close(self) -> None:
+        """See ``Port``."""
+        self._terminal.close()
 
 
-def _say(content: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(content, default=_plain) + "\n")
+def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0) -> Ports:
+    """Open every bus for another process.
+
+    Args:
+        tables: ``[bus.*]`` of a scenario.
+        directory: Where the sockets and terminals are; made if it is not there.
+        seed: Of the jitter of all stamps.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+
+    def open_port(bus: str, table: BusTable, place: int, seed: int) -> Port:
+        del place
+        match table:
+            case I2cBusTable():
+                return _I2cPort(directory / f"{bus}.sock", table.bit_rate)
+            case CanBusTable():
+                return _CanPort(table.bit_rate, seed)
+            case PulseLineTable():
+                return EdgePort(directory / f"{bus}.sock", seed)
+            case SerialBusTable():
+                return SerialPort(directory / bus, table, seed)
+
+    return open_ports(tables, open_port, seed)
+
+
+def say(content: dict[str, Any]) -> None:
+    """One JSON line, NumPy values as JSON has them."""
+
+    def plain(value: object) -> object:
+        if isinstance(value, np.ndarray | np.generic):
+            return value.tolist()
+        raise TypeError(f"{type(value).__name__} has no place in a JSON line.")
+
+    sys.stdout.write(json.dumps(content, default=plain) + "\n")
     sys.stdout.flush()
+
+
+def stops_on_signals() -> list[int]:
+    """Signals that ask for an end, as they come."""
+    stops: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, _: stops.append(number))
+    return stops
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve one scenario to its end; returns the exit status."""
-    from hil_sim.mission import Mission as Flight  # noqa: PLC0415  (MuJoCo is loaded only where it is needed)
-    from hil_sim.scenario import ScenarioError, load  # noqa: PLC0415
+    from hil_sim.mission import Mission  # noqa: PLC0415  (MuJoCo is loaded only where it is needed)
+    from hil_sim.scenario import load  # noqa: PLC0415
 
     parser = argparse.ArgumentParser(
         prog="python -m hil_sim.serve", description="Serve simulated devices in real time."
@@ -156,22 +165,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--directory", type=Path, required=True, help="where the sockets are to be")
     options = parser.parse_args(arguments)
     try:
-        mission = Flight(load(options.scenario), options.seed)
-    except ScenarioError as error:
+        mission = Mission(load(options.scenario), options.seed)
+    except ValueError as error:  # of the scenario or a fault in it
         parser.error(str(error))
-    stops: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda number, _: stops.append(number))
+    stops = stops_on_signals()
     with contextlib.suppress(OSError):  # devices do not wait for processes; without the right to this they may be late
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    with Server(options.directory, options.seed) as server:
+    with open_sockets(mission.scenario.bus, options.directory, options.seed) as ports:
         gc.collect()
         gc.freeze()
         start_ns = time.monotonic_ns()
-        mission.attach(i2c=server.i2c, can=server.can, pulse=server.pulse, start_ns=start_ns)
-        _say({**server.urls, "start_ns": start_ns})
+        try:
+            mission.attach(ports.buses, start_ns)
+        except ValueError as error:
+            parser.error(str(error))
+        say({**ports.urls, "start_ns": start_ns, "duration_s": mission.plant.program.duration_s})
+        server = Server(ports, time.monotonic_ns)
         server.run(mission, lambda: bool(stops))
-        _say({"produced": mission.produced(), "truth": mission.truth(), "server": server.summary()})
+        say({"produced": mission.produced(), "truth": mission.truth(), "server": server.summary()})
     return 0
 
 

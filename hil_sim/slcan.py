@@ -1,7 +1,7 @@
 """A CAN adapter that speaks the Lawicel ASCII protocol over a pseudo-terminal (CANUSB manual; python-can ``slcan``).
 
 Commands: ``Sn`` and ``sxxyy`` bit rate, ``O`` open, ``L`` listen only, ``C`` close, ``tIIIL..`` and ``TIIIIIIIIL..``
-send, ``r`` and ``R`` remote frames (acknowledged, and nobody answers), ``V`` and ``v`` versions, ``N`` serial number,
+send, ``r`` and ``R`` remote frames (nobody answers the long ones), ``V`` and ``v`` versions, ``N`` serial number,
 ``F`` status flags, ``Z`` time stamps, ``M`` and ``m`` acceptance filter (taken, and everything passes). CR says done,
 BELL says no. As with the real thing: open and close are refused when they change nothing, and an adapter at the wrong
 bit rate hears and says nothing.
@@ -45,7 +45,7 @@ class SlcanAdapter:
         self._flags = 0
         self._input = bytearray()
         self._output = bytearray()
-        self._sent: list[tuple[int, bytes]] = []
+        self._sent: list[tuple[int, bytes | int]] = []
 
     def fileno(self) -> int:
         """The adapter's side of the pseudo-terminal."""
@@ -61,8 +61,8 @@ class SlcanAdapter:
         """Whether a client has the channel open."""
         return self.is_open and not self.hung_up
 
-    def take(self) -> list[tuple[int, bytes]]:
-        """Frames the client sent since the last call."""
+    def take(self) -> list[tuple[int, bytes | int]]:
+        """Frames the client sent since the last call; see ``CanLink``."""
         self._receive()
         sent, self._sent = self._sent, []
         return sent
@@ -175,6 +175,6 @@ class SlcanAdapter:
         expected = length if name in (b"t", b"T") else 0
         if not self._open or self._listen_only or length > 8 or len(data) != expected or identifier >> 29:
             return _NO
-        if name == b"t" and self.is_open:
-            self._sent.append((identifier & 0x7FF, data))
+        if digits == 3 and self.is_open:
+            self._sent.append((identifier & 0x7FF, data if name == b"t" else length))
         return b"z\r" if digits == 3 else b"Z\r"

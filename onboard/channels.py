@@ -12,6 +12,7 @@ CLOCK = np.dtype(
         ("period_ns", "<f8"),
         ("sigma_ns", "<f8"),
         ("sigma_period_ns", "<f8"),
+        ("residual_ns", "<f8"),  # of the last mark
         ("residual_rms_ns", "<f8"),
         ("marks", "<u4"),
         ("rejected", "<u4"),
@@ -46,6 +47,7 @@ def tick_dtype(channels: int) -> np.dtype[np.void]:
             ("last_sequence", "<u8", (channels,)),
             ("consumed", "<u4", (channels,)),  # rows; 0: nothing, and the two sequence numbers mean nothing
             ("final", "u1"),  # 1: the last step, which waits for nothing more
+            ("fresh", "u1"),  # 1: an estimator that has learned nothing began with this step, in place of one that died
         ],
         align=True,
     )

@@ -25,6 +25,7 @@ _MAGIC = b"heftring1\0"
 _HEADER_BYTES = 4096
 _COUNTERS_AT = 64  # claimed, published: two u64
 _DESCRIPTION_AT = 128
+_STEP = 2654435761  # 2^32 over the golden ratio: what a row's check moves by from one position to the next
 
 
 class RingError(Exception):
@@ -65,6 +66,7 @@ class _Ring:
         # odd coefficients: a change of any single word always changes the sum
         generator = np.random.Generator(np.random.PCG64(0x68656674))
         self._coefficients = generator.integers(0, 2**32, dtype.itemsize // 4, np.uint32) | np.uint32(1)
+        self._ramp = np.arange(capacity, dtype=np.uint32) * np.uint32(_STEP)  # the share of a row's position
 
     @property
     def published(self) -> int:
@@ -73,11 +75,9 @@ class _Ring:
 
     def _check(self, raw: NDArray[np.uint8], first_position: int) -> NDArray[np.uint32]:
         """Check words of rows ``raw`` (n, itemsize), the first of them at ``first_position``."""
-        words = raw.view(np.uint32)
-        positions = np.arange(first_position, first_position + len(raw), dtype=np.uint64).astype(np.uint32)
-        check: NDArray[np.uint32] = (words * self._coefficients).sum(axis=1, dtype=np.uint32) + positions * np.uint32(
-            2654435761
-        )
+        check: NDArray[np.uint32] = raw.view(np.uint32) @ self._coefficients
+        check += self._ramp[: len(raw)]
+        check += np.uint32(first_position * _STEP % 2**32)
         return check
 
     def _slots(self, first_position: int, count: int) -> list[slice]:
@@ -102,6 +102,7 @@ class RingWriter(_Ring):
 
     Raises:
         RingFormatError: the file exists and is a ring of another record or capacity.
+        OSError: there is no room for it.
     """
 
     def __init__(self, path: Path, dtype: np.dtype[np.void], capacity: int) -> None:
@@ -113,7 +114,7 @@ class RingWriter(_Ring):
         try:
             fresh = os.fstat(descriptor).st_size == 0
             if fresh:
-                os.ftruncate(descriptor, size)
+                os.posix_fallocate(descriptor, 0, size)  # memory that is not there is told now, and not by a SIGBUS
             elif os.pread(descriptor, _HEADER_BYTES, 0)[_DESCRIPTION_AT:].rstrip(b"\0") != description:
                 raise RingFormatError(
                     f"{path} is a ring of another record or size: remove it, or start in a new directory"
@@ -125,9 +126,17 @@ class RingWriter(_Ring):
             self._map[_DESCRIPTION_AT : _DESCRIPTION_AT + len(description)] = description
             self._map[: len(_MAGIC)] = _MAGIC
 
+    def newest(self) -> Rows:
+        """The rows that the ring holds, oldest first; for a writer that goes on where another died."""
+        reader = RingReader(self.path)
+        try:
+            return reader.read()[0]
+        finally:
+            reader.close()
+
     def push(self, rows: Rows) -> int:
         """Append ``rows`` (n,); returns the position of the first. Never waits."""
-        if rows.dtype != self.dtype:
+        if rows.dtype is not self.dtype and rows.dtype != self.dtype:
             raise RingFormatError(f"{self.name}: rows of {rows.dtype.names} pushed into a ring of {self.dtype.names}")
         first = self.published
         count = len(rows)
@@ -173,6 +182,27 @@ class RingReader(_Ring):
         self.position = position
         self.lost = 0
 
+    @property
+    def backlog(self) -> int:
+        """Rows that were pushed and not read."""
+        return self.published - self.position
+
+    def seek_after(self, sequence: int) -> bool:
+        """Go on after the row that bears ``sequence``, which must ascend through the ring; counts nothing as lost.
+
+        Returns:
+            Whether that row, or the one after it, was still there: nothing between is lost.
+        """
+        self.position = oldest = max(0, self.published - self.capacity)
+        raw, good, overwritten = self._copy(oldest, self.published - oldest)
+        numbers = raw[good].reshape(-1).view(self.dtype)["sequence"]
+        if not len(numbers):
+            return oldest == 0
+        after = int(np.searchsorted(numbers, np.uint64(sequence), side="right"))
+        if after:
+            self.position = oldest + overwritten + int(np.flatnonzero(good)[after - 1]) + 1
+        return oldest == 0 or int(numbers[0]) <= sequence + 1
+
     def read(self, limit: int | None = None) -> tuple[Rows, int]:
         """Rows not read yet (oldest first, at most ``limit``), and how many were lost since the last call.
 
@@ -184,15 +214,19 @@ class RingReader(_Ring):
         if count <= 0:
             lost, self.position = first - self.position, first
             return np.empty(0, self.dtype), self._account(lost)
+        raw, good, overwritten = self._copy(first, count)
+        lost = first - self.position + overwritten + int(np.count_nonzero(~good))
+        self.position = first + count
+        return raw[good].reshape(-1).view(self.dtype), self._account(lost)
+
+    def _copy(self, first: int, count: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_], int]:
+        """Rows (n, itemsize) from position ``first`` on, whether each is good (n,), and ``count - n``: overwritten."""
         raw = np.concatenate([self._data[slots] for slots in self._slots(first, count)])
         checks = np.concatenate([self._checks[slots] for slots in self._slots(first, count)])
         # what the writer may have begun to overwrite while we copied
         overwritten = min(count, max(0, int(self._counters[0]) - self.capacity - first))
         raw, checks = raw[overwritten:], checks[overwritten:]
-        good = checks == self._check(raw, first + overwritten)
-        lost = first - self.position + overwritten + int(np.count_nonzero(~good))
-        self.position = first + count
-        return raw[good].reshape(-1).view(self.dtype), self._account(lost)
+        return raw, checks == self._check(raw, first + overwritten), overwritten
 
     def _account(self, lost: int) -> int:
         self.lost += lost

@@ -9,52 +9,38 @@ a second line gives ``produced``, ``truth`` and ``server``, as ``hil_sim.serve``
 
 import argparse
 import gc
-import json
 import os
-import signal
-import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import mujoco
-import numpy as np
 
-from hil_sim.kernel.server import KernelServer
+from hil_sim.kernel.server import open_nodes
 from hil_sim.mission import Mission
-from hil_sim.scenario import ScenarioError, load
+from hil_sim.realtime import Server
+from hil_sim.scenario import load
+from hil_sim.serve import say, stops_on_signals
 
 REALTIME_PRIORITY = 60  # above the flight computer's own: hardware waits for no program
 
 
 class Unpowered:
-    """Buses on which nobody answers, until ``socket`` is there."""
+    """Buses on which nobody answers, until the pulse sockets are there."""
 
     end_ns = 1 << 62
 
-    def __init__(self, socket: Path) -> None:
-        self._socket = socket
+    def __init__(self, urls: Mapping[str, str]) -> None:
+        scheme = "gpio+unix://"
+        self._sockets = [Path(url.removeprefix(scheme)) for url in urls.values() if url.startswith(scheme)]
 
     @property
     def finished(self) -> bool:
         """The flight computer is up."""
-        return self._socket.exists()
+        return all(socket.exists() for socket in self._sockets)
 
     def advance(self, now_ns: int) -> None:
         """Nothing happens."""
-
-
-def plain(value: object) -> object:
-    """NumPy values as JSON has them."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} has no place in a JSON line")
-
-
-def say(content: dict[str, Any]) -> None:
-    """One JSON line."""
-    sys.stdout.write(json.dumps(content, default=plain) + "\n")
-    sys.stdout.flush()
 
 
 def main() -> None:
@@ -68,22 +54,21 @@ def main() -> None:
     options = parser.parse_args()
     try:
         mission = Mission(load(options.scenario), options.seed)
-    except ScenarioError as error:
+    except ValueError as error:  # of the scenario or a fault in it
         parser.error(str(error))
-    stops: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda number, _: stops.append(number))
-    server = KernelServer(options.directory, i2c_node=options.i2c, can_interface=options.can, seed=options.seed)
-    with server:
+    stops = stops_on_signals()
+    tables, node, interface = mission.scenario.bus, options.i2c, options.can
+    with open_nodes(tables, options.directory, i2c_node=node, can_interface=interface, seed=options.seed) as ports:
         # MuJoCo times each stage of each step, and without a vDSO a look at the clock takes 12 us: 80 % of the CPU.
         mujoco.set_mjcb_time(lambda: 0.0)
         gc.collect()
         gc.freeze()
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
-        say(dict(server.urls))
-        server.run(Unpowered(options.directory / "sync_line.sock"), time.monotonic_ns, lambda: bool(stops))
-        mission.attach(i2c=server.i2c, can=server.can, pulse=server.pulse, start_ns=time.monotonic_ns())
-        server.run(mission, time.monotonic_ns, lambda: bool(stops))
+        say(dict(ports.urls))
+        server = Server(ports, time.monotonic_ns)
+        server.run(Unpowered(ports.urls), lambda: bool(stops))
+        mission.attach(ports.buses, time.monotonic_ns())
+        server.run(mission, lambda: bool(stops))
         say({"produced": mission.produced(), "truth": mission.truth(), "server": server.summary()})
 
 

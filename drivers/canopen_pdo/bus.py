@@ -2,15 +2,16 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import Channel, EventChannel, ProcessData
+from drivers.canopen_pdo.bus_port import BusPort
+from drivers.canopen_pdo.channel import Channel, ProcessData
 from drivers.canopen_pdo.cia402 import Cia402Config, drive_values
 from drivers.canopen_pdo.cia404 import Cia404Config, LoadCell
 from drivers.canopen_pdo.cia406 import Cia406Config, Encoder
+from drivers.canopen_pdo.event_channel import EventChannel
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.mapped_object import CanopenObjectConfig, MappedObject
 from drivers.canopen_pdo.node import Node
@@ -28,19 +29,6 @@ STALLED = 100.0  # SYNC periods without SYNC after which arrival times are looke
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
 DRAINS, DRAIN_S = 16, 0.03  # receives at the end, until one is empty
-RETRY_NS = 20_000_000  # between two pumps while the port fails
-ERROR_CLASSES = {  # linux/can/error.h
-    0x001: "transmit timeout",
-    0x002: "arbitration lost",
-    0x004: "controller state",
-    0x008: "protocol violation",
-    0x010: "transceiver",
-    0x020: "no acknowledgement",
-    0x040: "bus off",
-    0x080: "bus error",
-    0x100: "restarted",
-}
-BUS_OFF = 0x040
 
 
 def process_data(config: NodeConfig) -> Sequence[ProcessData]:
@@ -52,23 +40,6 @@ def process_data(config: NodeConfig) -> Sequence[ProcessData]:
     if isinstance(config, Cia404Config):
         return [LoadCell(config)]
     return [MappedObject(config)]
-
-
-@runtime_checkable
-class CountsLostFrames(Protocol):
-    """A port that knows how many frames it could not deliver."""
-
-    @property
-    def lost_frames(self) -> int:
-        """Since it was opened."""
-
-
-@runtime_checkable
-class AsksForFrames(Protocol):
-    """A port that can send remote frames."""
-
-    def request(self, identifier: int, size: int) -> None:
-        """Send a remote frame that asks for ``size`` bytes. Raises OSError."""
 
 
 class CanopenBus:
@@ -99,8 +70,8 @@ class CanopenBus:
     ) -> None:
         self.name = name
         self.unclaimed = 0
-        self._port = port
         self._report = Reporter(name)
+        self._port = BusPort(port, self._report)
         self._sync_channel = sync.name
         self._period_ns = sync.period_ns
         self._sync = SyncCounter(sync.period_ns)
@@ -109,10 +80,6 @@ class CanopenBus:
         self._sync_sent_ns: int | None = None
         self._sync_missed = False
         self._started_ns = 0
-        self._failing_since_ns: int | None = None
-        self._now_ns = 0
-        self._lost_frames = 0
-        self._counting: CountsLostFrames | None = None
         self._channels: list[Channel] = []
         self._synchronous: list[SyncChannel] = []
         values = [data for config in nodes for data in process_data(config)]
@@ -126,16 +93,16 @@ class CanopenBus:
             if not 1 <= data.node <= 127:
                 raise ConfigurationError(f"{data.name}: node = {data.node}: CANopen has 1..127")
             channel: Channel
-            if data.synchronous:
+            if isinstance(data, MappedObject) and not data.synchronous:
+                channel = EventChannel(data, self._report, self._sync)
+            else:
                 channel = SyncChannel(data, self._report, self._sync)
                 self._synchronous.append(channel)
-            else:
-                channel = EventChannel(data, self._report, self._sync)
             self._channels.append(channel)
             by_node.setdefault(data.node, []).append(channel)
         guarding = self._guards(guards, by_node)
         self._nodes = [
-            Node(number, channels, self._send, self._report, guarding.get(number))
+            Node(number, channels, self._port.send, self._report, guarding.get(number))
             for number, channels in by_node.items()
         ]
         self._handlers = self._routes()
@@ -143,20 +110,20 @@ class CanopenBus:
     @property
     def period_ns(self) -> int:
         """0: pump waits on the port. While the port fails, the time to leave between two pumps."""
-        return 0 if self._failing_since_ns is None else RETRY_NS
+        return self._port.period_ns
 
     def start(self, now_ns: int) -> list[Batch]:
         """Begin setting all nodes up, side by side. See ``drivers.device.Device``."""
-        self._now_ns = self._started_ns = now_ns
-        self._counting = self._port if isinstance(self._port, CountsLostFrames) else None
+        self._port.now_ns = self._started_ns = now_ns
+        self._port.start()
         for node in self._nodes:
             node.begin(now_ns)
         return self._report.take()
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
         """Take the frames waiting and hand over what they made; waits up to ``timeout_s`` for the first."""
-        self._now_ns = now_ns
-        self._dispatch(self._receive(now_ns, timeout_s))
+        self._port.now_ns = now_ns
+        self._dispatch(self._receive(timeout_s))
         for node in self._nodes:
             node.poll(now_ns)
         self._watch_sync(now_ns)
@@ -164,18 +131,15 @@ class CanopenBus:
 
     def stop(self, now_ns: int) -> list[Batch]:
         """Silence the nodes, take what is left, name what will not come."""
-        self._now_ns = now_ns
-        self._dispatch(self._receive(now_ns, 0.0))
+        self._port.now_ns = now_ns
+        self._dispatch(self._receive(0.0))
         last = self._sync.tick
         for node in self._nodes:
             node.stop()
-        self._dispatch(self._receive(now_ns, 2e-9 * self._period_ns))
-        try:
-            self._port.mute()
-        except OSError as error:
-            self._port_failed(error)
+        self._dispatch(self._receive(2e-9 * self._period_ns))
+        self._port.mute()
         for _ in range(DRAINS):
-            frames = self._receive(now_ns, DRAIN_S)
+            frames = self._receive(DRAIN_S)
             if not frames:
                 break
             self._dispatch(frames)
@@ -189,14 +153,13 @@ class CanopenBus:
         return self._handed_over()
 
     def _guards(self, configs: Sequence[GuardConfig], nodes: Mapping[int, object]) -> dict[int, Guard]:
-        port = self._port
         guards = {}
         for config in configs:
             if config.node not in nodes:
                 raise ConfigurationError(f"bus {self.name} guards node {config.node} and has no channel of it: drop it")
-            if not isinstance(port, AsksForFrames):
+            if not self._port.can_request:
                 raise ConfigurationError(f"bus {self.name}: its port sends no remote frames: use heartbeats")
-            guards[config.node] = Guard(config, partial(self._ask, port, frame.HEARTBEAT + config.node))
+            guards[config.node] = Guard(config, partial(self._port.request, frame.HEARTBEAT + config.node))
         return guards
 
     # Frames
@@ -216,7 +179,7 @@ class CanopenBus:
         handlers = self._handlers
         for host_ns, identifier, data, is_error in frames:
             if is_error:
-                self._on_error_frame(host_ns, identifier, data)
+                self._port.tell_error_frame(host_ns, identifier, data)
                 continue
             routes = handlers.get(identifier)
             if routes is None:
@@ -240,15 +203,19 @@ class CanopenBus:
         if self._sync_missed:
             self._sync_missed = False
             self._report.event(host_ns, Severity.INFO, "sync_recovered", f"SYNC again, number {tick}")
+        if self._sync.pause_ns:
+            pause_ms = self._sync.pause_ns // 1_000_000
+            text = f"SYNC paused for {pause_ms} ms, none is missing: its producer stood still, or frames were held up"
+            self._report.event(host_ns, Severity.WARNING, "sync_paused", text)
         if before_tick is not None:
             next_tick = before_tick + 1 if restarted else tick
             for channel in self._synchronous:
                 channel.close(before_tick, before_ns, next_tick)
-        if restarted:
+        if restarted and before_tick is not None:
             text = f"SYNC counter {counter} does not go on from number {before_tick}: its producer began anew"
             self._report.event(host_ns, Severity.ERROR, "sync_restarted", text)
             for channel in self._synchronous:
-                channel.sync_restarted(tick)
+                channel.sync_restarted(host_ns, before_tick, tick)
         if lost:
             first = self._sync_sequence
             duration_ns = lost * self._period_ns
@@ -256,12 +223,6 @@ class CanopenBus:
             self._sync_sequence += lost
         self._sync_rows.append((self._sync_sequence, host_ns, tick, counter))
         self._sync_sequence += 1
-
-    def _on_error_frame(self, host_ns: int, classes: int, data: bytes) -> None:
-        named = [text for bit, text in ERROR_CLASSES.items() if classes & bit]
-        severity = Severity.ERROR if classes & BUS_OFF else Severity.WARNING
-        text = f"CAN error frame: {', '.join(named) or hex(classes)} ({data.hex()}): check wiring, ends and bit rate"
-        self._report.event(host_ns, severity, f"can_error_{classes & 0x1FF:03X}", text)
 
     def _watch_sync(self, now_ns: int) -> None:
         if self._sync.silence(now_ns) > OVERDUE:
@@ -273,37 +234,10 @@ class CanopenBus:
             text = f"no SYNC for {(now_ns - heard_ns) // 1_000_000} ms: check its producer"
             self._report.event(now_ns, Severity.ERROR, "sync_lost", text)
 
-    # Port
-
-    def _send(self, identifier: int, data: bytes) -> None:
-        try:
-            self._port.send(identifier, data)
-        except OSError as error:
-            self._port_failed(error)
-
-    def _ask(self, port: AsksForFrames, identifier: int) -> None:
-        try:
-            port.request(identifier, 1)
-        except OSError as error:
-            self._port_failed(error)
-
-    def _receive(self, now_ns: int, timeout_s: float) -> list[CanFrame]:
-        try:
-            frames = self._port.receive(timeout_s)
-            if frames and self._sync.silence(frames[-1].host_ns) > STALLED:
-                frames = self._all_of_a_stall(frames)
-        except OSError as error:
-            self._port_failed(error)
-            return []
-        if self._counting is not None and self._counting.lost_frames != self._lost_frames:
-            lost = self._counting.lost_frames - self._lost_frames
-            self._lost_frames += lost
-            text = f"the port lost {lost} frames: raise net.core.rmem_max, or check the adapter's baud rate"
-            self._report.event(now_ns, Severity.WARNING, "frames_lost", text)
-        if self._failing_since_ns is not None and frames:
-            down_ms = (now_ns - self._failing_since_ns) // 1_000_000
-            self._failing_since_ns = None
-            self._report.event(now_ns, Severity.INFO, "bus_recovered", f"CAN frames again after {down_ms} ms")
+    def _receive(self, timeout_s: float) -> list[CanFrame]:
+        frames = self._port.receive(timeout_s)
+        if frames and self._sync.silence(frames[-1].host_ns) > STALLED:
+            frames = self._all_of_a_stall(frames)
         return frames
 
     def _all_of_a_stall(self, frames: list[CanFrame]) -> list[CanFrame]:
@@ -322,12 +256,6 @@ class CanopenBus:
         if syncs:
             self._sync_sent_ns = min(syncs[0], syncs[-1] - (len(syncs) - 1) * self._period_ns)
         return frames
-
-    def _port_failed(self, error: OSError) -> None:
-        if self._failing_since_ns is None:
-            self._failing_since_ns = self._now_ns
-            text = f"CAN bus fails ({error}): check that the interface is up; it is tried again"
-            self._report.event(self._now_ns, Severity.ERROR, "bus_error", text)
 
     def _handed_over(self) -> list[Batch]:
         if self._sync_rows:

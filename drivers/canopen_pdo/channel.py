@@ -8,6 +8,7 @@ import numpy as np
 from drivers.canopen_pdo.sdo import Setup
 from drivers.canopen_pdo.sync import SyncCounter
 from drivers.errors import FrameError
+from drivers.position import Position
 from drivers.records import SCALAR, SampleStatus, Severity
 from drivers.reporter import Reporter
 
@@ -20,6 +21,12 @@ class Sample(NamedTuple):
     status: SampleStatus = SampleStatus.OK
 
 
+def position_sample(position: Position, word: int) -> Sample:
+    """A position sample: NOT_VALID where the position cannot be."""
+    value, is_believed = position.place(word)
+    return Sample(value) if is_believed else Sample(value, 0, SampleStatus.NOT_VALID)
+
+
 class ProcessData(ABC):
     """One value of one node: how the node is set up for it, and how its TPDO is read.
 
@@ -27,14 +34,12 @@ class ProcessData(ABC):
         name: Channel.
         node: Node number.
         cob_id: COB-ID of the TPDO.
-        synchronous: The TPDO answers a SYNC; otherwise it is sent on events.
         profile: Low word of 1000h that the node must have; None: any.
         unit: Unit of a scaled value.
         scale: ``unit`` per count; valid once ``setup`` has run.
     """
 
     profile: int | None = None
-    synchronous = True
     unit = "1"
     scale = 1.0
 
@@ -47,13 +52,12 @@ class ProcessData(ABC):
     def setup(self) -> Setup:
         """The SDO transfers that check and set the node up. Raises ConfigurationError when it cannot serve."""
 
+    def rebooted(self) -> None:  # noqa: B027 - a hook that may be left as it is
+        """The node said that it has just booted."""
+
     @abstractmethod
     def decode(self, data: bytes) -> Sample:
         """Read a TPDO. Raises FrameError when its length is wrong."""
-
-    def initial(self) -> tuple[int, Sample] | None:
-        """A value read while setting up, and its stamp, where the TPDO only comes on events."""
-        return None
 
 
 class Channel(ABC):
@@ -92,9 +96,21 @@ class Channel(ABC):
         self.live = False
         self._after_reset = self.started
 
+    def node_rebooted(self) -> None:
+        """The node said that it has just booted."""
+        self.data.rebooted()
+
     @abstractmethod
     def accept(self, host_ns: int, data: bytes) -> None:
         """A TPDO arrived."""
+
+    def suspect(self, host_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is
+        """The node had trouble: what it sent may be lost."""
+
+    def check(self, now_ns: int) -> Setup | None:
+        """The SDO transfers that read its value back, where that is due; to be made at once."""
+        del now_ns
+        return None
 
     def hand_over(self) -> None:
         """Give the rows gathered to the reporter."""
@@ -124,21 +140,3 @@ class Channel(ABC):
             )
         )
         self._next += 1
-
-
-class EventChannel(Channel):
-    """TPDOs sent when something changes: one row each. ``tick`` is the SYNC number current when it arrived."""
-
-    def go_live(self) -> None:
-        """The node has been started: its present value is the first row."""
-        super().go_live()
-        initial = self.data.initial()
-        if initial is not None:
-            host_ns, sample = initial
-            self._append(host_ns, self._sync.tick or 0, sample, 0)
-
-    def accept(self, host_ns: int, data: bytes) -> None:
-        """See ``Channel``."""
-        sample = self._decoded(host_ns, data) if self.live else None
-        if sample is not None:
-            self._append(host_ns, self._sync.tick or 0, sample, 0)

@@ -10,9 +10,10 @@ import math
 from dataclasses import dataclass
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import ProcessData, Sample
+from drivers.canopen_pdo.channel import ProcessData, Sample, position_sample
 from drivers.canopen_pdo.sdo import Setup, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError
+from drivers.position import Position
 
 POSITION, VELOCITY, TORQUE = 0x6064_0020, 0x606C_0020, 0x6077_0010  # as mapping entries
 RATED_TORQUE = 0x6076  # mN m
@@ -85,7 +86,7 @@ class Cia402Config:
 
 
 class DriveValue(ProcessData):
-    """One of the three values of a drive: signed counts as sent; a position is unwrapped modulo 2^32.
+    """One of the three values of a drive: signed counts as sent; a position is made whole by ``Position``.
 
     Args:
         config: The drive.
@@ -107,7 +108,7 @@ class DriveValue(ProcessData):
         self._start = sum(each & 0xFF for each in before) // 8
         self._size = (entry & 0xFF) // 8
         self._length = sum(each & 0xFF for each in self._mapping) // 8
-        self._position: int | None = None
+        self._position = Position(config.counts_per_revolution)
         per_count = TWO_PI / config.counts_per_revolution
         if entry == POSITION:
             self.unit, self.scale = "rad", per_count
@@ -139,10 +140,7 @@ class DriveValue(ProcessData):
                 f"check the mapping {0x1A00 + self._tpdo - 1:04X}h"
             )
         raw = int.from_bytes(data[self._start : self._start + self._size], "little", signed=True)
-        if self._entry == POSITION:
-            before = raw if self._position is None else self._position
-            raw = self._position = before + (raw - before + (1 << 31)) % (1 << 32) - (1 << 31)
-        return Sample(raw)
+        return position_sample(self._position, raw) if self._entry == POSITION else Sample(raw)
 
     def _per_mille(self, rated_N_m: float) -> float:
         """Joint torque of a thousandth of the rated motor torque, N m."""

@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import ProcessData, Sample
-from drivers.canopen_pdo.sdo import Setup, ensure_tpdo, read_unsigned
+from drivers.canopen_pdo.sdo import Setup, Write, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SampleStatus
 
 MAPPING = (0x9130_0120, 0x6150_0108)
 VALUE_TPDO = 1
+AUTO_ZERO = 0x6125
 NEWTON = 0x21  # CiA 303-2
 NOT_VALID = 1 << 0  # 6150h
 MOST_DIGITS = 9
@@ -23,11 +24,14 @@ class Cia404Config:
         name: Channel.
         node: Node number.
         capacity_N: Rated force, N: at or beyond it a sample is marked SATURATED.
+        tare: Zero it (6125h) when it is first set up, where it must be unloaded. A node that reboots forgets its tare,
+            and may be loaded by then: it is not tared again, and its samples are NOT_VALID from there on.
     """
 
     name: str
     node: int
     capacity_N: float  # noqa: N815 - a unit, as in vehicle.toml
+    tare: bool = False
 
     def __post_init__(self) -> None:
         if not self.capacity_N > 0.0:
@@ -43,9 +47,15 @@ class LoadCell(ProcessData):
     def __init__(self, config: Cia404Config) -> None:
         super().__init__(config.name, config.node, frame.TPDO[VALUE_TPDO] + config.node)
         self._capacity_N = config.capacity_N
+        self._tare_due = config.tare
+        self._tared = self._tare_lost = False
+
+    def rebooted(self) -> None:
+        """See ``ProcessData``."""
+        self._tare_lost |= self._tared
 
     def setup(self) -> Setup:
-        """Read unit and decimal digits, map value and status to the SYNC TPDO.
+        """Read unit and decimal digits, tare it where asked, map value and status to the SYNC TPDO.
 
         Raises:
             ConfigurationError: The process value is not a force in powers of ten of a newton.
@@ -59,6 +69,9 @@ class LoadCell(ProcessData):
             raise ConfigurationError(f"load cell has {digits} decimal digits: write 0..{MOST_DIGITS} to 6132h")
         power = (prefix - 0x100 if prefix > 0x7F else prefix) - digits
         self.scale = float(f"1e{power}")
+        if self._tare_due:
+            yield Write(AUTO_ZERO, 1, b"zero")
+            self._tare_due, self._tared = False, True
         yield from ensure_tpdo(VALUE_TPDO, self.cob_id, 1, MAPPING)
 
     def decode(self, data: bytes) -> Sample:
@@ -66,7 +79,7 @@ class LoadCell(ProcessData):
         if len(data) != 5:
             raise FrameError(f"{self.name}: TPDO of {len(data)} bytes, 9130h and 6150h have 5: check the mapping 1A00h")
         value = int.from_bytes(data[:4], "little", signed=True)
-        status = SampleStatus.NOT_VALID if data[4] & NOT_VALID else SampleStatus.OK
+        status = SampleStatus.NOT_VALID if data[4] & NOT_VALID or self._tare_lost else SampleStatus.OK
         if abs(value) * self.scale >= self._capacity_N:
             status |= SampleStatus.SATURATED
         return Sample(value, data[4], status)

@@ -5,16 +5,14 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import ProcessData, Sample
+from drivers.canopen_pdo.channel import ProcessData, Sample, position_sample
 from drivers.canopen_pdo.sdo import Read, SdoData, Setup, Write, attempt, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError, SdoAbortError
-from drivers.records import SampleStatus
+from drivers.position import Position
 
 POSITION_MAPPING = 0x6004_0020
 CYCLIC_TPDO, SYNC_TPDO = 1, 2  # CiA 406: TPDO1 by the cyclic timer, TPDO2 by SYNC
 SCALING_ENABLED = 1 << 2  # 6000h
-BELIEVED_AFTER = 20
-_WRAP, _HALF = 1 << 32, 1 << 31
 
 
 @dataclass(frozen=True)
@@ -39,11 +37,7 @@ class Cia406Config:
 class Encoder(ProcessData):
     """Joint position, counts; 2 pi / ``counts_per_revolution`` rad a count.
 
-    6004h is unsigned 32 bits and wraps; ``value_raw`` does not: the step between two samples is taken as the shorter
-    way round, so it is right up to 2^31 counts between samples. A step of more than a revolution is a position that
-    no joint reaches between two SYNCs: the sample is NOT_VALID and nothing is counted from it, so that garbage leaves
-    no turn of the counter behind. A new position that stays (the joint was turned while nobody looked) is believed
-    after ``BELIEVED_AFTER`` samples that agree.
+    6004h is unsigned 32 bits and wraps; ``value_raw`` does not. What no joint can have done is NOT_VALID.
     """
 
     profile = 0x0196
@@ -53,9 +47,7 @@ class Encoder(ProcessData):
         super().__init__(config.name, config.node, frame.TPDO[SYNC_TPDO] + config.node)
         self.scale = 2.0 * math.pi / config.counts_per_revolution
         self._counts = config.counts_per_revolution
-        self._position: int | None = None
-        self._doubted = 0  # the last position not believed
-        self._agreeing = 0  # samples in a row that agree with it
+        self._position = Position(config.counts_per_revolution)
 
     def setup(self) -> Setup:
         """Check the resolution, silence the event TPDO, map the position to the SYNC TPDO.
@@ -82,23 +74,7 @@ class Encoder(ProcessData):
         """Position as sent, unwrapped. Raises FrameError."""
         if len(data) != 4:
             raise FrameError(f"{self.name}: TPDO of {len(data)} bytes, 6004h has 4: check the mapping 1A01h")
-        raw = int.from_bytes(data, "little")
-        before = raw if self._position is None else self._position
-        position = self._nearest(raw, before)
-        if abs(position - before) > self._counts:
-            agrees = self._agreeing and abs(self._nearest(raw, self._doubted) - self._doubted) <= self._counts
-            self._agreeing = self._agreeing + 1 if agrees else 1
-            self._doubted = position
-            if self._agreeing < BELIEVED_AFTER:
-                return Sample(position, 0, SampleStatus.NOT_VALID)
-        self._agreeing = 0
-        self._position = position
-        return Sample(position)
-
-    @staticmethod
-    def _nearest(raw: int, to: int) -> int:
-        """The position with the 32 bits ``raw`` that lies nearest to ``to``."""
-        return to + (raw - to + _HALF) % _WRAP - _HALF
+        return position_sample(self._position, int.from_bytes(data, "little"))
 
     def _resolution(self) -> Generator[Read | Write, SdoData, int]:
         """Counts in a revolution: 6001h where the encoder scales (6000h bit 2), else what it physically has, 6501h."""

@@ -98,11 +98,14 @@ class Node:
             self.begin(now_ns)
         elif self._state is _State.RUNNING:
             self._watch(now_ns)
+            self._check(now_ns)
 
     def on_sdo(self, host_ns: int, data: bytes) -> None:
         """An answer of its SDO server."""
         if self._state is _State.SETTING_UP:
             self._guarded(lambda: self._sdo.accept(data, host_ns), host_ns)
+        elif self._state is _State.RUNNING:
+            self._checked(lambda: self._sdo.accept(data, host_ns), host_ns)
 
     def on_heartbeat(self, host_ns: int, data: bytes) -> None:
         """A heartbeat or boot-up message."""
@@ -123,6 +126,8 @@ class Node:
                 text = f"node {self.number} rebooted: set up anew; check its supply"
                 self._report.event(host_ns, Severity.WARNING, "node_rebooted", text, self.source)
             self._told = ""
+            for channel in self.channels:
+                channel.node_rebooted()
             self._reset(host_ns)
         elif self._state is _State.AWAY:
             self.begin(host_ns)
@@ -142,6 +147,8 @@ class Node:
         except FrameError as error:
             self._report.event(host_ns, Severity.WARNING, "bad_emergency", str(error), self.source)
             return
+        for channel in self.channels:
+            channel.suspect(host_ns)
         severity = Severity.WARNING if emergency.code else Severity.INFO
         what = f"{emergency.code:04X}h, register {emergency.register:02X}h, {emergency.vendor.hex()}"
         text = f"node {self.number} EMCY {what}" if emergency.code else f"node {self.number} EMCY: errors are over"
@@ -200,6 +207,27 @@ class Node:
         else:
             if not self._sdo.busy:
                 self._run(now_ns)
+
+    def _check(self, now_ns: int) -> None:
+        """Have values read back that nothing else confirms."""
+        if self._sdo.busy:
+            self._checked(lambda: self._sdo.poll(now_ns), now_ns)
+            return
+        for channel in self.channels:
+            sequence = channel.check(now_ns) if self._state is _State.RUNNING else None
+            if sequence is not None:
+                self._sdo.begin(sequence, now_ns)
+                return
+
+    def _checked(self, step: Callable[[], None], now_ns: int) -> None:
+        """Take a step of reading back; what ends it early is told, and the node runs on."""
+        try:
+            step()
+        except DriverError as error:
+            self._tell(now_ns, error)
+        else:
+            if not self._sdo.busy:
+                self._told = ""
 
     def _run(self, now_ns: int) -> None:
         self._state = _State.RUNNING

@@ -7,6 +7,7 @@ from drivers.errors import ConfigurationError
 
 ROUND = 240
 SLACK = 12  # SYNC periods by which arrival time and counter may differ before we say that the producer began anew
+LATE = 3.0  # SYNC periods by which a SYNC is later than its number says: the producer stood still
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,16 @@ class SyncCounter:
 
     Attributes:
         period_ns: SYNC period.
+        pause_ns: How long the producer stood still before the SYNC before the last one, where it did; else 0. Only the
+            next one tells: after a host that read late, it comes early.
     """
 
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns
+        self.pause_ns = 0
         self._tick: int | None = None
         self._host_ns = 0
+        self._late_ns = 0  # by which the last SYNC came later than its number says
 
     @property
     def tick(self) -> int | None:
@@ -89,6 +94,9 @@ class SyncCounter:
             ahead = least + ROUND * round((elapsed - least) / ROUND)
             restarted = ahead < 1 or (ahead > 1 and abs(elapsed - ahead) > SLACK)
             ahead = max(ahead, least)
+        self.pause_ns = self._late_ns if elapsed > 0.5 * ahead else 0
+        late = elapsed - ahead
+        self._late_ns = round(late * self.period_ns) if late > LATE and not restarted else 0
         self._tick += ahead
         self._host_ns = host_ns
         return SyncStep(self._tick, 0 if restarted else ahead - 1, restarted)

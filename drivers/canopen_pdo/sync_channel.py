@@ -6,6 +6,7 @@ from drivers.records import Severity
 from drivers.reporter import Reporter
 
 SILENT_AFTER = 20  # SYNCs without an answer before an event says so
+LATEST = 400  # SYNCs after a gap of answers in which they may yet come, too late to be told which is which
 
 
 class SyncChannel(Channel):
@@ -13,8 +14,13 @@ class SyncChannel(Channel):
 
     TPDOs are held until the next SYNC, for only then is it known whether a SYNC between was lost. Order decides:
     what came between SYNC n and n + 1 answers n. Only where SYNCs are missing, host time decides which of them a
-    TPDO answers. ``sequence`` runs with the SYNC number from the first answer on.
+    TPDO answers. ``sequence`` runs with the SYNC number from the first answer on; an answer too many, which is no
+    late one to a SYNC named as unanswered before, is one number more, in a gap of its own.
 
+    Args:
+        data: The value.
+        report: Where rows, gaps and events go.
+        sync: Numbers the SYNCs of this bus.
     """
 
     def __init__(self, data: ProcessData, report: Reporter, sync: SyncCounter) -> None:
@@ -24,6 +30,8 @@ class SyncChannel(Channel):
         self._last_tick = 0  # of the last row
         self._unanswered = 0  # SYNCs seen since the last row and not answered
         self._silent = 0  # the same, since the node went live or answered
+        self._owed = 0  # answers in the last gap, that did not come
+        self._owed_tick = 0
         self._reset_since_row = False
 
     def go_live(self) -> None:
@@ -53,8 +61,7 @@ class SyncChannel(Channel):
             return
         for place, (host_ns, data) in enumerate(held):
             if lowest >= answers:
-                text = f"{len(held) - place} TPDOs more than SYNCs: is another node sending {self.data.cob_id:03X}h?"
-                self._report.event(host_ns, Severity.WARNING, "pdo_extra", text, self.data.name)
+                self._leave(host_ns, tick, len(held) - place)
                 break
             by_time = (host_ns - sync_ns) // self._period_ns
             highest = max(answers - (len(held) - place), lowest)  # leave a SYNC for each that follows
@@ -73,8 +80,10 @@ class SyncChannel(Channel):
             periods = (self._held[-1][0] - self._sync.host_ns) // self._period_ns
             self.close(tick, self._sync.host_ns, tick + 1 + max(periods, 0))
 
-    def sync_restarted(self, tick: int) -> None:
-        """SYNC numbers jump to ``tick`` without that anything is known to be lost."""
+    def sync_restarted(self, host_ns: int, last: int, tick: int) -> None:
+        """SYNC numbers jump from ``last`` to ``tick``: up to there nothing more will come, between nothing is lost."""
+        if self.started and last > self._last_tick:
+            self._lose(host_ns, last)
         self._last_tick = tick - 1
 
     def finish(self, now_ns: int, last: int | None) -> None:
@@ -106,6 +115,19 @@ class SyncChannel(Channel):
         self._report.gap(now_ns, self.data.name, first, first + lost - 1, lost * self._period_ns, cause)
         self._next += lost
         self._last_tick = up_to_tick
+        if cause == "no_pdo":
+            self._owed, self._owed_tick = lost, up_to_tick
+
+    def _leave(self, host_ns: int, tick: int, extra: int) -> None:
+        """TPDOs that answer no SYNC: late answers to those named as unanswered, or samples that have no time."""
+        text = f"{extra} TPDOs more than SYNCs: the node is slow, or another node sends {self.data.cob_id:03X}h"
+        self._report.event(host_ns, Severity.WARNING, "pdo_extra", text, self.data.name)
+        late = min(extra, self._owed) if tick - self._owed_tick <= LATEST else 0
+        self._owed -= late
+        if extra > late:
+            first = self._next
+            self._report.gap(host_ns, self.data.name, first, first + extra - late - 1, 0, "pdo_extra")
+            self._next += extra - late
 
     def _count_silence(self, now_ns: int) -> None:
         if self.live:

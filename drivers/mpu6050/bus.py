@@ -14,6 +14,7 @@ _REMEDY = {
     errno.ETIMEDOUT: "SDA may be held low: power-cycle it",
     errno.ENODEV: "the adapter is gone: plug it in",
     errno.ENOENT: "the adapter is gone: plug it in",
+    errno.EBADMSG: "what it says is garbage, check wiring and pull-ups",
     errno.EAGAIN: "arbitration lost: look for another master",
 }
 _T = TypeVar("_T")

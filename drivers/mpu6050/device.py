@@ -8,11 +8,13 @@ from drivers.mpu6050 import registers as reg
 from drivers.mpu6050.burst import Burst
 from drivers.mpu6050.bus import RegisterBus, explain
 from drivers.mpu6050.fifo import Fifo
+from drivers.mpu6050.noise import most_repeats
 from drivers.mpu6050.registers import CHIPS, INCOMPATIBLE, Chip, Mpu6050Config, configuration
 from drivers.mpu6050.self_test import SelfTest, run_self_test
 from drivers.mpu6050.stream import SampleStream
 from drivers.ports import I2cPort
 from drivers.records import Batch, Severity
+from drivers.repeats import Repeats
 from drivers.reporter import Reporter
 
 RESET_NS = 100_000_000  # after DEVICE_RESET
@@ -52,7 +54,8 @@ class Mpu6050:
         self.config = Mpu6050Config() if config is None else config
         self._bus = RegisterBus(port, self.config.address)
         self._report = Reporter(name)
-        self._stream = SampleStream(name, self.config.sample_period_ns, self._report)
+        repeats = Repeats(most_repeats(self.config), self._report)
+        self._stream = SampleStream(name, self.config.sample_period_ns, repeats, self._report)
         self._source: Fifo | Burst = (
             Fifo(self.config, self._bus, self._stream, self._report)
             if self.config.mode == "fifo"

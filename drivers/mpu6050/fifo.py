@@ -1,5 +1,7 @@
 """Samples by way of the chip's FIFO: drained once a poll, started anew when it ran over or slipped."""
 
+import errno
+
 from drivers.mpu6050 import registers as reg
 from drivers.mpu6050.bus import NOT_ACKNOWLEDGED, RegisterBus, explain
 from drivers.mpu6050.decode import PACKET_BYTES, decode_packets, first_misaligned
@@ -10,6 +12,7 @@ from drivers.records import Severity
 from drivers.reporter import Reporter
 
 MOST_STARTS = 3  # one after the other, when it runs over before it is counted
+FASTEST = 0.8  # of the nominal sample period, more than any oscillator is off
 MOST_COUNTS = 12  # after a gap, until the start of the FIFO is known to a third of a sample
 
 
@@ -68,6 +71,8 @@ class Fifo:
         reply = self._bus.read(reg.FIFO_COUNT_H, 2)
         count = int.from_bytes(reply.data)
         samples, part = divmod(min(count, self.chip.fifo_bytes), PACKET_BYTES)
+        if part or self._is_over(count):
+            self._count_again(count, now_ns)
         if self._is_over(count):
             self._overflow(now_ns, samples + (part > 0), count)  # of a broken packet the rest was overwritten
             return True
@@ -123,11 +128,28 @@ class Fifo:
             reply = self._bus.read(reg.FIFO_COUNT_H, 2)
             count = int.from_bytes(reply.data)
             overrun = self._is_over(count)
+            self._check_growth(0, count, reply.host_ns - stopped_ns)
             if not (overrun and onset.reads):
                 onset.observe(reply.host_ns, min(count, self.chip.fifo_bytes) // PACKET_BYTES)
             if overrun or onset.settled or not clock:
                 break
         return onset, overrun
+
+    def _count_again(self, count: int, before_ns: int) -> None:
+        """Is it true that it slipped or ran over? Then it says so twice. Raises OSError."""
+        reply = self._bus.read(reg.FIFO_COUNT_H, 2)
+        self._check_growth(count, int.from_bytes(reply.data), reply.host_ns - before_ns)
+
+    def _check_growth(self, before: int, count: int, elapsed_ns: int) -> None:
+        """A count cannot fall, nor grow faster than samples are made: such a one is garbage, and nothing is known.
+
+        Raises:
+            OSError: It is.
+        """
+        fastest_ns = FASTEST * self._config.sample_period_ns
+        most = before + PACKET_BYTES * (2 + int(elapsed_ns / fastest_ns))
+        if not before <= count <= min(most, self.chip.fifo_bytes):
+            raise OSError(errno.EBADMSG, f"FIFO counts {before} bytes, then {count}")
 
     def _is_over(self, count: int) -> bool:
         return count > self.chip.fifo_bytes - PACKET_BYTES

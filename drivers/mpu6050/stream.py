@@ -4,6 +4,7 @@ import numpy as np
 
 from drivers.mpu6050.sample_clock import SampleClock
 from drivers.records import Rows, SampleStatus
+from drivers.repeats import Repeats
 from drivers.reporter import Reporter
 
 
@@ -13,6 +14,7 @@ class SampleStream:
     Args:
         name: Channel.
         nominal_period_ns: Sample period as configured.
+        repeats: Watches for samples that repeat.
         report: Where rows and gaps go.
 
     Attributes:
@@ -22,10 +24,11 @@ class SampleStream:
         after_reset: The sampling began anew: the next row says so.
     """
 
-    def __init__(self, name: str, nominal_period_ns: int, report: Reporter) -> None:
+    def __init__(self, name: str, nominal_period_ns: int, repeats: Repeats, report: Reporter) -> None:
         self._name = name
         self._nominal_period_ns = nominal_period_ns
         self._report = report
+        self._repeats = repeats
         self.clock = SampleClock(nominal_period_ns)
         self.next = 0
         self.cause = ""
@@ -45,6 +48,7 @@ class SampleStream:
         if self.after_reset:
             rows["status"][0] |= SampleStatus.AFTER_RESET
             self.after_reset = False
+        self._repeats.watch(rows, host_ns)
         self.next += len(rows)
         self._report.rows(self._name, rows)
         return len(rows)

@@ -9,12 +9,15 @@ from drivers.errors import FrameError
 from drivers.nimu.packet import STANDARD_GRAVITY_M_S2, NimuConfig, Packets, PacketStream
 from drivers.nimu.timer import PacketTimer, Placed
 from drivers.records import IMU, SCALAR, Rows, SampleStatus, Severity
+from drivers.repeats import Repeats, longest_run
 from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
 
 _GYRO, _ACCEL, _MAGNETOMETER, _TEMPERATURE = slice(0, 3), slice(3, 6), slice(6, 9), 9
 _DEG = np.pi / 180.0
 _TESLA_PER_GAUSS = 1e-4
 SILENT_AT_STOP_NS = 100 * MS
+ACCEL_NOISE_G, GYRO_NOISE_DEG_S = 0.3e-3, 0.28  # rms: half of PSD-0822
+BANDWIDTH_HZ, HIGHEST_RATE_HZ = 50.0, 303.0  # PSD-0822; packets in a second at 115,200 baud
 
 
 class Nimu(SerialDevice):
@@ -23,7 +26,7 @@ class Nimu(SerialDevice):
     ``tick`` is the packet timer (2.1701 us, at the start of the X gyro's conversion), unwrapped; ``temperature_raw`` is
     that of the X gyro (degC = 1.8165e-2 raw + 25). ``filter_code`` and ``sync`` are 0: it has neither. ``status`` is
     SATURATED beyond the rated range, AFTER_RESET where the timer began anew or may have, NOT_VALID where it stands
-    still.
+    still or samples repeat to the bit.
 
     Args:
         name: Channel of the IMU rows, first part of the magnetometer's channels, source of events.
@@ -41,6 +44,8 @@ class Nimu(SerialDevice):
         self._named = 0  # packets of those named as lost already, in a stop
         self._last_ns = 0
         self._told_stuck = False
+        noise = [ACCEL_NOISE_G / self.config.accel_scale_g] * 3 + [GYRO_NOISE_DEG_S / self.config.gyro_scale_deg_s] * 3
+        self._repeats = Repeats(longest_run(noise, BANDWIDTH_HZ, HIGHEST_RATE_HZ), self._report)
         gyro_limit = self.config.gyro_range_deg_s / self.config.gyro_scale_deg_s
         accel_limit = self.config.accel_range_g / self.config.accel_scale_g
         self._limits = np.minimum(np.repeat([gyro_limit, accel_limit], 3), 32767.0)  # counts, as the words stand
@@ -101,6 +106,7 @@ class Nimu(SerialDevice):
         self._next = int(numbers[-1]) + 1
         self._last_ns = host_ns
         rows = self._imu_rows(host_ns, words, placed, numbers)
+        self._repeats.watch(rows, host_ns)
         self._report.rows(self.name, rows)
         for axis, channel in enumerate(self._magnetometer_channels()):
             self._report.rows(channel, self._magnetometer_rows(rows, words[:, _MAGNETOMETER][:, axis]))

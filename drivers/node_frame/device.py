@@ -21,7 +21,7 @@ from drivers.node_frame.frame import (
 )
 from drivers.records import SCALAR, SampleStatus, Severity
 from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
-from drivers.unwrap import steps
+from drivers.unwrap import unwrapped
 
 MOST_HELD = 4096  # data frames kept until the descriptor tells what they are
 LONGEST_FRAME_NS = 60e9  # between two frames of a node; what a clock gone wrong says beyond that is no interval
@@ -38,10 +38,16 @@ class _Known(NamedTuple):
     counters: NodeCounters
     prefix: bytes
     dtype: np.dtype[np.void]
+    units: list[bytes]  # of its channels
 
     def is_data(self, payload: bytes) -> bool:
         """Is it a data frame of this node and schema?"""
         return payload.startswith(self.prefix) and len(payload) == self.dtype.itemsize
+
+    def are_data(self, payloads: list[bytes]) -> bool:
+        """The same of all of them."""
+        prefix, size = self.prefix, self.dtype.itemsize
+        return all([payload.startswith(prefix) and len(payload) == size for payload in payloads])  # noqa: C419 - faster
 
 
 class NodeFrame(SerialDevice):
@@ -60,6 +66,7 @@ class NodeFrame(SerialDevice):
     def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: NodeFrameConfig) -> None:
         self.config = config
         super().__init__(name, open_port, clock, config.poll_period_ms, config.silence_ms)
+        self._names = [f"{name}_{channel}" for channel in config.channels]
         self._frames = FrameStream()
         self._known: _Known | None = None
         self._held: deque[tuple[int, bytes]] = deque()
@@ -76,11 +83,8 @@ class NodeFrame(SerialDevice):
     @property
     def channels(self) -> Channels:
         """See ``SerialDevice``."""
-        dtypes: dict[str, np.dtype[Any]] = dict.fromkeys(self._value_channels(), SCALAR)
+        dtypes: dict[str, np.dtype[Any]] = dict.fromkeys(self._names, SCALAR)
         return dtypes | {f"{self.name}_mark": MARK}
-
-    def _value_channels(self) -> list[str]:
-        return [f"{self.name}_{channel}" for channel in self.config.channels]
 
     def _opened(self, now_ns: int) -> None:
         self._frames.clear()
@@ -96,6 +100,11 @@ class NodeFrame(SerialDevice):
             if payloads is None:
                 break
             self._broken = False
+            known = self._known
+            if known is not None and known.are_data(payloads):
+                self._heard(now_ns)
+                self._data(chunk.host_ns, known, payloads)
+                continue
             for is_data, group in groupby(payloads, self._is_data):
                 if is_data and self._known is not None:
                     self._heard(now_ns)
@@ -164,7 +173,8 @@ class NodeFrame(SerialDevice):
         tick = told.tick - round((host_ns - first_ns) * 1e-9 * told.tick_hz)
         counters = NodeCounters(told.tick_hz, max(0, tick), first_ns, before)
         prefix = bytes([DATA, told.node]) + told.schema.to_bytes(2, "little")
-        self._known = known = _Known(told, counters, prefix, payload_dtype(told.channels))
+        units = [channel.unit.encode() for channel in told.channels]
+        self._known = known = _Known(told, counters, prefix, payload_dtype(told.channels), units)
         self._pulse = 0
         self._before_held = None
         self._after_reset |= rebooted
@@ -191,29 +201,43 @@ class NodeFrame(SerialDevice):
         rows = np.zeros(len(frames), SCALAR)
         rows["sequence"] = numbers
         rows["host_ns"] = host_ns
-        rows["tick"] = np.maximum(placed.ticks, 0)
-        rows["device_status"] = frames["status"]
-        reset = placed.rebooted | placed.jumped
-        reset[0] |= self._after_reset
-        reset[0] &= not first
-        rows["status"] = (
-            (frames["status"] & NODE_NOT_VALID != 0) * np.uint8(SampleStatus.NOT_VALID)
-            | (frames["status"] & NODE_SATURATED != 0) * np.uint8(SampleStatus.SATURATED)
-            | reset * np.uint8(SampleStatus.AFTER_RESET)
-        )
-        self._after_reset = False
-        self._tell(host_ns, placed)
-        for place, (name, channel) in enumerate(zip(self._value_channels(), known.descriptor.channels, strict=True)):
-            rows = rows.copy()
-            rows["value_raw"] = self._value(place, frames[f"value_{place}"], channel.wraps, reset)
+        rows["tick"] = placed.ticks if placed.whole else np.maximum(placed.ticks, 0)
+        reset = None
+        if self._after_reset or not placed.whole:
+            reset = placed.rebooted | placed.jumped
+            reset[0] |= self._after_reset
+            reset[0] &= not first
+            rows["status"] = reset * np.uint8(SampleStatus.AFTER_RESET)
+            self._after_reset = False
+            self._tell(host_ns, placed)
+        status = frames["status"]
+        if any(status.tolist()):
+            rows["device_status"] = status
+            rows["status"] |= (status & NODE_NOT_VALID != 0) * np.uint8(SampleStatus.NOT_VALID)
+            rows["status"] |= (status & NODE_SATURATED != 0) * np.uint8(SampleStatus.SATURATED)
+        for place, (name, channel) in enumerate(zip(self._names, known.descriptor.channels, strict=True)):
+            if place:
+                rows = rows.copy()
+            words = frames[f"value_{place}"]
+            rows["value_raw"] = self._unwrapped(place, words, reset) if channel.wraps else words
             rows["scale"] = channel.scale
-            rows["unit"] = channel.unit.encode()
+            rows["unit"] = known.units[place]
             self._report.rows(name, rows)
-        self._hand_over_marks(host_ns, frames, placed)
+        if frames["pulse"][-1] != self._pulse or not placed.whole:
+            self._hand_over_marks(host_ns, frames, placed)
         self._last_ns = host_ns
 
     def _number(self, host_ns: int, placed: Placed, tick_hz: int) -> NDArray[np.int64]:
         """Sequence numbers of the rows, after naming those lost before them."""
+        ticks = placed.ticks
+        if placed.whole:
+            first = self._next
+            self._next += len(ticks)
+            if len(ticks) > 1:
+                between_ns = (int(ticks[-1]) - int(ticks[0])) * 1e9 / tick_hz
+                self._frame_ns = min(between_ns / (len(ticks) - 1), LONGEST_FRAME_NS)
+            self._named = 0
+            return np.arange(first, self._next)
         lost = placed.lost
         if self._named:
             lost[0] = max(0, lost[0] - self._named)
@@ -226,7 +250,7 @@ class NodeFrame(SerialDevice):
         for place in np.flatnonzero(lost):
             count, last = int(lost[place]), int(numbers[place]) - 1
             cause = "node_reset" if placed.rebooted[place] else "frames_lost"
-            for channel in self._value_channels():
+            for channel in self._names:
                 duration_ns = min(round(count * self._frame_ns), LONGEST_GAP_NS)
                 self._report.gap(host_ns, channel, last - count + 1, last, duration_ns, cause)
         self._next = int(numbers[-1]) + 1
@@ -240,16 +264,11 @@ class NodeFrame(SerialDevice):
             text = "the node's clock jumped and the host's did not: check its crystal and timer code"
             self._report.event(host_ns, Severity.WARNING, "clock_jump", text)
 
-    def _value(
-        self, place: int, words: NDArray[np.integer], wraps: bool, reset: NDArray[np.bool_]
-    ) -> NDArray[np.int64]:
-        """Values of one channel, unwrapped where it is a counter; after a reset it counts from what it then holds."""
-        if not wraps:
-            return words.astype(np.int64)
+    def _unwrapped(self, place: int, words: NDArray[np.integer], reset: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+        """Values of a channel that is a counter; after a reset it counts from what it then holds."""
         word, value = self._values[place] or (int(words[0]), int(words[0]))
-        forward = steps(words, 8 * words.dtype.itemsize, word)
-        values = value + np.cumsum(forward)
-        for at in np.flatnonzero(reset):
+        values = unwrapped(words, 8 * words.dtype.itemsize, word, value)
+        for at in () if reset is None else np.flatnonzero(reset):
             values[at:] += int(words[at]) - values[at]
         self._values[place] = int(words[-1]), int(values[-1])
         return values
@@ -279,7 +298,7 @@ class NodeFrame(SerialDevice):
         silent_ns = now_ns - self._last_ns
         if silent_ns > max(SILENT_AT_STOP_NS, 3.0 * self._frame_ns):
             lost = round(silent_ns / self._frame_ns)
-            for channel in self._value_channels():
+            for channel in self._names:
                 self._report.gap(now_ns, channel, self._next, self._next + lost - 1, silent_ns, "silent")
             self._next += lost
             self._named += lost

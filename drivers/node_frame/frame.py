@@ -2,7 +2,6 @@
 
 import binascii
 import struct
-from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ CRC_SEED = 0xFFFF  # CRC-16/CCITT-FALSE, sent high byte first: over frame and CR
 LONGEST_FRAME = 2048  # encoded
 MOST_FRAMES = 4096  # in one take
 SHORTEST_PAYLOAD = 4
+FULL_BLOCK = 255  # shorter ones have no block without a zero at its end
 LATEST_TICK = 1 << 62
 
 HEADER = [
@@ -161,7 +161,7 @@ class FrameStream:
     """
 
     def __init__(self) -> None:
-        self._frames: deque[bytes] = deque()
+        self._frames: list[bytes] = []
         self._rest = b""
 
     def receive(self, data: bytes) -> None:
@@ -169,7 +169,7 @@ class FrameStream:
         *whole, rest = data.split(b"\0")
         if whole:
             whole[0] = self._rest + whole[0]
-            self._frames.extend(whole)
+            self._frames += filter(None, whole)  # of two delimiters in a row: a node may begin with one
             self._rest = rest
         else:
             self._rest += rest
@@ -186,26 +186,32 @@ class FrameStream:
             FrameError: There is no frame here. The bytes have been thrown away: ``take`` again.
         """
         payloads: list[bytes] = []
-        frames = self._frames
-        decode, crc_of = cobs.decode, binascii.crc_hqx
-        while frames and len(payloads) < MOST_FRAMES:
-            frame = frames[0]
-            if not frame:  # two delimiters in a row: a node may begin with one
-                frames.popleft()
-                continue
-            try:
-                payload = decode(frame)
-                good = not crc_of(payload, CRC_SEED) and len(payload) >= SHORTEST_PAYLOAD
-            except cobs.DecodeError:
-                good = False
-            if not good:
-                break
-            frames.popleft()
-            payloads.append(payload)
+        crc_of = binascii.crc_hqx
+        taken = 0
+        for frame in self._frames[:MOST_FRAMES]:
+            size = len(frame)
+            if SHORTEST_PAYLOAD < size < FULL_BLOCK:
+                plain = bytearray(frame)
+                at = 0
+                while at < size:  # each code says where the next zero was
+                    code = plain[at]
+                    plain[at] = 0
+                    at += code
+                del plain[0]
+                if at > size or crc_of(plain, CRC_SEED):
+                    break
+                payloads.append(bytes(plain))
+            else:
+                try:
+                    payloads.append(decode_frame(frame))
+                except FrameError:
+                    break
+            taken += 1
+        del self._frames[:taken]
         if payloads:
             return payloads
-        if frames:
-            return [decode_frame(frames.popleft())]
+        if self._frames:
+            return [decode_frame(self._frames.pop(0))]
         if len(self._rest) > LONGEST_FRAME:
             count, self._rest = len(self._rest), b""
             raise FrameError(f"{count} bytes without a delimiter: check baud rate and wiring")

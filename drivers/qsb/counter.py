@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.qsb.registers import LONGEST_TICK_NS, SHORTEST_TICK_NS
-from drivers.unwrap import steps
+from drivers.unwrap import steps, unwrapped
 
 TURN = 1 << 32
 BACKWARDS_TICKS = 2  # a line of another stream may be stamped a little earlier than the one before it
@@ -47,9 +47,13 @@ class TickCounter:
         if self._host_ns is None:
             self._tick = int(stamps[0])
             self._host_ns = host_ns
-        since = steps(stamps, 32, self._tick)
-        ticks = self._tick + np.cumsum(since)
+        ticks = unwrapped(stamps, 32, self._tick, self._tick)
         elapsed_ns = host_ns - self._host_ns
+        plain = [self._tick, *ticks.tolist()]
+        if plain == sorted(plain) and (plain[-1] - plain[0]) * SHORTEST_TICK_NS <= elapsed_ns + SLACK_NS:
+            self._tick, self._host_ns = plain[-1], host_ns
+            return Ticks(ticks, None)
+        since = steps(stamps, 32, self._tick)
         jump = None
         bad = since < -BACKWARDS_TICKS
         bad |= (ticks - self._tick) * SHORTEST_TICK_NS > elapsed_ns + SLACK_NS

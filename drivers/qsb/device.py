@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError, FrameError, NoAnswerError
 from drivers.marks import MARK
+from drivers.position import Position
 from drivers.qsb import registers as reg
-from drivers.qsb.counter import TickCounter
+from drivers.qsb.counter import TURN, TickCounter
 from drivers.qsb.edges import SyncEdges
 from drivers.qsb.line import GREETING, Lines, LineStream
 from drivers.qsb.registers import Command, QsbConfig, greeting_commands, setup_commands
 from drivers.records import SCALAR, SampleStatus, Severity
 from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
-from drivers.unwrap import steps
+from drivers.unwrap import unwrapped
 
 TRIES = 3
 OPTIONAL_REPLY_NS = 50 * MS
@@ -28,9 +29,9 @@ class Qsb(SerialDevice):
     """A QSB, as SCALAR rows on the channel of its name and MARK rows on ``NAME_mark``.
 
     ``tick`` is the adapter's timestamp, unwrapped; ``value_raw`` the count, unwrapped; ``scale`` rad. Lines lost are
-    counted by the timestamp. After a reset ``value_raw`` begins with what the counter then holds, and the row says
-    AFTER_RESET; samples lost to the reset are estimated from host time. A mark's ``value_raw`` is the count latched on
-    the edge.
+    counted by the timestamp. A line has no checksum: a count that no joint can have reached is NOT_VALID. After a reset
+    ``value_raw`` begins with what the counter then holds, and the row says AFTER_RESET; samples lost to the reset are
+    estimated from host time. A mark's ``value_raw`` is the count latched on the edge.
 
     Args:
         name: Channel, and source of its events.
@@ -42,6 +43,9 @@ class Qsb(SerialDevice):
     def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: QsbConfig | None = None) -> None:
         self.config = QsbConfig() if config is None else config
         super().__init__(name, open_port, clock, self.config.poll_period_ms, self.config.silence_ms)
+        self._scale = tau / self.config.counts_per_revolution
+        self._interval, self._jitter = self.config.interval_ticks, self.config.tick_jitter
+        self._position = Position(self.config.counts_per_revolution)
         self._lines = LineStream()
         self._ticks = TickCounter()
         self._edges = SyncEdges(self.config.sync_edge != "falling")
@@ -184,7 +188,8 @@ class Qsb(SerialDevice):
         return 0 if not self._todo else len(lines.kind)
 
     def _streamed(self, now_ns: int, host_ns: int, lines: Lines) -> None:
-        for place in np.flatnonzero((lines.kind == _REFUSED) | (lines.kind == _UNSUPPORTED)):
+        complaints = () if lines.positions else np.flatnonzero(np.isin(lines.kind, (_REFUSED, _UNSUPPORTED)))
+        for place in complaints:
             text = f"it complains about register {lines.register[place]:02X}, and nothing was asked of it"
             self._report.event(host_ns, Severity.WARNING, "complaint", text)
         if not lines.stamped:
@@ -193,6 +198,10 @@ class Qsb(SerialDevice):
         if placed.jump is not None:
             text = f"timestamp jumped to {lines.stamp[placed.jump]} and the host's clock did not: it began anew"
             self._report.event(host_ns, Severity.WARNING, "clock_jump", text)
+        if lines.positions:
+            self._heard(now_ns)
+            self._positions(host_ns, lines.data, placed.ticks, placed.jump)
+            return
         streamed = lines.kind == _STREAM
         at = np.flatnonzero(streamed & (lines.register == reg.ENCODER))
         if len(at):
@@ -208,36 +217,60 @@ class Qsb(SerialDevice):
         if self._last_ns is None or self._after_reset:
             self._count = int(counts[0])
             self._value = self._count - (self._count >> 31 << 32)
-        values = self._value + np.cumsum(steps(counts, 32, self._count))
+            self._position.at = self._value
+        values = unwrapped(counts, 32, self._count, self._value)
+        if not self._position.follow(values.tolist()):
+            placed = [self._position.place(count) for count in counts.tolist()]
+            values = np.array([value for value, _ in placed])
+            rows["status"] = [0 if is_believed else SampleStatus.NOT_VALID for _, is_believed in placed]
+        rows["sequence"] = numbers = self._numbers(host_ns, ticks, jump)
+        rows["host_ns"] = host_ns
+        rows["tick"] = ticks if ticks[0] >= 0 and jump is None else np.maximum(ticks, 0)
+        rows["value_raw"] = values
+        rows["scale"] = self._scale
+        rows["unit"] = b"rad"
+        if self._after_reset:
+            rows["status"][0] |= SampleStatus.AFTER_RESET
+        if jump is not None and jump < len(rows):
+            rows["status"][jump] |= SampleStatus.AFTER_RESET
+        self._report.rows(self.name, rows)
+        self._next = int(numbers[-1]) + 1
+        self._last_tick, self._last_ns = int(ticks[-1]), host_ns
+        self._value = self._value if self._position.at is None else self._position.at
+        self._count = self._value % TURN
+        self._after_reset = self._broken = False
+        self._cause = ""
+
+    def _numbers(self, host_ns: int, ticks: NDArray[np.int64], jump: int | None) -> NDArray[np.int64]:
+        """Sequence numbers of these lines, shape (n,), after naming those lost before them."""
+        numbers = np.arange(self._next, self._next + len(ticks))
+        if jump is None and not self._after_reset and self._last_ns is not None and self._is_dense(ticks.tolist()):
+            self._named = 0
+            return numbers
         lost = self._lost(host_ns, ticks, jump)
-        numbers = self._next + np.cumsum(lost) + np.arange(len(counts))
+        numbers += lost.cumsum()
         for place in np.flatnonzero(lost):
             count, last = int(lost[place]), int(numbers[place]) - 1
             duration_ns = round(count * self.config.interval_ns)
             cause = self._cause if place == 0 and self._cause else "lines_lost"
             self._report.gap(host_ns, self.name, last - count + 1, last, duration_ns, cause)
-        rows["sequence"] = numbers
-        rows["host_ns"] = host_ns
-        rows["tick"] = np.maximum(ticks, 0)
-        rows["value_raw"] = values
-        rows["scale"] = tau / self.config.counts_per_revolution
-        rows["unit"] = b"rad"
-        if self._after_reset:
-            rows["status"][0] = SampleStatus.AFTER_RESET
-        if jump is not None and jump < len(rows):
-            rows["status"][jump] = SampleStatus.AFTER_RESET
-        self._report.rows(self.name, rows)
-        self._next = int(numbers[-1]) + 1
-        self._last_tick, self._last_ns = int(ticks[-1]), host_ns
-        self._count, self._value = int(counts[-1]), int(values[-1])
-        self._after_reset = self._broken = False
-        self._cause = ""
+        return numbers
+
+    def _is_dense(self, ticks: list[int]) -> bool:
+        """Whether no line is missing before any of these; nearly always, so this is what is to be fast."""
+        longest = self._interval + self._jitter
+        before = self._last_tick
+        for tick in ticks:
+            if tick - before > longest:
+                return False
+            before = tick
+        return True
 
     def _lost(self, host_ns: int, ticks: NDArray[np.int64], jump: int | None) -> NDArray[np.int64]:
         """Lines missing before each of these, shape (n,), less those that a stop has named already."""
-        interval = self.config.interval_ticks
+        interval = self._interval
         since = ticks - np.concatenate(([self._last_tick], ticks[:-1]))
-        lost = np.where(since > interval + self.config.tick_jitter, np.rint(since / interval).astype(np.int64) - 1, 0)
+        lost = np.where(since > interval + self._jitter, np.rint(since / interval).astype(np.int64) - 1, 0)
         if jump is not None:
             lost[jump : jump + 1] = 0
         if self._last_ns is None:

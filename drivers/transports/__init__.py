@@ -11,6 +11,17 @@ from drivers.transports.url import parse
 
 Clock = Callable[[], int]
 
+I2C_URLS = {"i2c": ("path",), "i2c+unix": ("path", "timeout_s")}
+CAN_URLS = {
+    "can+socketcan": ("host", "bitrate", "receive_buffer"),
+    "can+virtual": ("host", "timestamps"),
+    "can+slcan": ("path", "bitrate", "baud"),
+    "can+python": ("path", "bitrate"),
+}
+PULSE_URLS = {"gpio": ("path", "line"), "pps": ("path",), "gpio+unix": ("path",)}
+PULSE_OUTPUT_URLS = {"gpio-out": ("path", "line"), "gpio-out+unix": ("path",)}
+SERIAL_URLS = {"serial": ("path", "baud", "parity", "stop_bits", "timeout_s")}
+
 
 def open_i2c(url: str, clock: Clock) -> I2cPort:
     """Open an I2C bus.
@@ -23,7 +34,7 @@ def open_i2c(url: str, clock: Clock) -> I2cPort:
         UrlError: The URL is not one of these.
         OSError: The node or socket cannot be opened.
     """
-    bus = parse(url, {"i2c": ("path",), "i2c+unix": ("path", "timeout_s")})
+    bus = parse(url, I2C_URLS)
     if bus.kind == "i2c":
         from drivers.transports.i2c import SmbusPort  # noqa: PLC0415 - smbus2 only where it is used
 
@@ -48,15 +59,7 @@ def open_can(url: str, clock: Clock) -> CanPort:
         UrlError: The URL is not one of these.
         OSError: The interface or tty cannot be opened.
     """
-    bus = parse(
-        url,
-        {
-            "can+socketcan": ("host", "bitrate", "receive_buffer"),
-            "can+virtual": ("host", "timestamps"),
-            "can+slcan": ("path", "bitrate", "baud"),
-            "can+python": ("path", "bitrate"),
-        },
-    )
+    bus = parse(url, CAN_URLS)
     if bus.kind == "can+socketcan":
         from drivers.transports.can_socket import SocketcanPort  # noqa: PLC0415
 
@@ -84,7 +87,7 @@ def open_pulse(url: str, clock: Clock) -> PulsePort:
         UrlError: The URL is not one of these.
         OSError: The line or socket cannot be had.
     """
-    bus = parse(url, {"gpio": ("path", "line"), "pps": ("path",), "gpio+unix": ("path",)})
+    bus = parse(url, PULSE_URLS)
     if bus.kind == "gpio":
         from drivers.transports.gpio import GpiodPort  # noqa: PLC0415
 
@@ -102,14 +105,19 @@ def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
     """Open the line that drives the sync line.
 
     Args:
-        url: ``gpio-out:///dev/gpiochip0?line=27``.
+        url: ``gpio-out:///dev/gpiochip0?line=27``, or ``gpio-out+unix:///path.sock`` (rising edges as datagrams
+            ``<qI``: edge ns, line sequence; to a socket that is bound there).
         clock: CLOCK_MONOTONIC, ns.
 
     Raises:
-        UrlError: The URL is not of this form.
+        UrlError: The URL is not one of these.
         OSError: The line cannot be had.
     """
-    bus = parse(url, {"gpio-out": ("path", "line")})
+    bus = parse(url, PULSE_OUTPUT_URLS)
+    if bus.kind == "gpio-out+unix":
+        from drivers.transports.gpio_out_unix import UnixPulseOutput  # noqa: PLC0415
+
+        return UnixPulseOutput(bus.path, clock)
     line = bus.integer("line")
     from drivers.transports.gpio_out import GpiodOutput  # noqa: PLC0415
 
@@ -127,7 +135,7 @@ def open_serial(url: str) -> SerialPort:
         UrlError: The URL is not of this form.
         OSError: The port cannot be opened (``serial.SerialException`` is one).
     """
-    bus = parse(url, {"serial": ("path", "baud", "parity", "stop_bits", "timeout_s")})
+    bus = parse(url, SERIAL_URLS)
     from drivers.transports.serial_port import open_port  # noqa: PLC0415
 
     return open_port(bus)

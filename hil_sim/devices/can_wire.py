@@ -4,14 +4,14 @@ Frame lengths are exact: the CRC is computed and stuff bits are counted (ISO 118
 ends depends on its content, as on a real bus. A frame is received at the end of its end-of-frame field; three bits of
 intermission follow. Talkers never lose arbitration bit by bit: whoever is ready when the bus falls idle takes part.
 Frames of a node queue, but for the identifiers that it has a single buffer for: there a frame that still waits is
-overwritten by the next. Error frames and retransmission are not modelled, nor remote frames and
-29-bit identifiers.
+overwritten by the next. The flight computer may send remote frames; those nodes get them that answer any. Error
+frames and retransmission are not modelled, nor 29-bit identifiers.
 """
 
 import heapq
 from collections import Counter
 from collections.abc import Callable
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from hil_sim.faults import NEVER
 
@@ -59,10 +59,17 @@ def crc15(bits: int, n_bytes: int) -> int:
     return crc
 
 
-def frame_bits(identifier: int, data: bytes) -> int:
-    """Length of a data frame with an 11-bit identifier, start-of-frame to end-of-frame, stuff bits included."""
+def frame_bits(identifier: int, data: bytes, asked: int | None = None) -> int:
+    """Length of a frame with an 11-bit identifier, start-of-frame to end-of-frame, stuff bits included.
+
+    Args:
+        identifier: Its.
+        data: Its; none in a remote frame.
+        asked: How many bytes a remote frame asks for; None: a data frame.
+    """
     n = len(data)
-    head = identifier << 7 | n  # SOF, 11 identifier bits, RTR, IDE, r0, 4 bits DLC: 19 bits
+    control = n if asked is None else 1 << 6 | asked  # RTR, IDE, r0, 4 bits DLC
+    head = identifier << 7 | control  # with SOF and 11 identifier bits: 19 bits
     body = head << 8 * n | int.from_bytes(data, "big")
     stuffed_bits = 34 + 8 * n
     stream = body << 15 | crc15(body, n + 3)
@@ -106,11 +113,20 @@ class CanTalker(Protocol):
         """A frame of another node has ended."""
 
 
+@runtime_checkable
+class AnswersRemoteFrames(Protocol):
+    """A node that does something about remote frames."""
+
+    def remote(self, identifier: int, now_ns: int) -> None:
+        """A remote frame has ended."""
+
+
 class _Waiting(NamedTuple):
     identifier: int
     order: int
     data: bytes
     sender: int
+    asked: int | None = None  # bytes that a remote frame asks for
 
 
 _HOST: Final = -1
@@ -160,6 +176,10 @@ class CanWire:
         """Offer a frame of the flight computer to the bus."""
         self._offer(identifier, data, ready_ns, _HOST)
 
+    def request(self, identifier: int, size: int, ready_ns: int) -> None:
+        """Offer a remote frame of the flight computer, that asks for ``size`` bytes."""
+        self._offer(identifier, b"", ready_ns, _HOST, size)
+
     def advance(self, now_ns: int) -> list[WireFrame]:
         """Let everything happen that is due at ``now_ns``; returns what the flight computer's controller received."""
         while True:
@@ -178,9 +198,9 @@ class CanWire:
         received, self._received = self._received, []
         return received
 
-    def _offer(self, identifier: int, data: bytes, ready_ns: int, sender: int) -> None:
+    def _offer(self, identifier: int, data: bytes, ready_ns: int, sender: int, asked: int | None = None) -> None:
         self._order += 1
-        heapq.heappush(self._later, (ready_ns, _Waiting(identifier, self._order, data, sender)))
+        heapq.heappush(self._later, (ready_ns, _Waiting(identifier, self._order, data, sender, asked)))
 
     def _wire_due_ns(self) -> int:
         if self._on_wire is not None:
@@ -193,7 +213,7 @@ class CanWire:
         while self._later and self._later[0][0] <= start_ns:
             self._contend(heapq.heappop(self._later)[1])
         frame = heapq.heappop(self._ready)
-        end_ns = start_ns + round(frame_bits(frame.identifier, frame.data) * self._bit_ns)
+        end_ns = start_ns + round(frame_bits(frame.identifier, frame.data, frame.asked) * self._bit_ns)
         self._on_wire = (end_ns, frame)
         self._idle_ns = end_ns + round(_INTERMISSION_BITS * self._bit_ns)
 
@@ -212,7 +232,10 @@ class CanWire:
         end_ns, frame = self._on_wire
         self._on_wire = None
         for index, node in enumerate(self._nodes):
-            if index != frame.sender:
+            if frame.asked is not None:
+                if isinstance(node, AnswersRemoteFrames):
+                    node.remote(frame.identifier, end_ns)
+            elif index != frame.sender:
                 node.receive(frame.identifier, frame.data, end_ns)
         if frame.sender != _HOST:
             self._received.append(WireFrame(end_ns, frame.identifier, frame.data))

@@ -4,7 +4,9 @@ Subclasses fill the object dictionary. What a client may count on: boot-up 50 ms
 each node number; 5 ms after an NMT reset; timers that run slow by 50 ppm for each node number; an SDO answer 0.5 ms
 after its request; a TPDO offered to the bus 40 us after the SYNC that it answers, its objects sampled at the end of the
 SYNC frame. SDO transfers are expedited; a segmented one is aborted with 05040001h. A SYNC is taken with or without
-counter.
+counter. A node is watched by its heartbeat or, where it was made without one, by node guarding (7.2.8.3.2.1): it
+answers remote frames with its state and a bit that toggles, and when none came for guard time x life time factor it
+reports 8130h and leaves Operational, the default of 1029h.
 """
 
 from collections import Counter, deque
@@ -12,6 +14,7 @@ from collections.abc import Callable
 
 from hil_sim.devices.can_wire import Transmit
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, ObjectDictionary, SdoAbortError
+from hil_sim.devices.sdo_server import serve
 from hil_sim.devices.tpdo import Tpdo
 from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
 
@@ -20,6 +23,8 @@ _BOOT_STAGGER_NS = 1_100_000
 _RESET_NS = 5_000_000
 _SDO_NS = 500_000
 _PDO_NS = 40_000
+_TOGGLE = 0x80
+_LIFE_GUARD_ERROR, _COMMUNICATION_ERROR = 0x8130, 0x10
 _FIRST_COMMUNICATION, _LAST_COMMUNICATION = 0x1000, 0x1FFF
 
 # NMT states, as the heartbeat reports them.
@@ -72,6 +77,9 @@ class CanopenNode:
         self._start_ns = start_ns
         self._transmit: Transmit | None = None
         self._tpdos: list[Tpdo] = []
+        self._guard: tuple[Entry, Entry] | None = None  # guard time in ms, life time factor
+        self._toggle = 0
+        self._abandoned = False  # by who guarded it
         self._timers: dict[str, tuple[int, Callable[[int], None]]] = {}
         self._due_ns = NEVER
         self._supply = deque(
@@ -85,6 +93,13 @@ class CanopenNode:
             if back_ns != NEVER:
                 self._at(f"recovery {away_ns}", back_ns, self._recovered_bus)
         self._add_communication_objects(device_type)
+
+    def guard_for_heartbeat(self) -> None:
+        """Make it a node without heartbeat, that can be guarded."""
+        self.dictionary.remove(0x1017, 0)
+        time_ms = self.dictionary.add(0x100C, 0, Entry(DataType.U16, Access.RW))
+        factor = self.dictionary.add(0x100D, 0, Entry(DataType.U8, Access.RW))
+        self._guard = time_ms, factor
 
     @property
     def due_ns(self) -> int:
@@ -115,6 +130,22 @@ class CanopenNode:
                 self._on_sdo(data, now_ns)
         elif identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node_id):
             self._on_nmt(data[0], now_ns)
+
+    def remote(self, identifier: int, now_ns: int) -> None:
+        """A remote frame has ended."""
+        if self._guard is None or identifier != 0x700 + self.node_id:
+            return
+        if self.state in (OFF, BOOTING) or self._is_silent(now_ns):
+            return
+        self._send(identifier, bytes([self._toggle | self.state]), now_ns + _PDO_NS)
+        self._toggle ^= _TOGGLE
+        if self._abandoned:
+            self._abandoned = False
+            self.emergency(0, 0, b"", now_ns)
+        time_ms, factor = self._guard
+        life_ms = time_ms.value * factor.value
+        if life_ms:
+            self._at("life", now_ns + self._timer_ns(life_ms), self._abandon)
 
     def emergency(self, code: int, register: int, vendor: bytes, now_ns: int) -> None:
         """Report an error (code 0: no error any more) by an EMCY message, and keep it in 1001h and 1003h.
@@ -194,6 +225,7 @@ class CanopenNode:
     def _boot(self, ready_ns: int) -> None:
         self._stop_communication()
         self.state = BOOTING
+        self._toggle, self._abandoned = 0, False
         self._at("boot", ready_ns, self._boot_up)
 
     def _boot_up(self, now_ns: int) -> None:
@@ -202,7 +234,7 @@ class CanopenNode:
         self._arm_heartbeat(self._heartbeat_ms.value, now_ns)
 
     def _stop_communication(self) -> None:
-        names = {"boot", "heartbeat"}
+        names = {"boot", "heartbeat", "life"}
         names.update(f"{kind} {tpdo.number}" for kind in ("event", "inhibit") for tpdo in self._tpdos)
         for name in names:
             self._stop(name)
@@ -264,29 +296,12 @@ class CanopenNode:
         self._event(tpdo, now_ns)
         self._arm_event_timer(tpdo, now_ns)
 
-    # SDO server
-
     def _on_sdo(self, request: bytes, now_ns: int) -> None:
-        command, index, sub = request[0], int.from_bytes(request[1:3], "little"), request[3]
-        specifier = command >> 5
-        if specifier == 4:  # the client aborts; an expedited transfer is over already
-            return
-        head = request[1:4]
-        try:
-            if specifier == 2:
-                value = self.dictionary.upload(index, sub, now_ns)
-                self.uploads[index, sub] += 1
-                answer = bytes([0x43 | (4 - len(value)) << 2]) + head + value.ljust(4, b"\0")
-            elif specifier == 1 and command & 0x02:
-                sized = bool(command & 0x01)
-                length = 4 - (command >> 2 & 3) if sized else 4
-                self.dictionary.download(index, sub, request[4 : 4 + length], sized=sized, now_ns=now_ns)
-                answer = b"\x60" + head + bytes(4)
-            else:
-                raise SdoAbortError(Abort.COMMAND)
-        except SdoAbortError as abort:
-            answer = b"\x80" + head + abort.code.to_bytes(4, "little")
-        self._send(0x580 + self.node_id, answer, now_ns + _SDO_NS)
+        answer, read = serve(self.dictionary, request, now_ns)
+        if read is not None:
+            self.uploads[read] += 1
+        if answer is not None:
+            self._send(0x580 + self.node_id, answer, now_ns + _SDO_NS)
 
     # Heartbeat and wire
 
@@ -294,6 +309,12 @@ class CanopenNode:
         self._stop("heartbeat")
         if period_ms:
             self._at("heartbeat", now_ns + self._timer_ns(period_ms), self._beat)
+
+    def _abandon(self, now_ns: int) -> None:
+        self._abandoned = True
+        self.emergency(_LIFE_GUARD_ERROR, _COMMUNICATION_ERROR, b"", now_ns)
+        if self.state == OPERATIONAL:
+            self._leave_operational(PRE_OPERATIONAL)
 
     def _beat(self, now_ns: int) -> None:
         self._send(0x700 + self.node_id, bytes([self.state]), now_ns)

@@ -27,7 +27,7 @@ from typing import Final
 from hil_sim.analog import ScalarAnalog
 from hil_sim.devices.canopen_node import OFF, OPERATIONAL, CanopenNode
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 
 # States by their bits in the statusword: 6, 5, 3, 2, 1, 0 (bit 4, voltage, and the others are added to them).
 SWITCH_ON_DISABLED = 0x40
@@ -85,10 +85,11 @@ class Drive402(CanopenNode):
         trips: Sequence[tuple[float, int]] = (),
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(node_id, 0x0002_0192, start_ns, faults, (FaultKind.STUCK, FaultKind.SATURATED))
-        angle_faults = [window for window in faults.windows if window.kind is not FaultKind.SATURATED]
-        self._angle = FaultyScalar(angle, DeviceFaults(faults.device, angle_faults), start_ns)
-        self._healthy_angle = angle
+        super().__init__(node_id, 0x0002_0192, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS))
+        here = [window for window in faults.windows if window.kind is not FaultKind.SATURATED]
+        before = [window for window in here if window.kind is not FaultKind.STUCK]
+        self._angle = FaultyScalar(angle, DeviceFaults(faults.device, here), start_ns)
+        self._angle_before = FaultyScalar(angle, DeviceFaults(faults.device, before), start_ns)
         self._torque = FaultyScalar(torque, faults, start_ns)
         self._increments_per_rad = increments_per_revolution / math.tau
         self._zero_increments = zero_increments
@@ -158,7 +159,7 @@ class Drive402(CanopenNode):
         before_ns = max(now_ns - self._window_ns, self._start_ns)
         if before_ns == now_ns or self._faults.active(FaultKind.STUCK, now_ns) is not None:
             return 0
-        before = round(self._healthy_angle.value(self._seconds(before_ns)) * self._increments_per_rad)
+        before = round(self._angle_before.value(self._seconds(before_ns)) * self._increments_per_rad)
         return round((self._increments(now_ns) - before) * 1e9 / (now_ns - before_ns))
 
     def torque(self, now_ns: int) -> int:

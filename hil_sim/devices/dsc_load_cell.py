@@ -23,9 +23,9 @@ import numpy as np
 
 from hil_sim.analog import ChipClock, ScalarAnalog
 from hil_sim.devices.sampled_scalar import SampledScalar
-from hil_sim.devices.serial_twin import SerialTwin
+from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
 
 _BAUD_RATES: Final = (2400, 4800, 9600, 19200, 38400, 57600, 76800, 115_200)
 _RATES_HZ: Final = (1, 2, 5, 10, 20, 50, 60, 100, 200, 500)
@@ -89,7 +89,7 @@ class DscLoadCell(SerialTwin):
                 raise ValueError(f"{name} = {value} is not within {_LIMITS[name]}.")
         if not 0 <= delay_ns[0] <= delay_ns[1] <= _LONGEST_DELAY_NS:
             raise ValueError(f"Delays of {delay_ns} ns: the manual promises an answer within 50 ms.")
-        super().__init__(LineFormat(_BAUD_RATES[baud_code]), start_ns, faults, (FaultKind.STUCK, FaultKind.SATURATED))
+        super().__init__(LineFormat(_BAUD_RATES[baud_code]), start_ns, faults, POLLED_KINDS)
         self.produced = 0  # SOUT and SYS answered
         self._cell = SampledScalar(FaultyScalar(analog, faults, start_ns), clock, start_ns, _RATES_HZ[rate_code])
         self._capacity_n = capacity_n
@@ -165,7 +165,7 @@ class DscLoadCell(SerialTwin):
 
     def _answer(self, text: str, now_ns: int) -> None:
         delay_ns = int(self._rng.integers(self._delay_ns[0], self._delay_ns[1], endpoint=True))
-        self._send(text.encode("ascii") + b"\r", now_ns + delay_ns)
+        self._send(text.encode("ascii") + b"\r", self._late(now_ns + delay_ns))
 
     def _read(self, name: str) -> str:
         system_n = self._force_n - self._settings["SZ"]

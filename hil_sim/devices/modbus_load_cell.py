@@ -37,9 +37,9 @@ from typing import Final
 
 from hil_sim.analog import ChipClock, ScalarAnalog
 from hil_sim.devices.sampled_scalar import SampledScalar
-from hil_sim.devices.serial_twin import SerialTwin
+from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
 
 DIVISIONS: Final = (
     *(100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1),
@@ -120,7 +120,7 @@ class ModbusLoadCell(SerialTwin):
         reply_ns: int = 500_000,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(line, start_ns, faults, (FaultKind.STUCK, FaultKind.SATURATED))
+        super().__init__(line, start_ns, faults, POLLED_KINDS)
         if not 1 <= station <= 247:
             raise ValueError(f"Modbus address {station} is not 1 to 247.")
         self.produced = 0  # weights read
@@ -204,7 +204,7 @@ class ModbusLoadCell(SerialTwin):
             answer = bytes([refusal.code])
         if frame[0]:
             reply = bytes([self._station, function]) + answer
-            self._send(reply + crc16(reply), now_ns + self._reply_ns)
+            self._send(reply + crc16(reply), self._late(now_ns + self._reply_ns))
 
     def _obey(self, function: int, body: bytes) -> bytes:
         if function not in (_READ, _WRITE):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from hil_sim.analog import ChipClock, ImuAnalog
 from hil_sim.devices import mpu6050_map as reg
+from hil_sim.devices.mpu6050_fifo import Fifo
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
 
 _RESET_NS = 1_000_000
@@ -93,17 +94,19 @@ class Mpu6050:
         self._off_until_ns = 0
         self._now_ns = self._settled_ns = start_ns
         self._pulses: list[tuple[float, float]] = []  # mission times of rise and fall
-        self._produced = [0]
-        self._between = 0  # sample periods between two times in which the FIFO was filled
-        self._filled_s: float | None = None  # mission time of the last sample in it
-        self._filled_period_ns, self._filled_period_s = 0, 1.0  # sample period then: its own clock's, and true
+        self._fifo = Fifo()
+        self._made = 0  # samples
+        self._grid = 0  # counts the restarts of the sample grid
+        self._shown = 0  # samples from the first to the last read out of the data registers as new
+        self._last_shown: tuple[int, int, float] | None = None  # its grid, its number, its mission time
+        self._true_period = (0, 1.0)  # a sample period of its own clock, ns, and how long it is, s
         self._power_up(start_ns)
 
     @property
     def produced(self) -> int:
         """Samples written to the FIFO since it was last enabled."""
         self._settle(self._now_ns)
-        return self._produced[-1]
+        return self._fifo.produced[-1]
 
     @property
     def sampled(self) -> int:
@@ -113,13 +116,18 @@ class Mpu6050:
         made at the rate at which the FIFO was filled before.
         """
         self._settle(self._now_ns)
-        return sum(self._produced) + self._between
+        return sum(self._fifo.produced) + self._fifo.between
+
+    @property
+    def shown(self) -> int:
+        """Samples from the first to the last read as new: INT_STATUS, which says so, and the words in one transfer."""
+        return self._shown
 
     @property
     def produced_by_enable(self) -> tuple[int, ...]:
         """Samples written to the FIFO in each of the periods in which it was enabled, the current one last."""
         self._settle(self._now_ns)
-        return tuple(self._produced[1:])
+        return tuple(self._fifo.produced[1:])
 
     @property
     def fifo_fill(self) -> int:
@@ -197,6 +205,9 @@ class Mpu6050:
             return b""
         if self._pointer == reg.FIFO_R_W:
             return self._pop(read_count)
+        is_whole = self._pointer == reg.INT_STATUS and read_count > reg.GYRO_ZOUT_L - reg.INT_STATUS
+        if is_whole and self._reg[reg.INT_STATUS] & reg.INT_DATA_RDY:
+            self._show()
         answer = bytearray()
         for _ in range(read_count):
             answer.append(self._read(now_ns))
@@ -204,6 +215,23 @@ class Mpu6050:
         if self._reg[reg.INT_PIN_CFG] & 0x10:
             self._reg[reg.INT_STATUS] = 0
         return bytes(answer)
+
+    def _show(self) -> None:
+        """The newest sample is read; those since the last one count as of the rate that the chip now has."""
+        if self._last_shown is None:
+            self._shown = 1
+        elif self._last_shown[0] == self._grid:
+            self._shown += self._made - self._last_shown[1]
+        else:
+            self._shown += max(round((self._last_s - self._last_shown[2]) / self._period_s()), 1)
+        self._last_shown = self._grid, self._made, self._last_s
+
+    def _period_s(self) -> float:
+        """A sample period in true time."""
+        if self._true_period[0] != self._period_ns:
+            shown_ns = self._healthy.chip_ns(self._start_ns + _SECOND_NS) - self._healthy.chip_ns(self._start_ns)
+            self._true_period = self._period_ns, self._period_ns / shown_ns
+        return self._true_period[1]
 
     def _step_pointer(self) -> None:
         if self._pointer != reg.FIFO_R_W:
@@ -214,9 +242,7 @@ class Mpu6050:
         for address, value in reg.RESET_VALUES.items():
             self._reg[address] = value
         self._reg[reg.SELF_TEST_X : reg.SELF_TEST_A + 1] = self._trim.registers()
-        self._fifo = bytearray()
-        self._fifo_last = 0
-        self._count_latch = 0
+        self._fifo.power_up()
         self._pointer = 0
         self._busy_until_ns = 0
         self._last = np.zeros(7, np.int16)
@@ -227,6 +253,7 @@ class Mpu6050:
 
     def _restart_grid(self, now_ns: int) -> None:
         """Take rate and oscillator from the registers; the next sample falls on the next tick of the internal rate."""
+        self._grid += 1
         power = self._reg[reg.PWR_MGMT_1]
         clksel = power & 0x07
         self._running = not power & 0x40 and clksel <= 3
@@ -250,6 +277,7 @@ class Mpu6050:
         n = (chip_ns - self._next_chip_ns) // self._period_ns + 1
         ticks_ns = self._next_chip_ns + self._period_ns * np.arange(n, dtype=np.float64)  # (n,)
         self._next_chip_ns += n * self._period_ns
+        self._made += int(n)
         latest_s = (until_ns - self._start_ns) * 1e-9
         times_s = np.minimum(self._clock.times_s(ticks_ns), latest_s)  # (n,)
         counts = self._convert(ticks_ns, times_s, latest_s)  # (n, 7)
@@ -326,32 +354,12 @@ class Mpu6050:
         columns = [0, 1, 2] if enabled & 0x08 else []
         columns += [3] if enabled & 0x80 else []
         columns += [4 + axis for axis in range(3) if enabled & 0x40 >> axis]
-        self._fifo += counts[:, columns].astype(">i2").tobytes()
-        if self._filled_s is not None and not self._produced[-1]:
-            self._between += max(round((float(times_s[0]) - self._filled_s) / self._filled_period_s) - 1, 0)
-        self._produced[-1] += len(counts)
-        if self._filled_period_ns != self._period_ns:
-            shown_ns = self._healthy.chip_ns(self._start_ns + _SECOND_NS) - self._healthy.chip_ns(self._start_ns)
-            self._filled_period_ns = self._period_ns
-            self._filled_period_s = self._period_ns / shown_ns
-        self._filled_s = float(times_s[-1])
-        self._trim_fifo()
-
-    def _trim_fifo(self) -> None:
-        excess = len(self._fifo) - reg.FIFO_SIZE
-        if excess > 0:
-            del self._fifo[:excess]
+        data, times = counts[:, columns].astype(">i2").tobytes(), (float(times_s[0]), float(times_s[-1]))
+        if self._fifo.fill(data, len(counts), *times, self._period_s()):
             self._reg[reg.INT_STATUS] |= reg.INT_FIFO_OFLOW
 
     def _pop(self, count: int) -> bytes:
-        """Bytes from the FIFO; when it is empty or disabled, the last byte read, again and again (RM 4.33)."""
-        taken = b""
-        if self._reg[reg.USER_CTRL] & 0x40:
-            taken = bytes(self._fifo[:count])
-            del self._fifo[:count]
-        if taken:
-            self._fifo_last = taken[-1]
-        return taken + bytes([self._fifo_last]) * (count - len(taken))
+        return self._fifo.pop(count, bool(self._reg[reg.USER_CTRL] & 0x40))
 
     # Registers
 
@@ -360,10 +368,9 @@ class Mpu6050:
         if address == reg.FIFO_R_W:
             return self._pop(1)[0]
         if address == reg.FIFO_COUNT_H:
-            self._count_latch = len(self._fifo)
-            return self._count_latch >> 8
+            return self._fifo.count_high()
         if address == reg.FIFO_COUNT_L:
-            return self._count_latch & 0xFF
+            return self._fifo.count_low()
         value = self._reg[address]
         if address in (reg.INT_STATUS, reg.I2C_MST_STATUS):
             self._reg[address] = 0
@@ -388,9 +395,8 @@ class Mpu6050:
         elif address == reg.USER_CTRL:
             self._write_user_ctrl(value)
         elif address == reg.FIFO_R_W:
-            if self._reg[reg.USER_CTRL] & 0x40:
-                self._fifo.append(value)
-                self._trim_fifo()
+            if self._reg[reg.USER_CTRL] & 0x40 and self._fifo.write(bytes([value])):
+                self._reg[reg.INT_STATUS] |= reg.INT_FIFO_OFLOW
         elif address in (reg.SMPLRT_DIV, reg.CONFIG, reg.PWR_MGMT_2):
             self._set_and_regrid(address, value, now_ns)
         elif address in reg.WRITABLE:
@@ -408,5 +414,5 @@ class Mpu6050:
         if value & 0x01:  # SIG_COND_RESET clears the sensor registers
             self._reg[reg.ACCEL_XOUT_H : reg.GYRO_ZOUT_L + 1] = bytes(14)
         if value & 0x40 and not was_enabled:
-            self._produced.append(0)
+            self._fifo.enable()
         self._reg[reg.USER_CTRL] = value & ~0x07

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from hil_sim.analog import ChipClock, ImuAnalog
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyImu
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyImu
 
 _SIZE: Final = 38
 _GYRO_DPS: Final = 1.3733e-2  # a count, +-300 deg/s model
@@ -120,7 +120,7 @@ class Nimu(SerialTwin):
         latency_ns: int = 1_000_000,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(line, start_ns, faults, (FaultKind.STUCK, FaultKind.SATURATED))
+        super().__init__(line, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS, *CLOCK_KINDS))
         if _SIZE * line.character_ns * rate_hz > 1e9:
             raise ValueError(
                 f"{rate_hz:g} packets of {_SIZE} bytes a second do not fit into {line.baud_rate} baud; "
@@ -128,7 +128,7 @@ class Nimu(SerialTwin):
             )
         self.produced = 0
         self._analog = FaultyImu(analog, faults, start_ns)
-        self._clock = clock
+        self._clock: ChipClock = FaultyClock(clock, faults)
         self._period_ns = 1e9 / rate_hz
         self._first_summed = _FIRST_SUMMED[Checksum(checksum)]
         self._field: FieldAnalog = magnetometer or _QuietField()
@@ -160,7 +160,9 @@ class Nimu(SerialTwin):
         latest_s = self._seconds(until_ns)
         times_s = np.minimum(self._clock.times_s(self._powered_chip_ns + own_ns), latest_s)  # (n,)
         self._next += n
-        self.produced += n
+        shown = np.append(np.diff(times_s) > 0.0, True)  # the unit has no samples of times that it never showed
+        own_ns, times_s = own_ns[shown], times_s[shown]
+        self.produced += len(own_ns)
         for packet, time_s in zip(self._packets(own_ns, times_s), times_s, strict=True):
             self._send(packet, self._start_ns + round(float(time_s) * 1e9) + self._latency_ns)
         self._arm(until_ns)

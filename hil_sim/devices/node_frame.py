@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from hil_sim.analog import ChipClock, ScalarAnalog
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 
 _DATA, _DESCRIPTOR = 0x10, 0x11
 _SATURATED: Final = 0x02  # status
@@ -106,7 +106,7 @@ class FrameNode(SerialTwin):
         queue_bytes: Room in its UART's queue.
         boot_ns: From power-up to the descriptor.
         counts_boots: Whether the descriptor's ``boot`` counts starts from 1; 0 otherwise.
-        faults: What breaks; ``stuck`` and ``saturated`` hit all channels.
+        faults: What breaks; those of its inputs hit all channels.
 
     Raises:
         FaultError: a fault that the node cannot have.
@@ -130,7 +130,7 @@ class FrameNode(SerialTwin):
         counts_boots: bool = True,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        kinds = (FaultKind.STUCK, FaultKind.SATURATED, FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS)
+        kinds = (FaultKind.SATURATED, FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS, *INPUT_KINDS, *CLOCK_KINDS)
         super().__init__(line, start_ns, faults, kinds)
         self.produced = 0  # samples, sent or not
         self.overrun = 0  # samples that were not sent
@@ -139,7 +139,7 @@ class FrameNode(SerialTwin):
         self._inputs = [FaultyScalar(channel.analog, faults, start_ns) for channel in channels]
         self._description = _describe(tick_hz, self._channels)
         self._schema = crc16(self._description)
-        self._clock = clock
+        self._clock: ChipClock = FaultyClock(clock, faults)
         self._node = node
         self._period_ns = 1e9 / rate_hz
         self._tick_hz = tick_hz
@@ -233,7 +233,8 @@ class FrameNode(SerialTwin):
         self._sequence += 1
         if not self._queue(frame(head + values), now_ns + _CONVERSION_NS):
             self.overrun += 1
-        self._taken += 1
+        own_ns = self._clock.chip_ns(now_ns) - self._started_chip_ns
+        self._taken = max(self._taken + 1, int(own_ns // self._period_ns))  # none of times that it never showed
         self._arm_sample(now_ns)
 
     def _send_descriptor(self, now_ns: int) -> None:

@@ -103,6 +103,11 @@ class ObjectDictionary:
         self._indices.add(index)
         return entry
 
+    def remove(self, index: int, sub: int) -> None:
+        """Take a sub-object out."""
+        del self._entries[index, sub], self._defaults[index, sub]
+        self._indices = {index for index, _ in self._entries}
+
     def find(self, index: int, sub: int) -> Entry:
         """The sub-object.
 

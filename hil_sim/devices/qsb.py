@@ -28,7 +28,7 @@ from hil_sim.devices import qsb_map as reg
 from hil_sim.devices.quadrature import QuadratureCounter
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 
 TICK_512_HZ: Final = 1e9 / 512  # ns; the document's "1/512 Hz" and "1.95 ms"
 TICK_1900_US: Final = 1.9e6  # ns; its "5 ticks: 9.5 ms" and "rollover in 94.5 days"
@@ -79,14 +79,13 @@ class Qsb(SerialTwin):
         capture_latency_ns: int = 0,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
-        super().__init__(
-            _FACTORY_LINE, start_ns, faults, (FaultKind.STUCK, FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS)
-        )
+        kinds = (FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS, *INPUT_KINDS, *CLOCK_KINDS)
+        super().__init__(_FACTORY_LINE, start_ns, faults, kinds)
         self.produced = 0  # lines streamed by S0E
         self.captures = 0
         self.commands = 0
         self._analog = FaultyScalar(analog, faults, start_ns)
-        self._clock = clock
+        self._clock: ChipClock = FaultyClock(clock, faults)
         self._steps_per_rad = counts_per_revolution / math.tau
         self._tick_ns = tick_ns
         self._inputs = 0xE if sync_input else 0xF

@@ -2,12 +2,15 @@
 
 from collections import deque
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from hil_sim.devices.serial_wire import LineFormat, Transmit
-from hil_sim.faults import NEVER, DeviceFaults, FaultKind
+from hil_sim.faults import INPUT_KINDS, NEVER, DeviceFaults, FaultKind, garbled
 
 _SUPPLY = "supply"
+
+POLLED_KINDS: Final = (FaultKind.SATURATED, FaultKind.SLOW, *INPUT_KINDS)
+"""Faults of a load cell that speaks when it is spoken to."""
 
 
 class SerialTwin:
@@ -16,7 +19,7 @@ class SerialTwin:
     Args:
         line: Speed and format it comes up with.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
-        faults: What breaks; ``off``, ``reset`` and ``silent`` are applied here.
+        faults: What breaks; ``off``, ``reset``, ``silent``, ``intermittent``, ``garbage`` are applied here.
         extra_faults: Kinds that the subclass applies itself.
 
     Raises:
@@ -30,7 +33,15 @@ class SerialTwin:
     ) -> None:
         self.line = line
         self.powered = False
-        self._faults = faults.require(FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, *extra_faults)
+        self._faults = faults.require(
+            FaultKind.OFF,
+            FaultKind.RESET,
+            FaultKind.SILENT,
+            FaultKind.INTERMITTENT,
+            FaultKind.GARBAGE,
+            *extra_faults,
+        )
+        self._garbage = faults.rng()
         self._start_ns = start_ns
         self._transmit: Transmit | None = None
         self._timers: dict[str, tuple[int, Callable[[int], None]]] = {}
@@ -90,14 +101,21 @@ class SerialTwin:
         """Send; returns when the last bit ends. With an open connector nothing arrives."""
         if self._transmit is None or self._is_silent(ready_ns):
             return ready_ns + round(len(data) * self.line.character_ns)
+        if self._faults.active(FaultKind.GARBAGE, ready_ns) is not None:
+            data = garbled(data, self._garbage)
         return self._transmit(data, ready_ns)
+
+    def _late(self, now_ns: int) -> int:
+        """When an answer due at ``now_ns`` is given, by a device that is slow."""
+        slow = self._faults.active(FaultKind.SLOW, now_ns)
+        return now_ns if slow is None else now_ns + round(slow.value * 1e9)
 
     def _seconds(self, now_ns: int) -> float:
         """Mission time."""
         return (now_ns - self._start_ns) * 1e-9
 
     def _is_silent(self, now_ns: int) -> bool:
-        return bool(self._faults) and self._faults.active(FaultKind.SILENT, now_ns) is not None
+        return bool(self._faults) and self._faults.is_away(now_ns)
 
     # Supply
 

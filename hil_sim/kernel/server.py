@@ -1,121 +1,116 @@
-"""The three buses of one flight computer behind kernel interfaces, kept in step with a clock that the runner gives."""
+"""Tier T2: the buses of one flight computer behind kernel interfaces.
 
-import select
-from collections.abc import Callable
+I2C on a CUSE node, CAN on a network interface, serial lines on pseudo-terminals, pulse edges as datagrams: this kernel
+has no GPIO lines.
+"""
+
+import re
+from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Final
 
-from hil_sim.buses import CanBus, EdgeDatagrams, I2cBus, PulseLine
+from hil_sim.buses import CanBus, I2cBus
+from hil_sim.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.in_process import EdgePort
 from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
 from hil_sim.kernel.socketcan import SocketCan
+from hil_sim.ports import Port, Ports, open_ports
+from hil_sim.serve import SerialPort
 
-_LONGEST_NAP_NS: Final = 5_000_000
-_SHORTEST_NAP_S: Final = 50e-6
 _BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it
 _BURST_NS: Final = 3_000_000  # but none waits longer
 
 
-class Mission(Protocol):
-    """What is served: ``hil_sim.mission.Mission``, or a smaller one in a test."""
+class _I2cPort(Port):
+    """A transfer returns when it would have left real wires."""
+
+    def __init__(self, node: str, bit_rate: int) -> None:
+        self._wires = I2cBus()
+        self._node = CuseNode(node, I2cNode(self._wires, bit_rate))
+        super().__init__(self._wires, f"i2c:///dev/{node}")
 
     @property
-    def end_ns(self) -> int:
-        """Its end, ``CLOCK_MONOTONIC`` ns."""
+    def files(self) -> list[int]:
+        return self._node.files
 
     @property
-    def finished(self) -> bool:
-        """Whether it has been advanced to its end."""
+    def due_ns(self) -> int:
+        return self._node.due_ns
+
+    def receive(self) -> None:
+        self._node.receive()
 
     def advance(self, now_ns: int) -> None:
-        """Let world and twins go on to ``now_ns``."""
+        self._node.advance(now_ns)
+
+    def counts(self) -> dict[str, int]:
+        wires = self._wires
+        return {"transfers": wires.transfers, "refused": wires.refused, "abandoned": self._node.abandoned}
+
+    def close(self) -> None:
+        """Unplug it; open files of the node get ENOTCONN from here on."""
+        self._node.close()
 
 
-class KernelServer:
-    """I2C on a CUSE node, CAN on a network interface, pulse edges as datagrams: this kernel has no GPIO lines.
+class _CanPort(Port):
+    """Frames leave one after the other as on a real bus."""
+
+    def __init__(self, interface: str, bit_rate: int, seed: int) -> None:
+        self._link = SocketCan(interface)
+        self._wire = CanBus(self._link, bit_rate, seed)
+        super().__init__(self._wire, f"can+socketcan://{interface}?bitrate={bit_rate}")
+
+    @property
+    def files(self) -> list[int]:
+        return [self._link.fileno()]
+
+    def advance(self, now_ns: int) -> None:
+        if self._wire.due_ns - now_ns > _BURST_GAP_NS or now_ns - self._link.oldest_ns > _BURST_NS:
+            self._link.flush()
+
+    def counts(self) -> dict[str, int]:
+        return {"frames_dropped": self._wire.dropped, "frames_not_taken": self._link.lost}
+
+    def close(self) -> None:
+        self._link.close()
+
+
+def open_nodes(
+    tables: Mapping[str, BusTable],
+    directory: Path,
+    *,
+    i2c_node: str = "i2c-9",
+    can_interface: str = "vcan0",
+    seed: int = 0,
+) -> Ports:
+    """Open every bus as what the kernel has for it.
 
     Args:
-        directory: Where the flight computer binds its pulse socket, as ``sync_line.sock``.
-        i2c_node: Name of the device node under ``/dev``.
-        can_interface: A CAN interface that is up.
-        seed: Of the stamp jitter of the pulse line.
-        i2c_bit_rate: bit/s; a transfer returns when it would have left real wires.
-        can_bit_rate: bit/s; frames leave one after the other as on a real bus.
-
-    Attributes:
-        late_max_ns: How late the loop ever was.
-        turns: How often it went round.
+        tables: ``[bus.*]`` of a scenario.
+        directory: Where the flight computer binds its pulse sockets, as ``BUS.sock``, and where the terminals are.
+        i2c_node: Name of the first device node under ``/dev``; those of others count on from it.
+        can_interface: The first CAN interface, that is up; others count on from it.
+        seed: Of the jitter of all stamps.
 
     Raises:
         OSError: The kernel has no CUSE, no CAN or no such interface.
     """
 
-    def __init__(
-        self,
-        directory: Path,
-        *,
-        i2c_node: str = "i2c-9",
-        can_interface: str = "vcan0",
-        seed: int = 0,
-        i2c_bit_rate: int = 400_000,
-        can_bit_rate: int = 500_000,
-    ) -> None:
-        edge_path = directory / "sync_line.sock"
-        self.late_max_ns = 0
-        self.turns = 0
-        self.i2c = I2cBus()
-        self._can_link = SocketCan(can_interface)
-        self.can = CanBus(self._can_link, can_bit_rate, seed)
-        self._edges = EdgeDatagrams(edge_path)
-        self.pulse = PulseLine(self._edges, seed)
-        self._node = CuseNode(i2c_node, I2cNode(self.i2c, i2c_bit_rate))
-        self.urls = {
-            "i2c_1": f"i2c:///dev/{i2c_node}",
-            "can_0": f"can+socketcan://{can_interface}?bitrate={can_bit_rate}",
-            "sync_line": f"gpio+unix://{edge_path}",
-        }
+    def open_port(bus: str, table: BusTable, place: int, seed: int) -> Port:
+        match table:
+            case I2cBusTable():
+                return _I2cPort(_counted_on(i2c_node, place), table.bit_rate)
+            case CanBusTable():
+                return _CanPort(_counted_on(can_interface, place), table.bit_rate, seed)
+            case PulseLineTable():
+                return EdgePort(directory / f"{bus}.sock", seed)
+            case SerialBusTable():
+                return SerialPort(directory / bus, table, seed)
 
-    def __enter__(self) -> Self:
-        return self
+    return open_ports(tables, open_port, seed)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
-    def close(self) -> None:
-        """Unplug everything; open files of the I2C node get ENOTCONN from here on."""
-        self._node.close()
-        self._can_link.close()
-        self._edges.close()
-
-    def run(self, mission: Mission, clock: Callable[[], int], stop: Callable[[], bool] = lambda: False) -> None:
-        """Keep a mission, attached to these buses, in step with ``clock`` until it ends or ``stop()``."""
-        files: list[Any] = [self._can_link, *self._node.files]
-        due_ns = clock()
-        while not mission.finished and not stop():
-            self._node.receive()
-            now_ns = min(clock(), mission.end_ns)
-            self.turns += 1
-            self.late_max_ns = max(self.late_max_ns, now_ns - due_ns)
-            mission.advance(now_ns)
-            self._node.advance(now_ns)
-            if self.can.due_ns - now_ns > _BURST_GAP_NS or now_ns - self._can_link.oldest_ns > _BURST_NS:
-                self._can_link.flush()
-            due_ns = min(self.can.due_ns, self._node.due_ns, now_ns + _LONGEST_NAP_NS)
-            select.select(files, [], [], max((due_ns - clock()) * 1e-9, _SHORTEST_NAP_S))
-
-    def summary(self) -> dict[str, float]:
-        """What the server itself did and lost."""
-        return {
-            "turns": self.turns,
-            "late_max_ms": self.late_max_ns * 1e-6,
-            "can_frames_dropped": self.can.dropped,
-            "can_frames_not_taken": self._can_link.lost,
-            "edges_without_receiver": self._edges.lost,
-            "edges_seen": self.pulse.seen,
-            "i2c_transfers": self.i2c.transfers,
-            "i2c_refused": self.i2c.refused,
-            "i2c_abandoned": self._node.abandoned,
-        }
+def _counted_on(name: str, place: int) -> str:
+    """``vcan0`` and 1 make ``vcan1``."""
+    return re.sub(r"\d+$", lambda digits: str(int(digits[0]) + place), name)

@@ -16,7 +16,8 @@ from hil_sim.devices.can_wire import WireFrame
 from hil_sim.faults import NEVER
 
 _FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data
-_FLAGS: Final = 0xE000_0000  # extended, remote, error
+_REMOTE: Final = 0x4000_0000
+_FLAGS: Final = 0xA000_0000  # extended, error
 _QUEUE_BYTES: Final = 1 << 20
 _LIST_BYTES: Final = 1 << 14
 
@@ -51,9 +52,9 @@ class SocketCan:
         """Of the socket, to wait on."""
         return self._socket.fileno()
 
-    def take(self) -> list[tuple[int, bytes]]:
-        """Data frames with 11-bit identifiers sent by others since the last call."""
-        frames: list[tuple[int, bytes]] = []
+    def take(self) -> list[tuple[int, bytes | int]]:
+        """Frames with 11-bit identifiers sent by others since the last call; see ``CanLink``."""
+        frames: list[tuple[int, bytes | int]] = []
         while True:
             try:
                 raw = self._socket.recv(_FRAME.size)
@@ -61,7 +62,7 @@ class SocketCan:
                 return frames
             identifier, length, data = _FRAME.unpack(raw)
             if not identifier & _FLAGS:
-                frames.append((identifier, data[:length]))
+                frames.append((identifier & ~_REMOTE, length if identifier & _REMOTE else data[:length]))
 
     @property
     def listening(self) -> bool:

@@ -3,12 +3,12 @@
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from onboard.config.checks import check_names
-from onboard.config.devices import DEVICES
+from onboard.config.checks import check
+from onboard.config.devices import CHANNELS, DEVICES
 from onboard.config.errors import ConfigError, line_of
 from onboard.config.estimation import Estimation, Gates, Masses, Phases, Prior, Zero
 from onboard.config.free_body import Carrier, FreeBody, Load
@@ -44,15 +44,17 @@ def parse(text: str, path: Path) -> Vehicle:
     except ValidationError as error:
         raise ConfigError("\n".join(_explain(path, text, tree, dict(one)) for one in error.errors())) from error
     vehicle = Vehicle(path=path, text=text, file=file)
-    check_names(vehicle)
+    check(vehicle)
     return vehicle
 
 
 def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any]) -> str:
     where = [str(part) for part in error["loc"]]
-    # a discriminated union puts the kind into the location
+    # a discriminated union puts the kind into the location: of a device, of a node's channel
     if where[:1] == ["device"] and len(where) > 2:
         del where[2]
+        if where[2:3] == ["channel"] and len(where) > 4:
+            del where[4]
     line = line_of(text, where)
     name = ".".join(where)
     if error["type"] == "extra_forbidden":
@@ -68,9 +70,11 @@ def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any])
 def _known_keys(where: list[str], tree: dict[str, Any]) -> list[str]:
     if not where:
         return list(VehicleFile.model_fields)
-    if where[0] == "device" and len(where) == 2:
-        kind = tree["device"][where[1]].get("kind")
-        return next((list(m.model_fields) for m in DEVICES if kind in get_args(m.model_fields["kind"].annotation)), [])
+    if where[0] == "device":
+        table = tree["device"][where[1]]
+        if len(where) == 2:
+            return list(DEVICES[table["kind"]].model_fields)
+        return list(CHANNELS[table["channel"][int(where[3])]["role"]].model_fields)
     models: dict[str, type[BaseModel]] = {
         "vehicle": VehicleSection,
         "bus": Bus,

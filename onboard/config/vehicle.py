@@ -6,10 +6,10 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from onboard.config.devices import BusDevice, Device, RecordedDevice
+from onboard.config.devices import BusDevice, CanopenSyncDevice, Channels, Device
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
-from onboard.config.types import Positive, Section
+from onboard.config.types import NotNegative, Positive, Section
 
 
 class VehicleSection(Section):
@@ -29,10 +29,19 @@ class Bus(Section):
 
 
 class Recording(Section):
-    """Where flights go."""
+    """Where flights go, and how safe they are.
+
+    ``sync_period_ms``: nothing recorded is ever longer than this off the medium. ``segment_s``, ``segment_mib``: a log
+    goes on in a new file after so much. ``min_free_mib``: the oldest segments of earlier flights make way while less is
+    free; 0 keeps them all. ``reserve_mib``: kept back for events and gaps when the disk is full.
+    """
 
     directory: str = "flights"
     sync_period_ms: Positive = 200
+    segment_s: Positive = 60
+    segment_mib: Positive = 64
+    min_free_mib: NotNegative = 256
+    reserve_mib: NotNegative = 16
 
 
 class VehicleFile(Section):
@@ -60,13 +69,27 @@ class Vehicle(BaseModel):
         """The URDF beside the vehicle file."""
         return self.path.parent / self.file.vehicle.urdf
 
+    @property
+    def channels(self) -> Channels:
+        """Channels of all devices and their records, in the order of the file."""
+        return {c: records for name, device in self.file.device.items() for c, records in device.channels(name).items()}
+
     def devices_on(self, bus: str) -> dict[str, BusDevice]:
-        """Devices by channel name on one bus, in the order of the file."""
-        return {
-            name: device
-            for name, device in self.file.device.items()
-            if not isinstance(device, RecordedDevice) and device.bus == bus
-        }
+        """Devices by name on one bus, in the order of the file."""
+        devices = self.file.device.items()
+        return {name: device for name, device in devices if isinstance(device, BusDevice) and device.bus == bus}
+
+    def sync_on(self, bus: str) -> tuple[str, CanopenSyncDevice]:
+        """Name and device of a CAN bus's SYNC; there is one."""
+        on_bus = self.devices_on(bus).items()
+        return next((name, device) for name, device in on_bus if isinstance(device, CanopenSyncDevice))
+
+    def rate_hz(self, device: str) -> float:
+        """Nominal rate of a device's samples."""
+        section = self.file.device[device]
+        if section.nominal_hz is None:
+            return self.sync_on(section.bus)[1].nominal_hz
+        return section.nominal_hz
 
     def with_urls(self, urls: dict[str, str]) -> "Vehicle":
         """The same vehicle with other bus URLs."""

@@ -13,3 +13,7 @@ class RowError(EstimationError, ValueError):
 
 class SingularError(EstimationError, np.linalg.LinAlgError):
     """The rows so far do not determine every parameter, and no prior stands in for those they do not."""
+
+
+class ConvergenceError(EstimationError, ArithmeticError):
+    """An iteration that did not arrive."""

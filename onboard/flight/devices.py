@@ -1,24 +1,30 @@
-"""From vehicle.toml to open buses with drivers on them. A bus that cannot be opened is reported; the others fly."""
+"""From vehicle.toml to open buses with drivers on them. A bus that cannot be opened is reported; the others fly.
+
+A serial port comes and goes with its adapter, so its device opens it, and reports when it cannot.
+"""
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from functools import partial
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from drivers import transports
 from drivers.canopen_pdo.bus import CanopenBus
-from drivers.canopen_pdo.cia404 import Cia404Config
-from drivers.canopen_pdo.cia406 import Cia406Config
-from drivers.canopen_pdo.mapped_object import CanopenObjectConfig
-from drivers.canopen_pdo.sync import SyncConfig
 from drivers.device import Device
+from drivers.dsc_load_cell.device import DscLoadCell
 from drivers.errors import DriverError
+from drivers.modbus_load_cell.device import ModbusLoadCell
 from drivers.mpu6050.device import Mpu6050
-from drivers.mpu6050.registers import Mpu6050Config
+from drivers.nimu.device import Nimu
+from drivers.node_frame.device import NodeFrame
+from drivers.qsb.device import Qsb
 from drivers.records import Batch, Severity, event
 from drivers.sync_pulse.device import SyncPulse
+from drivers.sync_pulse.generator import PulseGenerator
+from drivers.transports.url import parse
 from onboard import config
+from onboard.config import BusType
 
 Clock = Callable[[], int]
-CanNode = Cia406Config | Cia404Config | CanopenObjectConfig
 
 
 class Port(Protocol):
@@ -46,68 +52,96 @@ class OpenDevices(NamedTuple):
             port.close()
 
 
+P = TypeVar("P", bound=Port)
+
+
+class _Bus(NamedTuple):
+    """A bus to be opened: what is on it, and who takes its ports."""
+
+    vehicle: config.Vehicle
+    name: str
+    clock: Clock
+    ports: list[Port]
+
+    @property
+    def url(self) -> str:
+        return self.vehicle.file.bus[self.name].url
+
+    @property
+    def devices(self) -> dict[str, Any]:
+        """By name; config.BusDevice of the kinds that ``OPEN`` sends here."""
+        return self.vehicle.devices_on(self.name)
+
+    def own(self, port: P) -> P:
+        self.ports.append(port)
+        return port
+
+
 def open_devices(vehicle: config.Vehicle, clock: Clock) -> OpenDevices:
     """Open every bus that has devices, and make their drivers. ``clock`` is CLOCK_MONOTONIC, ns."""
     opened = OpenDevices({}, [], [])
-    for bus, section in vehicle.file.bus.items():
-        on_bus = vehicle.devices_on(bus)
-        if not on_bus:
+    for name in vehicle.file.bus:
+        bus = _Bus(vehicle, name, clock, [])
+        if not bus.devices:
             continue
         try:
-            devices, port = _open(on_bus, section.url, bus, clock)
+            opened.by_bus[name] = OPEN[next(iter(bus.devices.values())).bus_type](bus)
         except (DriverError, OSError) as error:
-            names = ", ".join(on_bus)
-            text = f"{section.url}: {error}; without {names}"
-            opened.problems.append(event(clock(), Severity.ERROR, "bus_failed", bus, text))
+            for port in bus.ports:
+                port.close()
+            text = f"{bus.url}: {error}; without {', '.join(bus.devices)}"
+            opened.problems.append(event(clock(), Severity.ERROR, "bus_failed", name, text))
             continue
-        opened.by_bus[bus] = devices
-        opened.ports.append(port)
+        opened.ports.extend(bus.ports)
     return opened
 
 
-def _open(on_bus: dict[str, config.BusDevice], url: str, bus: str, clock: Clock) -> tuple[list[Device], Port]:
-    kinds = list(on_bus.values())
-    if all(isinstance(device, config.Mpu6050Device) for device in kinds):
-        i2c = transports.open_i2c(url, clock)
-        imus = {name: device for name, device in on_bus.items() if isinstance(device, config.Mpu6050Device)}
-        return [Mpu6050(name, i2c, _mpu6050(device)) for name, device in imus.items()], i2c
-    if all(isinstance(device, config.SyncPulseDevice) for device in kinds):
-        line = transports.open_pulse(url, clock)
-        return [SyncPulse(name, line) for name in on_bus], line
-    can = transports.open_can(url, clock)
-    sync = next((n, d) for n, d in on_bus.items() if isinstance(d, config.CanopenSyncDevice))
-    nodes = [node for name, device in on_bus.items() if (node := _can_node(name, device)) is not None]
-    return [CanopenBus(can, nodes, SyncConfig(sync[0], sync[1].period_ms), name=bus)], can
+def _open_i2c(bus: _Bus) -> list[Device]:
+    port = bus.own(transports.open_i2c(bus.url, bus.clock))
+    return [Mpu6050(name, port, device.settings(name)) for name, device in bus.devices.items()]
 
 
-def _mpu6050(device: config.Mpu6050Device) -> Mpu6050Config:
-    return Mpu6050Config(
-        address=device.address,
-        sample_rate_hz=device.sample_rate_hz,
-        accel_range_g=device.accel_range_g,
-        gyro_range_deg_s=device.gyro_range_deg_s,
-        filter_code=device.filter_code,
-        poll_period_ms=device.poll_period_ms,
-    )
+def _open_can(bus: _Bus) -> list[Device]:
+    port = bus.own(transports.open_can(bus.url, bus.clock))
+    sync_name, sync = bus.vehicle.sync_on(bus.name)
+    nodes = {name: device for name, device in bus.devices.items() if isinstance(device, config.CanopenNode)}
+    guards = {device.node: device.guard for device in nodes.values() if device.guard is not None}
+    settings = [device.settings(name) for name, device in nodes.items()]
+    return [CanopenBus(port, settings, sync.settings(sync_name), bus.name, list(guards.values()))]
 
 
-def _can_node(name: str, device: config.BusDevice) -> CanNode | None:
-    match device:
-        case config.Cia406Device():
-            return Cia406Config(name, device.node, device.counts_per_revolution)
-        case config.Cia404Device():
-            return Cia404Config(name, device.node, device.capacity_N)
-        case config.CanopenObjectDevice():
-            return CanopenObjectConfig(
-                name,
-                device.node,
-                tpdo=device.tpdo,
-                byte_offset=device.byte_offset,
-                format=device.format,
-                index=device.index,
-                subindex=device.subindex,
-                unit=device.unit,
-                scale=device.scale,
-            )
-        case _:
-            return None
+def _open_serial(bus: _Bus) -> list[Device]:
+    baud = parse(bus.url, transports.SERIAL_URLS).integer("baud")
+    (name, device), *_ = bus.devices.items()
+    settings = device.at_baud(name, baud) if device.kind == "modbus_load_cell" else device.settings(name)
+    return [SERIAL[device.kind](name, partial(transports.open_serial, bus.url), bus.clock, settings)]
+
+
+def _open_pulse(bus: _Bus) -> list[Device]:
+    port = bus.own(transports.open_pulse(bus.url, bus.clock))
+    return [SyncPulse(name, port) for name in bus.devices]
+
+
+def _open_pulse_output(bus: _Bus) -> list[Device]:
+    (name, device), *_ = bus.devices.items()
+    line = bus.own(transports.open_pulse_output(bus.url, bus.clock))
+    can = None
+    if device.sync_bus is not None:
+        can = bus.own(transports.open_can(bus.vehicle.file.bus[device.sync_bus].url, bus.clock))
+    return [PulseGenerator(name, line, bus.clock, device.settings(name), can)]
+
+
+SERIAL: dict[str, Callable[..., Device]] = {
+    "nimu": Nimu,
+    "qsb": Qsb,
+    "modbus_load_cell": ModbusLoadCell,
+    "dsc_load_cell": DscLoadCell,
+    "node_frame": NodeFrame,
+}
+OPEN: dict[BusType, Callable[[_Bus], list[Device]]] = {
+    BusType.I2C: _open_i2c,
+    BusType.CAN: _open_can,
+    BusType.SERIAL: _open_serial,
+    BusType.PULSE: _open_pulse,
+    BusType.PULSE_OUTPUT: _open_pulse_output,
+}

@@ -1,4 +1,10 @@
-"""The estimation worker: rings in, rings out, and a TICK record of what each step consumed, so that replay is exact."""
+"""The estimation worker: rings in, rings out, and a TICK record of what each step consumed, so that replay is exact.
+
+A worker whose process died is taken over by another one: it loads the newest checkpoint, does again what the TICK
+records after it say, publishes what of the answers had not been, and goes on. The log shows no trace of it. Where that
+cannot be done (the rings hold the rows no more, or the same rows have killed two processes), an estimator that has
+learned nothing goes on after the last row that was consumed; its first TICK says ``fresh``, and an event why.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,11 +15,13 @@ from drivers import records
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.flight import rings
+from onboard.flight.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimator import Estimator
 from onboard.flight.publisher import Publisher
-from onboard.ring import RingReader
+from onboard.ring import RingReader, RingWriter
 
 SUFFIX = "_estimation"
+CHECKPOINT_TICKS = 40
 
 
 def estimation_channels(estimator: Estimator) -> dict[str, np.dtype[np.void]]:
@@ -25,19 +33,47 @@ def estimation_channels(estimator: Estimator) -> dict[str, np.dtype[np.void]]:
     }
 
 
+def answer_rates_hz(estimator: Estimator) -> dict[str, float]:
+    """How often rows of the estimation worker's channels come, at most."""
+    settings = estimator.vehicle.file.estimation
+    steps_hz = 1e3 / settings.step_ms
+    answers = len(estimator.parameter_names) + len(estimator.identifier.quantities)
+    return {
+        "tick": steps_hz,
+        "clock": steps_hz * len(estimator.inputs),
+        "row": settings.row_rate_hz,
+        "estimate": steps_hz,
+        "quantity": steps_hz * answers,
+    }
+
+
+def create_rings(directory: Path, estimator: Estimator) -> dict[str, RingWriter]:
+    """Open the writing ends of the estimation worker's channels in ``directory``."""
+    return rings.create(directory, estimator.vehicle, estimation_channels(estimator), answer_rates_hz(estimator))
+
+
 class EstimationWorker:
-    """Steps an :class:`Estimator` over rings."""
+    """Steps an :class:`Estimator` over rings.
 
-    def __init__(self, estimator: Estimator, inputs: Mapping[str, RingReader], publisher: Publisher) -> None:
-        self._estimator, self._inputs, self._publisher = estimator, inputs, publisher
-        self._ticks = 0
+    Args:
+        estimator: as it is after ``ticks`` steps.
+        inputs: by channel, at the first row that it has not consumed.
+        publisher: of its answers.
+        ticks: steps done.
+        fresh: it has learned nothing, in place of one that died.
+    """
 
-    @classmethod
-    def over_rings(cls, vehicle: config.Vehicle, directory: Path) -> "EstimationWorker":
-        """A worker of its own process: builds the estimator, writes the rings of its channels in ``directory``."""
-        estimator = Estimator(vehicle)
-        publisher = Publisher(rings.create(directory, vehicle, estimation_channels(estimator)), SUFFIX)
-        return cls(estimator, rings.readers(directory, estimator.inputs), publisher)
+    def __init__(
+        self,
+        estimator: Estimator,
+        inputs: Mapping[str, RingReader],
+        publisher: Publisher,
+        ticks: int = 0,
+        *,
+        fresh: bool = False,
+    ) -> None:
+        self.estimator, self._inputs, self._publisher = estimator, inputs, publisher
+        self.ticks, self._fresh = ticks, fresh
 
     def step(self, now_ns: int) -> None:
         """Consume what the devices have said since the last step."""
@@ -50,21 +86,110 @@ class EstimationWorker:
     def _step(self, now_ns: int, lag_ns: int | None) -> None:
         batches: dict[str, Rows] = {}
         said: list[Batch] = []
-        for name in self._estimator.inputs:
+        for name in self.estimator.inputs:
             batches[name], lost = self._inputs[name].read()
             if lost:
                 text = f"{lost} rows overran the ring before the estimator read them"
                 said.append(event(now_ns, Severity.WARNING, "estimator_overrun", name, text))
         self._publisher.publish([self._tick(now_ns, batches, final=lag_ns is not None), *said])
-        self._publisher.publish(self._estimator.process(now_ns, batches, lag_ns))
+        self._publisher.publish(self.estimator.process(now_ns, batches, lag_ns))
 
     def _tick(self, now_ns: int, batches: Mapping[str, Rows], *, final: bool) -> Batch:
         row = np.zeros(1, channels.tick_dtype(len(batches)))
-        row["sequence"], row["host_ns"], row["final"] = self._ticks, now_ns, final
+        row["sequence"], row["host_ns"], row["final"], row["fresh"] = self.ticks, now_ns, final, self._fresh
         for column, rows in enumerate(batches.values()):
             row["consumed"][0, column] = len(rows)
             if len(rows):
                 row["first_sequence"][0, column] = rows["sequence"][0]
                 row["last_sequence"][0, column] = rows["sequence"][-1]
-        self._ticks += 1
+        self.ticks += 1
+        self._fresh = False
         return Batch("tick", row)
+
+
+class DurableEstimation:
+    """The estimation worker of a process that may die: takes over from one that did, and leaves checkpoints.
+
+    Args:
+        vehicle: what flies.
+        directory: the flight's rings.
+        now_ns: time of the call.
+    """
+
+    def __init__(self, vehicle: config.Vehicle, directory: Path, now_ns: int) -> None:
+        self._checkpoints = Checkpoints(directory)
+        estimator = Estimator(vehicle)
+        self._rings = create_rings(directory, estimator)
+        self._publisher = Publisher(self._rings, SUFFIX)
+        self._inputs = rings.readers(directory, estimator.inputs)
+        ticks = self._rings["tick"].newest()
+        self._worker = EstimationWorker(estimator, self._inputs, self._publisher)
+        if len(ticks):
+            self._worker = self._take_over(vehicle, ticks, now_ns)
+        self._save(now_ns)
+
+    def step(self, now_ns: int) -> None:
+        """See :meth:`EstimationWorker.step`."""
+        self._worker.step(now_ns)
+        if self._worker.ticks % CHECKPOINT_TICKS == 0:
+            self._save(now_ns)
+
+    def finish(self, now_ns: int) -> None:
+        """See :meth:`EstimationWorker.finish`."""
+        self._worker.finish(now_ns)
+
+    def _save(self, now_ns: int) -> None:
+        events = self._rings["event" + SUFFIX].published
+        positions = {name: reader.position for name, reader in self._inputs.items()}
+        try:
+            self._checkpoints.save(Checkpoint(self._worker.ticks, events, positions, self._worker.estimator))
+        except OSError as error:
+            text = f"no checkpoint of the estimator: {error}"
+            self._publisher.publish([event(now_ns, Severity.WARNING, "no_checkpoint", "estimation", text)])
+
+    def _take_over(self, vehicle: config.Vehicle, ticks: Rows, now_ns: int) -> EstimationWorker:
+        done = int(ticks["sequence"][-1]) + 1
+        checkpoint = self._checkpoints.load()
+        brought_back = checkpoint is not None and self._redo(checkpoint, ticks)
+        for column, (name, reader) in enumerate(self._inputs.items()):
+            consumed = ticks[ticks["consumed"][:, column] > 0]
+            if len(consumed):
+                reader.seek_after(int(consumed["last_sequence"][-1, column]))
+            elif checkpoint is not None:
+                reader.position = checkpoint.positions[name]
+        if checkpoint is not None and brought_back:
+            return EstimationWorker(checkpoint.estimator, self._inputs, self._publisher, done)
+        estimator = Estimator(vehicle)
+        estimator.go_on_from({name: self._rings[name].published for name in estimator.outputs})
+        text = "the estimator died and could not be brought back: it begins anew"
+        self._publisher.publish([event(now_ns, Severity.ERROR, "estimator_anew", "estimation", text)])
+        return EstimationWorker(estimator, self._inputs, self._publisher, done, fresh=True)
+
+    def _redo(self, checkpoint: Checkpoint, ticks: Rows) -> bool:
+        """Do the steps after ``checkpoint`` again; False when the rings do not hold all that they consumed."""
+        if ticks["sequence"][0] > checkpoint.ticks:
+            return False
+        held = {name: ring.read()[0] for name, ring in self._inputs.items()}
+        event_ring = self._rings["event" + SUFFIX]
+        said = event_ring.newest()
+        said = said[said["sequence"] >= checkpoint.events]
+        for tick in ticks[ticks["sequence"] >= checkpoint.ticks]:
+            batches = {}
+            for column, (name, rows) in enumerate(held.items()):
+                numbers = rows["sequence"]
+                first, last = tick["first_sequence"][column], tick["last_sequence"][column]
+                batches[name] = rows[(numbers >= first) & (numbers <= last)] if tick["consumed"][column] else rows[:0]
+                if len(batches[name]) != tick["consumed"][column]:
+                    return False
+            again = checkpoint.estimator.process(int(tick["host_ns"]), batches, 0 if tick["final"] else None)
+            self._publisher.publish(self._unsaid(batch, said) for batch in again)
+        return True
+
+    def _unsaid(self, batch: Batch, said: Rows) -> Batch:
+        """What of ``batch`` did not reach its ring before the process died; ``said`` are the events that did."""
+        if batch.channel in self._worker.estimator.outputs:
+            # every row of these channels is in the ring, so its number is its place
+            known = self._rings[batch.channel].published - int(batch.rows["sequence"][0])
+            return batch._replace(rows=batch.rows[max(0, known) :])
+        same = [(said[field] == batch.rows[field]) for field in ("host_ns", "code", "source", "text")]
+        return batch._replace(rows=batch.rows[: 0 if np.all(same, axis=0).any() else None])

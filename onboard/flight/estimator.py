@@ -13,44 +13,17 @@ from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate
 from onboard.estimation.smoothing import correlation_inflation
+from onboard.flight.clocks import timebase_of
 from onboard.flight.identification import build_identifier
 from onboard.flight.phases import PhaseTrack
+from onboard.flight.roles import roles_of
 from onboard.flight.signals import Signals
 from onboard.flight.zeroing import Zeroing
 from onboard.model.identify import Estimate, Identifier, SignalNoise
 from onboard.model.identify import Signals as ModelSignals
 from onboard.model.rows import base_motion
-from onboard.timebase.timebase import (
-    ChannelClock,
-    FollowerChannel,
-    RecordedChannel,
-    SampledChannel,
-    SyncChannel,
-    Timebase,
-)
 
 Floats = NDArray[np.float64]
-
-
-def timebase_of(vehicle: config.Vehicle) -> Timebase:
-    """The clocks of a vehicle's channels."""
-    clocks: dict[str, ChannelClock] = {}
-    pulse, sync_ns = None, 5e6
-    devices = vehicle.file.device
-    sync = {device.bus: name for name, device in devices.items() if isinstance(device, config.CanopenSyncDevice)}
-    for name, device in devices.items():
-        match device:
-            case config.Mpu6050Device():
-                clocks[name] = SampledChannel(1e9 / device.sample_rate_hz)
-            case config.CanopenSyncDevice():
-                clocks[name] = SyncChannel(device.period_ms * 1e6, device.delay_ms * 1e6)
-            case config.Cia406Device() | config.Cia404Device():
-                clocks[name] = FollowerChannel(sync[device.bus])
-            case config.RecordedImu() | config.RecordedRate():
-                clocks[name] = RecordedChannel(0.0)
-            case config.SyncPulseDevice():
-                pulse, sync_ns = name, device.sync_period_ms * 1e6
-    return Timebase(clocks, pulse, sync_ns)
 
 
 class Estimator:
@@ -70,7 +43,7 @@ class Estimator:
     def __init__(self, vehicle: config.Vehicle, identifier: Identifier | None = None) -> None:
         self.vehicle = vehicle
         settings = vehicle.file.estimation
-        self.inputs = tuple(vehicle.file.device)
+        self.inputs = tuple(vehicle.channels)
         fresh, self.model = build_identifier(vehicle)
         self.identifier = fresh if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
@@ -82,11 +55,10 @@ class Estimator:
         self._lag_ns = round(settings.lag_ms * 1e6)
         self._next_ns: int | None = None
         self._inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz)
-        devices = vehicle.file.device.items()
-        self._imu = next((n, d.frame) for n, d in devices if isinstance(d, config.Mpu6050Device | config.RecordedImu))
-        self._joints = {d.joint: n for n, d in devices if isinstance(d, config.Cia406Device | config.RecordedRate)}
-        self._rates = {n for n, d in devices if isinstance(d, config.RecordedRate)}
-        self._cells = [n for n, d in devices if isinstance(d, config.Cia404Device)]
+        roles = roles_of(vehicle)
+        self._imu = roles.imu
+        self._joints = {joint.joint: joint for joint in roles.joints}
+        self._cells = {cell.name: cell.channel for cell in roles.cells}
         rows = len(self.identifier.model.rows)
         parameters = len(self.identifier.base.names)
         size = len(self.identifier.rls.state().triangle)
@@ -103,6 +75,10 @@ class Estimator:
         """Names of the base parameters, in the order of ESTIMATE's ``mean``."""
         return self.identifier.base.names
 
+    def go_on_from(self, sequences: Mapping[str, int]) -> None:
+        """Number the rows of each output from here on: another estimator's came before."""
+        self._sequence = dict(sequences)
+
     def process(self, now_ns: int, batches: Mapping[str, Rows], lag_ns: int | None = None) -> list[Batch]:
         """One step: take in ``batches`` by channel, make the rows that are due, answer.
 
@@ -115,7 +91,8 @@ class Estimator:
         clocks = self._timebase.update(now_ns, dict(batches))
         if len(clocks):
             made.append(self._numbered("clock", clocks))
-        self._signals.append(batches)
+        for channel, why in self._signals.append(batches).items():
+            made.append(event(now_ns, Severity.ERROR, "not_usable", channel, why))
         made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
         at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
         if len(at_ns):
@@ -132,8 +109,7 @@ class Estimator:
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64]) -> list[Batch]:
         n = len(at_ns)
-        channel, frame = self._imu
-        imu = self._signals.at(channel, self._timebase, at_ns, 1)
+        imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
         refused = imu.refused.copy()
         values, rates = imu.derivatives
         made: list[Batch] = []
@@ -142,17 +118,15 @@ class Estimator:
         if not known and self._zeroing.offset_m_s2 is not None:
             offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
             text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
-            made.append(event(now_ns, Severity.INFO, "zeroed", channel, text))
-        motion = base_motion(self.model, frame, values[:, :3], rates[:, :3], specific_force)
+            made.append(event(now_ns, Severity.INFO, "zeroed", self._imu.channels[0], text))
+        motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
         joints: Floats = np.zeros((3, n, len(self.model.joints)))
         joint_sigma: Floats = np.zeros_like(joints)
         for column, joint in enumerate(self.model.joints):
-            encoder = self._joints[joint.name]
-            rate = encoder in self._rates
-            smoothed = self._signals.at(encoder, self._timebase, at_ns, 1 if rate else 2)
-            for order, (value, spread) in enumerate(
-                zip(smoothed.derivatives, smoothed.sigma, strict=True), start=1 if rate else 0
-            ):
+            sensor = self._joints[joint.name]
+            lowest = 1 if sensor.is_rate else 0
+            smoothed = self._signals.at(sensor.channel, self._timebase, at_ns, 2 - lowest)
+            for order, (value, spread) in enumerate(zip(smoothed.derivatives, smoothed.sigma, strict=True), lowest):
                 joints[order, :, column], joint_sigma[order, :, column] = value[:, 0], spread[:, 0]
             refused |= smoothed.refused
         measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
@@ -186,7 +160,7 @@ class Estimator:
         refused = np.zeros(n, np.int64)
         for column, row in enumerate(rows):
             if row.name in self._cells:
-                cell = self._signals.at(row.name, self._timebase, at_ns, 1)
+                cell = self._signals.at(self._cells[row.name], self._timebase, at_ns, 1)
                 measured[:, column], rate[:, column] = cell.derivatives[0][:, 0], cell.derivatives[1][:, 0]
                 sigma[:, column] = cell.sigma[0][:, 0]
                 refused |= cell.refused

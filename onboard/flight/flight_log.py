@@ -1,4 +1,4 @@
-"""A flight's log: what is attached to it, and who records into it."""
+"""A flight's log: what every segment of it says, and who records into it."""
 
 import importlib.metadata
 import platform
@@ -7,12 +7,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from onboard import config
+from onboard.flight.clocks import known_delays
+from onboard.flight.manifest import Manifest, Storage
+from onboard.recording.mcap_format import Attachment
 from onboard.recording.recorder import Recorder
+from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.space import SpaceGuard
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader
 
 VEHICLE_ATTACHMENT = "vehicle.toml"
 DEPENDENCIES = ("heft", "numpy", "scipy", "pin", "mcap", "smbus2", "python-can", "pyserial", "gpiod")
+STEP_NS = 50_000_000  # between two steps of the recorder, at most
+_MIB = 1 << 20
 
 
 class Started(NamedTuple):
@@ -22,29 +29,85 @@ class Started(NamedTuple):
     monotonic_ns: int
 
 
-def open_recorder(
-    vehicle: config.Vehicle, directory: Path, log: Path, *, durable: bool, started: Started | None = None
-) -> Recorder:
-    """Create ``log`` and a recorder of every ring in ``directory``.
+def preamble(vehicle: config.Vehicle, flight: str, started: Started | None = None) -> Preamble:
+    """What every segment of a flight's log says.
 
     Args:
         vehicle: its files are attached.
-        directory: the flight's rings.
-        log: the file to create, its directory too.
-        durable: fsync as it goes.
+        flight: the flight's id.
         started: when, on the wall clock (noted once, here) and on the monotonic one; virtual time has neither.
+    """
+    attachments = (
+        Attachment(VEHICLE_ATTACHMENT, "application/toml", vehicle.text.encode(), 0),
+        Attachment(vehicle.file.vehicle.urdf, "application/xml", vehicle.urdf_path.read_bytes(), 0),
+    )
+    metadata = {
+        "flight": flight_facts(vehicle, started),
+        "versions": versions(),
+        "clock_map": clock_map(vehicle, started),
+    }
+    return Preamble(flight, attachments, metadata)
+
+
+def storage(recording: config.Recording) -> Storage:
+    """How a flight is recorded, from its vehicle file."""
+    return Storage(
+        sync_period_ns=round(recording.sync_period_ms * 1e6),
+        segment_span_ns=round(recording.segment_s * 1e9),
+        segment_bytes=round(recording.segment_mib * _MIB),
+        min_free_bytes=round(recording.min_free_mib * _MIB),
+        reserve_bytes=round(recording.reserve_mib * _MIB),
+    )
+
+
+def step_ns(storage: Storage) -> int:
+    """Between two steps of the recorder: what it takes in, it syncs no later than ``sync_period_ns`` after."""
+    return min(STEP_NS, storage.sync_period_ns // 2)
+
+
+def open_recorder(manifest: Manifest) -> Recorder:
+    """A recorder of every ring of a flight, that goes on where the one before it died, if there was one.
+
+    Raises:
+        OSError: the log cannot be read, or no segment created.
+    """
+    kept = manifest.storage
+    writer = SegmentedLog.resume(
+        manifest.log,
+        manifest.preamble,
+        limits=Limits(kept.segment_span_ns, kept.segment_bytes),
+        sync_interval_ns=kept.sync_period_ns - step_ns(kept),
+    )
+    space = SpaceGuard(
+        manifest.log.parent,
+        manifest.log,
+        manifest.preamble.flight,
+        min_free=kept.min_free_bytes,
+        reserve=kept.reserve_bytes,
+    )
+    return Recorder(writer, ring_readers(manifest.directory), recorded=writer.recorded, space=space)
+
+
+def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path) -> Recorder:
+    """A recorder of every ring in ``directory`` into one file, for a flight on a virtual clock that no power cut meets.
 
     Raises:
         FileExistsError: there is such a log already.
         OSError: the file cannot be created.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
-    writer = LogWriter.create(log, durable=durable)
-    writer.attach(VEHICLE_ATTACHMENT, "application/toml", vehicle.text.encode())
-    writer.attach(vehicle.file.vehicle.urdf, "application/xml", vehicle.urdf_path.read_bytes())
-    writer.add_metadata("flight", flight_facts(vehicle, started))
-    writer.add_metadata("versions", versions())
-    return Recorder(writer, [RingReader(path) for path in sorted(directory.glob("*.ring"))])
+    writer = LogWriter.create(log, durable=False)
+    _, attachments, metadata = preamble(vehicle, "")
+    for attachment in attachments:
+        writer.attach(attachment.name, attachment.media_type, attachment.data)
+    for name, items in metadata.items():
+        writer.add_metadata(name, items)
+    return Recorder(writer, ring_readers(directory))
+
+
+def ring_readers(directory: Path) -> list[RingReader]:
+    """Reading ends of all rings in ``directory``."""
+    return [RingReader(path) for path in sorted(directory.glob("*.ring"))]
 
 
 def flight_facts(vehicle: config.Vehicle, started: Started | None) -> dict[str, str]:
@@ -58,6 +121,22 @@ def flight_facts(vehicle: config.Vehicle, started: Started | None) -> dict[str, 
     }
     if started is not None:
         facts["wall_clock_ns"], facts["monotonic_ns"] = str(started.wall_clock_ns), str(started.monotonic_ns)
+    return facts
+
+
+def clock_map(vehicle: config.Vehicle, started: Started | None) -> dict[str, str]:
+    """Which clock each channel's rows are stamped by, and the known delays; channel ``clock`` holds the solutions."""
+    facts = {"host_ns": "CLOCK_MONOTONIC"}
+    if started is not None:
+        facts["wall_clock"] = f"CLOCK_REALTIME {started.wall_clock_ns} at CLOCK_MONOTONIC {started.monotonic_ns}"
+    for name, device in vehicle.file.device.items():
+        for channel in device.channels(name):
+            facts[channel] = f"nominally {vehicle.rate_hz(name):g} Hz"
+    for channel, part, delay_s, sigma_s, cause in known_delays(vehicle):
+        of = f" of {part}" if part else ""
+        facts[channel] = (
+            f"{facts.get(channel, '')}; delay{of} {delay_s * 1e3:g} ms, sigma {sigma_s * 1e3:g} ms: {cause}"
+        )
     return facts
 
 

@@ -17,9 +17,9 @@ from onboard import config
 from onboard.flight import rings, runner, simulated
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.devices import open_devices
-from onboard.flight.estimation import EstimationWorker, estimation_channels
+from onboard.flight.estimation import EstimationWorker, create_rings
 from onboard.flight.estimator import Estimator
-from onboard.flight.flight_log import open_recorder
+from onboard.flight.flight_log import open_simulated_recorder
 from onboard.flight.publisher import Publisher
 
 Progress = Callable[[float], None]
@@ -77,14 +77,14 @@ def fly_simulated(
         stack.callback(shutil.rmtree, directory)
         estimator = Estimator(flying)
         devices = rings.create(directory, flying, rings.device_channels(flying))
-        answers = rings.create(directory, flying, estimation_channels(estimator))
+        answers = create_rings(directory, estimator)
         opened = open_devices(flying, clock)
         stack.callback(opened.close)
         acquisition = Acquisition(opened.devices, Publisher(devices))
         acquisition.report(opened.problems)
         inputs = rings.readers(directory, estimator.inputs)
         estimation = EstimationWorker(estimator, inputs, Publisher(answers, "_estimation"))
-        recorder = open_recorder(vehicle, directory, log, durable=False)
+        recorder = open_simulated_recorder(vehicle, directory, log)
         span_ns = world.end_ns - world.start_ns
         simulated.fly(
             clock,

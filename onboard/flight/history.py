@@ -3,9 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.records import Rows
+
+STAMPS = np.dtype([("tick", "<i8"), ("host_ns", "<i8")])
+
 
 class History:
-    """Ticks (n,), values (n, columns) and validity (n,) of the newest samples, at least ``capacity`` of them.
+    """Stamps (n,), values (n, columns) and validity (n,) of the newest samples, at least ``capacity`` of them.
 
     Args:
         capacity: samples that are kept for certain; memory for twice as many is held.
@@ -14,25 +18,27 @@ class History:
 
     def __init__(self, capacity: int, columns: int) -> None:
         self._capacity = capacity
-        self._ticks = np.zeros(2 * capacity, np.int64)
+        self._stamps = np.zeros(2 * capacity, STAMPS)
         self._values = np.zeros((2 * capacity, columns))
         self._valid = np.zeros(2 * capacity, np.bool_)
         self._end = 0
 
-    def append(self, ticks: NDArray[np.int64], values: NDArray[np.float64], valid: NDArray[np.bool_]) -> None:
-        """Add samples: ticks (n,), values (n, columns), valid (n,)."""
-        ticks, values, valid = ticks[-self._capacity :], values[-self._capacity :], valid[-self._capacity :]
-        count = len(ticks)
+    def append(self, rows: Rows, values: NDArray[np.float64], valid: NDArray[np.bool_]) -> None:
+        """Add samples: rows with ``tick`` and ``host_ns`` (n,), values (n, columns), valid (n,)."""
+        rows, values, valid = rows[-self._capacity :], values[-self._capacity :], valid[-self._capacity :]
+        count = len(rows)
         if count == self._capacity:
             self._end = 0  # what is older lies before a hole
-        if self._end + count > len(self._ticks):
+        if self._end + count > len(self._stamps):
             keep = slice(self._end - min(self._end, self._capacity), self._end)
             kept = keep.stop - keep.start
-            for array in self._ticks, self._values, self._valid:
+            for array in (self._stamps, self._values, self._valid):
                 array[:kept] = array[keep].copy()
             self._end = kept
         here = slice(self._end, self._end + count)
-        self._ticks[here], self._values[here], self._valid[here] = ticks, values, valid
+        for field in STAMPS.names or ():
+            self._stamps[field][here] = rows[field]
+        self._values[here], self._valid[here] = values, valid
         self._end += count
 
     def clear(self) -> None:
@@ -40,9 +46,9 @@ class History:
         self._end = 0
 
     @property
-    def ticks(self) -> NDArray[np.int64]:
-        """Device ticks (n,), oldest first."""
-        return self._ticks[: self._end]
+    def stamps(self) -> Rows:
+        """Device ticks and arrival stamps (n,), oldest first; dtype :data:`STAMPS`."""
+        return self._stamps[: self._end]
 
     @property
     def values(self) -> NDArray[np.float64]:

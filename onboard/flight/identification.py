@@ -4,6 +4,7 @@ import numpy as np
 
 from onboard import config
 from onboard.estimation.errors import EstimationError
+from onboard.flight.roles import Cell, Roles, roles_of
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import ModelError, UrdfError
 from onboard.model.free_body import free_body_quantities
@@ -32,16 +33,16 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
     Raises:
         ConfigError: the estimation section does not fit the URDF.
     """
-    settings = vehicle.file.estimation
+    settings, roles = vehicle.file.estimation, roles_of(vehicle)
     try:
         model = build_model(vehicle)
-        _check_joints(vehicle, model)
+        _check_joints(roles, model)
         rows: list[WrenchRow] = []
         considered: list[Considered] = []
-        for name, device in vehicle.file.device.items():
-            if isinstance(device, config.Cia404Device):
-                rows.append(load_cell_row(name, device.frame, device.axis, device.measures, device.lever_m))
-                considered += _considered(name, device)
+        for cell in roles.cells:
+            keys = cell.keys
+            rows.append(load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m))
+            considered += _considered(cell)
         if "force" in settings.base_rows:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
@@ -64,34 +65,27 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
             quantities,
             considered,
             settings.gates.residual_sigma,
-            imu_frame=next(
-                device.frame
-                for device in vehicle.file.device.values()
-                if isinstance(device, config.Mpu6050Device | config.RecordedImu)
-            ),
+            imu_frame=roles.imu.frame,
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
     return identifier, model
 
 
-def _check_joints(vehicle: config.Vehicle, model: Vehicle) -> None:
+def _check_joints(roles: Roles, model: Vehicle) -> None:
     """Every joint that moves is measured by one device, and every such device names a joint."""
-    measured = [
-        device.joint
-        for device in vehicle.file.device.values()
-        if isinstance(device, config.Cia406Device | config.RecordedRate)
-    ]
+    measured = [joint.joint for joint in roles.joints]
     moving = [joint.name for joint in model.joints]
     if sorted(measured) != sorted(moving):
         listed, named = ", ".join(moving) or "none", ", ".join(measured) or "none"
         raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
 
 
-def _considered(name: str, device: config.Cia404Device) -> list[Considered]:
+def _considered(cell: Cell) -> list[Considered]:
     """A cell's calibration and its lever scale every reading alike; no flight can tell them from mass."""
-    lever = device.lever_sigma_m / device.lever_m if device.measures == "moment" else 0.0
+    name, keys = cell.name, cell.keys
+    lever = keys.lever_sigma_m / keys.lever_m if keys.measures == "moment" else 0.0
     return [
-        Considered(f"scale of {name}", name, "scale", float(np.hypot(device.scale_sigma, lever))),
-        Considered(f"delay of {name}", name, "delay", device.delay_sigma_ms * 1e-3),
+        Considered(f"scale of {name}", name, "scale", float(np.hypot(keys.scale_sigma, lever))),
+        Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3),
     ]

@@ -1,6 +1,8 @@
 """What the mission is doing, as a channel tells it; and what follows: is the payload held, is the IMU zeroed.
 
-Phase changes are events on a bus, stamped on arrival: good to some milliseconds, which the settling time covers.
+Phase changes are events on a bus, stamped on arrival: good to some milliseconds, which the settling time covers. That
+the payload is gone is believed for good, so it takes two readings in succession: a driver of event-driven objects reads
+each change back.
 """
 
 from collections.abc import Mapping
@@ -8,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Rows
+from drivers.records import Rows, SampleStatus
 from onboard import config
 
 
@@ -19,17 +21,22 @@ class PhaseTrack:
         self._settings = settings
         self._times_ns: list[int] = []
         self._codes: list[int] = []
+        self._gone_ns: int | None = None
 
     def update(self, batches: Mapping[str, Rows]) -> list[str]:
-        """Take in what a step consumed; returns a line of text for each change."""
+        """Take in what a step consumed, samples marked NOT_VALID aside; returns a line of text for each change."""
         rows = batches.get(self._settings.channel) if self._settings else None
         said = []
         for row in rows if rows is not None else ():
+            if row["status"] & SampleStatus.NOT_VALID:
+                continue
             code = int(row["value_raw"])
             if not self._codes or code != self._codes[-1]:
                 self._times_ns.append(int(row["host_ns"]))
                 self._codes.append(code)
                 said.append(f"phase {code}")
+            elif self._settings and code == self._settings.payload_gone and self._gone_ns is None:
+                self._gone_ns = self._times_ns[-1]
         return said
 
     @property
@@ -45,7 +52,6 @@ class PhaseTrack:
 
     def attached(self, at_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether the payload is held at each tick, (n,)."""
-        gone = self._settings.payload_gone if self._settings else None
-        if gone is None or gone not in self._codes:
+        if self._gone_ns is None:
             return np.ones(len(at_ns), np.bool_)
-        return np.asarray(at_ns < self._times_ns[self._codes.index(gone)], np.bool_)
+        return np.asarray(at_ns < self._gone_ns, np.bool_)

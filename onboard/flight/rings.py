@@ -12,38 +12,44 @@ from onboard import config
 from onboard.ring import RingReader, RingWriter
 
 SECONDS_KEPT = 12.0
-DEVICE_RECORDS: dict[str, np.dtype[np.void]] = {
-    "mpu6050": records.IMU,
-    "canopen_sync": records.CAN_SYNC,
-    "cia406": records.SCALAR,
-    "cia404": records.SCALAR,
-    "canopen_object": records.SCALAR,
-    "sync_pulse": records.PULSE,
-    "recorded_imu": records.IMU,
-    "recorded_rate": records.SCALAR,
-}
+OTHERS_HZ = 200.0  # channels that no device makes, and events
+FEWEST_ROWS = 256
 
 
 def device_channels(vehicle: config.Vehicle) -> dict[str, np.dtype[np.void]]:
     """Channels that acquisition writes."""
-    channels = {name: DEVICE_RECORDS[device.kind] for name, device in vehicle.file.device.items()}
-    return {**channels, "event": records.EVENT, "gap": records.GAP}
+    return {**vehicle.channels, "event": records.EVENT, "gap": records.GAP}
 
 
-def capacity(vehicle: config.Vehicle, channel: str) -> int:
-    """Rows for at least :data:`SECONDS_KEPT` of a channel."""
-    device = vehicle.file.device.get(channel)
-    rate_hz = device.sample_rate_hz if isinstance(device, config.Mpu6050Device) else 200.0
-    return int(SECONDS_KEPT * rate_hz)
+def capacities(vehicle: config.Vehicle) -> dict[str, int]:
+    """Rows for at least :data:`SECONDS_KEPT` of each device channel, by its device's nominal rate."""
+    return {
+        channel: max(FEWEST_ROWS, int(SECONDS_KEPT * vehicle.rate_hz(name)))
+        for name, device in vehicle.file.device.items()
+        for channel in device.channels(name)
+    }
 
 
 def create(
-    directory: Path, vehicle: config.Vehicle, channels: Mapping[str, np.dtype[np.void]]
+    directory: Path,
+    vehicle: config.Vehicle,
+    channels: Mapping[str, np.dtype[np.void]],
+    rates_hz: Mapping[str, float] | None = None,
 ) -> dict[str, RingWriter]:
-    """Open the writing ends of ``channels`` in ``directory``, creating what is missing."""
+    """Open the writing ends of ``channels`` in ``directory``, creating what is missing.
+
+    Args:
+        directory: of one flight.
+        vehicle: its devices say how often their channels come.
+        channels: records by channel.
+        rates_hz: how often channels of no device come, where :data:`OTHERS_HZ` is not right.
+    """
     directory.mkdir(parents=True, exist_ok=True)
+    told = {channel: max(FEWEST_ROWS, int(SECONDS_KEPT * rate)) for channel, rate in (rates_hz or {}).items()}
+    rows = told | capacities(vehicle)
+    others = int(SECONDS_KEPT * OTHERS_HZ)
     return {
-        name: RingWriter(directory / f"{name}.ring", dtype, capacity(vehicle, name)) for name, dtype in channels.items()
+        name: RingWriter(directory / f"{name}.ring", dtype, rows.get(name, others)) for name, dtype in channels.items()
     }
 
 

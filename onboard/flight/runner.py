@@ -1,23 +1,36 @@
-"""The real runner: a process for each worker, and a supervisor that starts, watches and stops them in order."""
+"""The real runner: a process for each worker, and a supervisor that starts, watches and stops them in order.
 
+A worker that dies is started again: at once the first time, later and later while it keeps dying. The rings hold what
+comes meanwhile. Before a flight, the rings of flights that died as a whole are harvested.
+"""
+
+import contextlib
 import multiprocessing
 import signal
 import time
+import uuid
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
 from drivers.records import EVENT, Severity, event
 from onboard import config
-from onboard.flight import rings, workers
-from onboard.flight.estimation import estimation_channels
+from onboard.flight import manifest, rings, workers
+from onboard.flight.estimation import create_rings
 from onboard.flight.estimator import Estimator
+from onboard.flight.flight_log import Started, preamble, storage
+from onboard.flight.harvest import Harvest, harvest
 from onboard.flight.publisher import Publisher
+from onboard.recording.segments import segment_path
 from onboard.ring import RingReader
 
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
+WATCH_PERIOD_S = 0.05
+_LONGEST_PAUSE_S = 5.0  # before a worker that keeps dying is started again
+_STABLE_S = 30.0  # a worker that lived so long starts with a clean slate
 
 
 class FlightError(RuntimeError):
@@ -28,34 +41,84 @@ class Flight(NamedTuple):
     """How a flight went."""
 
     log: Path
-    died: tuple[str, ...]  # workers that ended before they were told to
+    died: tuple[str, ...]  # workers that were not running at the end
+    restarted: tuple[str, ...] = ()  # workers that died, once for each time, and were started again
+    harvested: tuple[Harvest, ...] = ()  # earlier flights that had died
 
 
 class _Worker:
-    """A process with its own ready and stop flags."""
+    """A process that is started again when it dies, with a pipe of its own each time."""
 
     def __init__(self, name: str, body: Callable[..., None], *arguments: object) -> None:
-        context = multiprocessing.get_context("spawn")
         self.name, self.died = name, False
-        self.ready, self.stop = context.Event(), context.Event()
-        self.process = context.Process(target=body, args=(*arguments, self.ready, self.stop), name=f"heft-{name}")
+        self._body, self._arguments = body, arguments
+        self._context = multiprocessing.get_context("spawn")
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._started_s = self._due_s = 0.0
+        self._pause_s = 0.0
+
+    @property
+    def pid(self) -> int | None:
+        return self._process.pid if self._process is not None else None
+
+    @property
+    def exit_code(self) -> int | None:
+        return self._process.exitcode if self._process is not None else None
+
+    @property
+    def is_dead(self) -> bool:
+        return self._process is not None and not self._process.is_alive()
 
     def start(self) -> None:
-        self.process.start()
+        if self._pipe is not None:
+            self._pipe.close()
+        self._pipe, end = self._context.Pipe()
+        self._process = self._context.Process(target=self._body, args=(*self._arguments, end), name=f"heft-{self.name}")
+        self._process.start()
+        end.close()
+        self._started_s = time.monotonic()
+        self.died = False
 
     def wait_ready(self) -> None:
+        assert self._pipe is not None
         deadline = time.monotonic() + START_TIMEOUT_S
-        while not self.ready.wait(0.05):
-            if not self.process.is_alive() or time.monotonic() > deadline:
+        while not self._pipe.poll(WATCH_PERIOD_S):
+            if self.is_dead or time.monotonic() > deadline:
                 raise FlightError(f"the {self.name} worker did not start; its message stands above")
+        try:
+            self._pipe.recv()
+        except EOFError as error:
+            raise FlightError(f"the {self.name} worker did not start; its message stands above") from error
+
+    def watch(self) -> str:
+        """Start it again if it is dead and due; what there is to say of that."""
+        if not self.is_dead:
+            return ""
+        now_s = time.monotonic()
+        if not self.died:
+            self.died = True
+            if now_s - self._started_s > _STABLE_S:
+                self._pause_s = 0.0
+            self._due_s = now_s + self._pause_s
+            self._pause_s = min(_LONGEST_PAUSE_S, max(0.25, 2 * self._pause_s))
+            return "died"
+        if now_s < self._due_s:
+            return ""
+        self.start()
+        return "restarted"
 
     def finish(self) -> None:
-        self.stop.set()
-        self.process.join(STOP_TIMEOUT_S)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
-        self.died |= self.process.exitcode != 0
+        if self._process is None or self._pipe is None:
+            return
+        with contextlib.suppress(OSError):  # it is dead, and joined below
+            self._pipe.send(True)
+        self._process.join(STOP_TIMEOUT_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._pipe.close()
+        self.died |= self._process.exitcode != 0
 
 
 def fly(
@@ -69,15 +132,52 @@ def fly(
 
     Raises:
         FlightError: a worker did not start.
+        FileExistsError: there is such a log already.
     """
-    directory = rings.new_directory()
-    channels = {**rings.device_channels(vehicle), **estimation_channels(Estimator(vehicle)), "event_supervisor": EVENT}
+    harvested = harvest(time.monotonic_ns())
+    if log.exists() or segment_path(log, 0).exists():
+        raise FileExistsError(f"{log} is there already; give another name")
+    flight, started = uuid.uuid4().hex, Started(time.time_ns(), time.monotonic_ns())
+    directory = manifest.directory_for(log, flight)
+    with manifest.belong(directory):
+        about = manifest.Manifest(
+            directory,
+            log.absolute(),
+            vehicle.file.vehicle.name,
+            storage(vehicle.file.recording),
+            preamble(vehicle, flight, started),
+        )
+        about.save()
+        died, restarted = _fly(vehicle, directory, harvested, duration_s, progress)
+        if not died:
+            about.remove()
+    return Flight(log, died, restarted, tuple(harvested))
+
+
+def _fly(
+    vehicle: config.Vehicle,
+    directory: Path,
+    harvested: list[Harvest],
+    duration_s: float | None,
+    progress: Callable[[float], None],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Fly with rings in ``directory``; returns the workers that are dead at the end, and those that were restarted."""
+    create_rings(directory, Estimator(vehicle))
+    channels = {**rings.device_channels(vehicle), "event_supervisor": EVENT}
     supervisor = Publisher(rings.create(directory, vehicle, channels), "_supervisor")
     acquisition = _Worker("acquisition", workers.acquire, vehicle, directory)
     estimation = _Worker("estimation", workers.estimate, vehicle, directory)
-    recording = _Worker("recording", workers.record, vehicle, directory, log)
+    recording = _Worker("recording", workers.record, directory)
     asked_to_stop = _StopSignals()
     everyone = [recording, estimation, acquisition]
+    restarted: list[str] = []
+
+    def tell(severity: Severity, code: str, source: str, text: str) -> None:
+        supervisor.publish([event(time.monotonic_ns(), severity, code, source, text)])
+
+    for one in harvested:
+        text = one.problem or f"{one.rows} rows brought in"
+        tell(Severity.ERROR if one.problem else Severity.WARNING, "harvest", one.log.name, text)
     try:
         for worker in everyone:
             worker.start()
@@ -90,23 +190,22 @@ def fly(
             if duration_s is not None and elapsed > duration_s:
                 break
             for worker in everyone:
-                if not worker.died and not worker.process.is_alive():
-                    worker.died = True
-                    text = f"exit code {worker.process.exitcode}; the others go on"
-                    supervisor.publish([event(time.monotonic_ns(), Severity.ERROR, "worker_died", worker.name, text)])
+                happened = worker.watch()
+                if happened == "died":
+                    text = f"exit code {worker.exit_code}; the others go on, and it is started again"
+                    tell(Severity.ERROR, "worker_died", worker.name, text)
+                elif happened:
+                    restarted.append(worker.name)
+                    tell(Severity.WARNING, "worker_restarted", worker.name, f"process {worker.pid}")
             progress(elapsed)
-            time.sleep(0.1)
+            time.sleep(WATCH_PERIOD_S)
     finally:
         for worker in reversed(everyone):
-            if worker.process.pid is not None:
-                worker.finish()
+            if worker is recording and worker.is_dead:
+                worker.start()  # to end the log
+            worker.finish()
         asked_to_stop.restore()
-    died = tuple(worker.name for worker in everyone if worker.died)
-    if not died:
-        for path in directory.iterdir():
-            path.unlink()
-        directory.rmdir()
-    return Flight(log, died)
+    return tuple(worker.name for worker in everyone if worker.died), tuple(restarted)
 
 
 class _StopSignals:

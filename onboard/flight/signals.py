@@ -4,7 +4,7 @@ Samples keep their device ticks until the last moment: their times are taken fro
 better clock solution moves all of them together and no seam is left in a window.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,22 +15,13 @@ from onboard import config
 from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import Window
 from onboard.flight.history import History
-from onboard.timebase.delays import MPU6050_FILTER_DELAY_S
+from onboard.flight.roles import Signal, roles_of
 from onboard.timebase.timebase import Timebase
 
 Floats = NDArray[np.float64]
 
 UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
 HISTORY_S = 2.0
-
-
-class Channel(NamedTuple):
-    """One channel's samples and what smoothing needs to know of them."""
-
-    history: History
-    delays_s: tuple[float, ...]  # of each column's filter
-    noise: tuple[float, ...]  # of each column, standard deviation of a sample
-    period_s: float  # nominal
 
 
 class Smoothed(NamedTuple):
@@ -46,92 +37,109 @@ class Signals:
 
     def __init__(self, vehicle: config.Vehicle) -> None:
         self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
-        self._zero: dict[str, int] = {}
-        self._channels: dict[str, Channel] = {}
-        self._recorded: set[str] = set()
-        for name, device in vehicle.file.device.items():
-            channel = self._channel(device, vehicle)
-            if channel is not None:
-                self._channels[name] = channel
-            if isinstance(device, config.Cia406Device):
-                self._zero[name] = device.zero_count
-            if isinstance(device, config.RecordedDevice):
-                self._recorded.add(name)
+        self._signals = roles_of(vehicle).signals
+        self._histories = {
+            name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
+        }
+        self._zero_lost: set[str] = set()
+        self._told: set[tuple[str, str]] = set()
 
-    @staticmethod
-    def _channel(device: config.Device, vehicle: config.Vehicle) -> Channel | None:
-        sync = next((d for d in vehicle.file.device.values() if isinstance(d, config.CanopenSyncDevice)), None)
-        sync_s = sync.period_ms * 1e-3 if sync else 0.0
-
-        def scalar(delay_s: float, noise: float, period_s: float) -> Channel:
-            return Channel(History(int(HISTORY_S / period_s), 1), (delay_s,), (noise,), period_s)
-
-        def imu(period_s: float, gyro_delay_s: float, accel_delay_s: float, gyro: float, accel: float) -> Channel:
-            delays, noise = (gyro_delay_s,) * 3 + (accel_delay_s,) * 3, (gyro,) * 3 + (accel,) * 3
-            return Channel(History(int(HISTORY_S / period_s), 6), delays, noise, period_s)
-
-        match device:
-            case config.Mpu6050Device():
-                accel_delay_s, gyro_delay_s = MPU6050_FILTER_DELAY_S[device.filter_code]
-                period_s = 1.0 / device.sample_rate_hz
-                return imu(period_s, gyro_delay_s, accel_delay_s, device.gyro_noise_rad_s, device.accel_noise_m_s2)
-            case config.RecordedImu():
-                return imu(device.period_ms * 1e-3, 0.0, 0.0, device.gyro_noise_rad_s, device.accel_noise_m_s2)
-            case config.Cia406Device():
-                return scalar(0.0, device.noise_rad, sync_s)
-            case config.Cia404Device():
-                return scalar(device.delay_ms * 1e-3, device.noise_N, sync_s)
-            case config.RecordedRate():
-                return scalar(0.0, device.noise_rad_s, device.period_ms * 1e-3)
-            case _:
-                return None
-
-    def append(self, batches: Mapping[str, Rows]) -> None:
-        """Take in what a step consumed."""
+    def append(self, batches: Mapping[str, Rows]) -> dict[str, str]:
+        """Take in what a step consumed; returns by channel what is newly wrong with it."""
+        said = {}
         for name, arrived in batches.items():
-            if name not in self._channels or not len(arrived):
+            if name not in self._signals or not len(arrived):
                 continue
+            signal, history = self._signals[name], self._histories[name]
             restarts = np.flatnonzero(arrived["status"] & SampleStatus.AFTER_RESET)
             if len(restarts):
-                self._channels[name].history.clear()
+                history.clear()
+                if not signal.absolute:
+                    self._zero_lost.add(name)
             rows = arrived[restarts[-1] :] if len(restarts) else arrived
-            ticks = rows["host_ns"] if name in self._recorded else rows["tick"].astype(np.int64)
-            valid = (rows["status"] & UNUSABLE) == 0
-            self._channels[name].history.append(ticks, self._values(name, rows), valid)
+            values, usable = _values(signal, rows)
+            why = ""
+            if name in self._zero_lost:
+                usable[:] = False
+                why = "its counter began anew and its zero is lost: rows that need it are refused, zero it again"
+            elif not np.isfinite(values).all():
+                unit = rows["unit"][~np.isfinite(values[:, 0])][0].decode("ascii", "replace")
+                why = f"unit {unit!r} is none of {', '.join(u.decode() for u in signal.si)}: not used, mend its device"
+                values = np.nan_to_num(values)
+            if why and (name, why) not in self._told:
+                self._told.add((name, why))
+                said[name] = why
+            history.append(rows, values, usable)
+        return said
 
-    def _values(self, name: str, rows: Rows) -> Floats:
-        """SI values, (n, columns): gyro and accelerometer in sensor axes, or one scalar."""
-        if "gyro_raw" in (rows.dtype.names or ()):
-            gyro = rows["gyro_raw"] * rows["gyro_scale_rad_s"].astype(np.float64)[:, None]
-            accel = rows["accel_raw"] * rows["accel_scale_m_s2"].astype(np.float64)[:, None]
-            return np.hstack([gyro, accel])
-        values: Floats = (rows["value_raw"] - self._zero.get(name, 0)) * rows["scale"]
-        return values[:, None]
+    def together(
+        self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
+    ) -> Smoothed:
+        """Several channels at the same ticks, their columns side by side; a tick that one refuses is refused."""
+        parts = [self.at(name, timebase, at_ns, derivatives) for name in names]
+        refused = np.bitwise_or.reduce([part.refused for part in parts])
+        values, sigma = (
+            tuple(np.hstack(columns) for columns in zip(*sides, strict=True))
+            for sides in ([part.derivatives for part in parts], [part.sigma for part in parts])
+        )
+        return Smoothed(values, sigma, refused)
 
     def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> Smoothed:
         """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,)."""
-        channel = self._channels[name]
-        n, columns = len(at_ns), len(channel.noise)
-        history = channel.history
-        times_ns = timebase.time_ns(name, history.ticks) if len(history.ticks) > 1 else None
+        channel, history = self._signals[name], self._histories[name]
+        n, columns, count = len(at_ns), len(channel.noise), len(history.stamps)
+        times_ns = timebase.time_ns(name, history.stamps) if count > 1 else None
         if times_ns is None:
             nothing = np.full((n, columns), np.nan)
-            reason = GateReason.GAP if len(history.ticks) < 2 else GateReason.NOT_SYNCHRONISED
+            reason = GateReason.GAP if count < 2 else GateReason.NOT_SYNCHRONISED
             return Smoothed((nothing,) * (derivatives + 1), (nothing,) * (derivatives + 1), np.full(n, int(reason)))
         epoch_ns = int(at_ns[0])
-        at_s = (at_ns - epoch_ns) * 1e-9
+        at_s = (at_ns - epoch_ns).astype(np.float64) * 1e-9
         times_s = (times_ns - epoch_ns) * 1e-9
+        later = np.append(True, times_s[1:] > np.maximum.accumulate(times_s)[:-1])  # not so where a timer stood still
+        waited = timebase.waited(name, history.stamps)
+        later &= ~waited
+        longest_gap_s = (4.5 if waited.any() else 3.5) * channel.period_s
+        times_s, samples, usable = times_s[later], history.values[later], history.valid[later]
         near = slice(*np.searchsorted(times_s, [at_s[0] - self.width_s, at_s[-1] + self.width_s]).tolist())
-        times_s, values, valid = times_s[near], history.values[near], history.valid[near]
+        times_s, values, valid = times_s[near], samples[near], usable[near]
         refused = reasons(window_contains(times_s, ~valid, at_s, self.width_s), GateReason.SATURATED)
-        values_out = [np.full((n, columns), np.nan) for _ in range(derivatives + 1)]
+        values_out: list[Floats] = [np.full((n, columns), np.nan) for _ in range(derivatives + 1)]
         sigma_out = [np.full((n, columns), np.nan) for _ in range(derivatives + 1)]
         for delay_s in dict.fromkeys(channel.delays_s):
             mine = [i for i, d in enumerate(channel.delays_s) if d == delay_s]
-            window = Window(times_s - delay_s, at_s, self.width_s, max_gap_s=3.5 * channel.period_s)
+            window = Window(times_s - delay_s, at_s, self.width_s, max_gap_s=longest_gap_s)
             for order in range(derivatives + 1):
                 smoothed = window.apply(values[:, mine], order)
                 values_out[order][:, mine] = smoothed.values
                 sigma_out[order][:, mine] = smoothed.noise_gain[:, None] * np.array(channel.noise)[mine]
             refused |= reasons(~smoothed.valid, GateReason.GAP)
+        # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
+        timing_s = timebase.sigma_ns(name, int(at_ns[n // 2])) * 1e-9
+        changes = [*values_out[1:], _rate_of_change(values_out[-1], at_s)]
+        noises = [*sigma_out[1:], sigma_out[-1] * np.pi / self.width_s]
+        for order, (change, noise) in enumerate(zip(changes, noises, strict=True)):
+            moved = timing_s * np.sqrt(np.maximum(change**2 - noise**2, 0.0))
+            sigma_out[order] = np.hypot(sigma_out[order], moved)
         return Smoothed(tuple(values_out), tuple(sigma_out), refused)
+
+
+def _rate_of_change(values: Floats, at_s: Floats) -> Floats:
+    """Of ``values`` (n, columns) from tick to tick; 0 where there is no neighbour to tell it."""
+    if len(at_s) < 2:
+        return np.zeros_like(values)
+    return np.nan_to_num(np.gradient(values, at_s, axis=0))
+
+
+def _values(signal: Signal, rows: Rows) -> tuple[Floats, NDArray[np.bool_]]:
+    """SI values, (n, columns), gyro and accelerometer in sensor axes or one scalar; and which may be used, (n,)."""
+    usable = (rows["status"] & UNUSABLE) == 0
+    if not signal.si:
+        gyro = rows["gyro_raw"] * rows["gyro_scale_rad_s"].astype(np.float64)[:, None]
+        accel = rows["accel_raw"] * rows["accel_scale_m_s2"].astype(np.float64)[:, None]
+        return np.hstack([gyro, accel]), usable
+    factor = np.full(len(rows), np.nan)
+    for unit, si in signal.si.items():
+        factor[rows["unit"] == unit] = si
+    values: Floats = (rows["value_raw"] - signal.zero_count) * rows["scale"] * factor
+    return values[:, None], usable & (np.abs(values) < signal.limit)

@@ -1,33 +1,80 @@
 """The processes of a real flight: acquisition, estimation, recording. Each runs its worker's step until told to stop.
 
 Only the acquisition process is hurried: a thread for each bus, blocked in I/O or asleep till its next poll, and nothing
-else in that process.
+else in that process but a thread that waits to be told.
+
+Any of them may be killed and started again: it finds in the rings, or in the log, how far the one before it had come.
 """
 
+import contextlib
 import gc
 import os
+import signal
 import threading
 import time
-from collections.abc import Sequence
-from multiprocessing.synchronize import Event
+from collections.abc import Iterable, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.device import Device
-from drivers.records import Severity, event
+from drivers.records import Batch, Severity, event
 from onboard import config
-from onboard.flight import rings
+from onboard.flight import manifest, rings
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.publisher import Publisher
 
+if TYPE_CHECKING:
+    from onboard.flight.devices import OpenDevices
+
 RECEIVE_TIMEOUT_S = 0.05
 REALTIME_PRIORITY = 50
+ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
+CLOSE_S = 10.0  # for a disk that refuses at the end of a flight: what is left is harvested before the next
 
 
-def acquire(vehicle: config.Vehicle, directory: Path, ready: Event, stop: Event) -> None:
+class Supervised:
+    """A worker's end of the pipe to its supervisor. The pipe also ends when the supervisor does.
+
+    An event shared between processes would do while nobody dies; one that is killed inside of it keeps it locked.
+
+    Args:
+        pipe: this end.
+        name: for the lists of processes that an operator looks at.
+    """
+
+    def __init__(self, pipe: Connection, name: str) -> None:
+        self._pipe = pipe
+        with contextlib.suppress(OSError):
+            Path("/proc/self/comm").write_text(f"heft-{name}"[:15], encoding="ascii")
+        self.stop, self.orphaned = threading.Event(), False
+        for number in (signal.SIGINT, signal.SIGTERM):  # a terminal's and a service's are the supervisor's to handle
+            signal.signal(number, signal.SIG_IGN)
+        threading.Thread(target=self._wait, name="supervised", daemon=True).start()
+
+    def ready(self) -> None:
+        """Say that the worker is at work."""
+        self._pipe.send(True)
+
+    def _wait(self) -> None:
+        try:
+            self._pipe.recv()
+        except (EOFError, OSError):
+            self.orphaned = True
+        self.stop.set()
+
+
+def acquire(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None:
     """Body of the acquisition process."""
+    supervised = Supervised(pipe, "acquire")
+    with manifest.belong(directory):
+        _acquire(vehicle, directory, supervised)
+
+
+def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -> None:
     from onboard.flight.devices import open_devices
 
-    publisher = Publisher(rings.create(directory, vehicle, rings.device_channels(vehicle)))
+    publisher = Publisher(rings.create(directory, vehicle, rings.device_channels(vehicle)), renumber=True)
     opened = open_devices(vehicle, time.monotonic_ns)
     acquisition = Acquisition(opened.devices, publisher)
     acquisition.report(opened.problems)
@@ -39,19 +86,19 @@ def acquire(vehicle: config.Vehicle, directory: Path, ready: Event, stop: Event)
     gc.collect()
     gc.freeze()
     threads = [
-        threading.Thread(target=_pump_bus, args=(acquisition, devices, stop), name=bus, daemon=True)
+        threading.Thread(target=_pump_bus, args=(acquisition, devices, supervised.stop), name=bus, daemon=True)
         for bus, devices in opened.by_bus.items()
     ]
     for thread in threads:
         thread.start()
-    ready.set()
+    supervised.ready()
     for thread in threads:
         thread.join()
-    stop.wait()  # with no bus at all there is still a flight to log
+    supervised.stop.wait()  # with no bus at all there is still a flight to log
     opened.close()
 
 
-def _pump_bus(acquisition: Acquisition, devices: Sequence[Device], stop: Event) -> None:
+def _pump_bus(acquisition: Acquisition, devices: Sequence[Device], stop: threading.Event) -> None:
     """All devices of one bus: they share a port, so one thread drives them."""
     running = [device for device in devices if acquisition.start_device(device, time.monotonic_ns())]
     due_ns = {device.name: 0 for device in running}
@@ -68,29 +115,82 @@ def _pump_bus(acquisition: Acquisition, devices: Sequence[Device], stop: Event) 
         acquisition.stop_device(device, time.monotonic_ns())
 
 
-def estimate(vehicle: config.Vehicle, directory: Path, ready: Event, stop: Event) -> None:
+def run_for(opened: "OpenDevices", seconds: float) -> list[Batch]:
+    """Run devices as in flight, and nothing else: what they say in so many seconds, their being stopped aside."""
+    said: list[Batch] = []
+    stop = threading.Event()
+    acquisition = Acquisition(opened.devices, _Keeper(said))
+    threads = [
+        threading.Thread(target=_pump_bus, args=(acquisition, devices, stop), name=bus, daemon=True)
+        for bus, devices in opened.by_bus.items()
+    ]
+    for thread in threads:
+        thread.start()
+    time.sleep(seconds)
+    until_now = list(said)
+    stop.set()
+    for thread in threads:
+        thread.join()
+    return until_now
+
+
+class _Keeper(Publisher):
+    """Keeps batches in a list in place of rings."""
+
+    def __init__(self, kept: list[Batch]) -> None:
+        super().__init__({})
+        self._kept = kept
+
+    def publish(self, batches: Iterable[Batch]) -> None:
+        """See ``Publisher``."""
+        self._kept.extend(batches)
+
+
+def estimate(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None:
     """Body of the estimation process."""
-    from onboard.flight.estimation import EstimationWorker
+    from onboard.flight.estimation import DurableEstimation
 
-    worker = EstimationWorker.over_rings(vehicle, directory)
-    ready.set()
-    period_ns = int(vehicle.file.estimation.step_ms * 1e6)
-    next_ns = time.monotonic_ns()
-    while not stop.is_set():
-        worker.step(time.monotonic_ns())
-        next_ns = max(next_ns + period_ns, time.monotonic_ns())
-        time.sleep(max(0, next_ns - time.monotonic_ns()) * 1e-9)
-    worker.finish(time.monotonic_ns())
+    supervised = Supervised(pipe, "estimate")
+    with manifest.belong(directory):
+        worker = DurableEstimation(vehicle, directory, time.monotonic_ns())
+        supervised.ready()
+        period_ns = int(vehicle.file.estimation.step_ms * 1e6)
+        next_ns = time.monotonic_ns()
+        while not supervised.stop.is_set():
+            worker.step(time.monotonic_ns())
+            next_ns = _sleep_until(next_ns + period_ns)
+        worker.finish(time.monotonic_ns())
 
 
-def record(vehicle: config.Vehicle, directory: Path, log: Path, ready: Event, stop: Event) -> None:
+def record(directory: Path, pipe: Connection) -> None:
     """Body of the recording process."""
-    from onboard.flight.flight_log import Started, open_recorder
+    from onboard.flight.flight_log import open_recorder, step_ns
 
-    started = Started(time.time_ns(), time.monotonic_ns())
-    recorder = open_recorder(vehicle, directory, log, durable=True, started=started)
-    ready.set()
-    while not stop.is_set():
+    supervised = Supervised(pipe, "record")
+    with manifest.belong(directory):
+        flight = manifest.Manifest.load(directory)
+        recorder = open_recorder(flight)
         recorder.step(time.monotonic_ns())
-        time.sleep(0.05)
-    recorder.close(time.monotonic_ns())
+        supervised.ready()
+        period_ns = step_ns(flight.storage)
+        next_ns = time.monotonic_ns()
+        while not supervised.stop.is_set():
+            recorder.step(time.monotonic_ns())
+            next_ns = _sleep_until(next_ns + period_ns)
+        end_ns = time.monotonic_ns() + int(ORPHAN_S * 1e9) * supervised.orphaned
+        while time.monotonic_ns() < end_ns:
+            recorder.step(time.monotonic_ns())
+            time.sleep(period_ns * 1e-9)
+        end_ns = time.monotonic_ns() + int(CLOSE_S * 1e9)
+        while recorder.close(time.monotonic_ns()).failing:
+            if time.monotonic_ns() > end_ns:
+                raise SystemExit("the disk refuses the end of the log: the next start brings in what the rings hold")
+            time.sleep(period_ns * 1e-9)
+
+
+def _sleep_until(due_ns: int) -> int:
+    """Sleep; returns when it was to end, or now if that is past."""
+    now_ns = time.monotonic_ns()
+    if due_ns > now_ns:
+        time.sleep((due_ns - now_ns) * 1e-9)
+    return max(due_ns, now_ns)

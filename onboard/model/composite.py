@@ -82,11 +82,12 @@ def composite_functional(vehicle: Vehicle) -> FloatArray:
         for k in range(10):
             unit = np.zeros(10)
             unit[k] = 1.0
-            functional[:, 10 * link + k] = _parameters(pose @ _pseudo_inertia(unit) @ pose.T)
+            functional[:, 10 * link + k] = _parameters(pose @ pseudo_inertia(unit) @ pose.T)
     return functional
 
 
-def _pseudo_inertia(chi: FloatArray) -> FloatArray:
+def pseudo_inertia(chi: FloatArray) -> FloatArray:
+    """Pseudo-inertia ``[[Sigma, h], [h', m]]``, (4, 4), of ten standard parameters; positive for real bodies."""
     inertia = symmetric(chi[4:])
     P = np.empty((4, 4))
     P[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia

@@ -63,13 +63,21 @@ class Column(NamedTuple):
     """One column of a table.
 
     ``values`` takes rows (n,) to values (n,); ``digits`` is how many significant decimal digits a converted value
-    carries, None for a value that is to be written as it is.
+    carries, None for a value that is to be written as it is. ``product`` takes rows to the counts and the scale that a
+    converted value is the product of, where it is nothing but that; ``made_of`` names the columns it stands for.
     """
 
     name: str
     unit: str
     values: Callable[[Rows], Values]
     digits: int | None = None
+    product: tuple[Callable[[Rows], Values], Callable[[Rows], Values]] | None = None
+    made_of: tuple[str, ...] = ()
+
+    @property
+    def converted(self) -> bool:
+        """Whether it is SI made of counts beside it."""
+        return self.digits is not None
 
     @property
     def header(self) -> str:
@@ -150,4 +158,9 @@ def _converted(dtype: np.dtype[np.void], base: str, shape: tuple[int, ...], samp
 
         return values
 
-    return [Column(base + suffix, unit, converter(index), digits) for suffix, index in _components(base, shape)]
+    made: list[Column] = []
+    for suffix, index in _components(base, shape):
+        product = None if text else (_getter(f"{base}_raw", index), _getter(scale, ()))
+        sources = (f"{base}_raw{suffix}", scale, *(("unit",) if text else ()))
+        made.append(Column(base + suffix, unit, converter(index), digits, product, sources))
+    return made

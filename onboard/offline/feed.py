@@ -6,45 +6,12 @@ no account in which order the channels lie in the file.
 
 from collections.abc import Iterator
 
-import numpy as np
-
-from drivers.records import Batch, Rows
+from drivers.records import Batch
 from onboard import config
 from onboard.flight.estimator import Estimator
-from onboard.flight.rings import device_channels
+from onboard.offline.source import Source
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
-
-
-class _Source:
-    """The rows of one channel, in the order of the file."""
-
-    def __init__(self, log: LogReader, name: str) -> None:
-        self._batches = log.batches([name])
-        self._rows: Rows = np.empty(0, log.channels[name])
-        self._fill()
-
-    def _fill(self) -> None:
-        while not len(self._rows) and (batch := next(self._batches, None)) is not None:
-            self._rows = batch.rows
-
-    @property
-    def next_ns(self) -> int | None:
-        """Stamp of the next row; None at the end."""
-        return int(self._rows["host_ns"][0]) if len(self._rows) else None
-
-    def take(self, until_ns: int) -> Rows:
-        """Rows before the first that is stamped ``until_ns`` or later."""
-        parts = [self._rows[:0]]
-        while len(self._rows):
-            late = self._rows["host_ns"] >= until_ns
-            count = int(np.argmax(late)) if late.any() else len(self._rows)
-            parts.append(self._rows[:count])
-            self._rows = self._rows[count:]
-            if len(self._rows):
-                break
-            self._fill()
-        return np.concatenate(parts)
 
 
 def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
@@ -53,7 +20,7 @@ def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
     Raises:
         ChannelError: it has not.
     """
-    wanted = {name: dtype for name, dtype in device_channels(vehicle).items() if name in vehicle.file.device}
+    wanted = vehicle.channels
     missing = [name for name in wanted if name not in log.channels]
     other = [name for name, dtype in wanted.items() if name not in missing and log.channels[name] != dtype]
     if missing or other:
@@ -76,7 +43,7 @@ def feed(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
     """
     check_channels(estimator.vehicle, log)
     step_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6)
-    sources = {name: _Source(log, name) for name in estimator.inputs}
+    sources = {name: Source(log, name) for name in estimator.inputs}
     begin = [source.next_ns for source in sources.values() if source.next_ns is not None]
     if not begin:
         return

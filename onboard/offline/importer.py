@@ -79,7 +79,7 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
     columns = foreign.read(source, chosen.file.csv, chosen.file.mapping.format)
     channels: dict[str, Rows] = {}
     for name, channel in chosen.file.channel.items():
-        host_ns = _host_ns(source, columns, channel.time or chosen.file.time)
+        host_ns = _host_ns(source, columns, channel.time or chosen.file.time, _first_column(channel))
         channels[name] = (
             _imu(source, columns, channel, host_ns)
             if isinstance(channel, ImuChannel)
@@ -146,8 +146,20 @@ def _tell_pauses(writer: LogWriter, channels: dict[str, Rows]) -> None:
             writer.write(EVENT_CHANNEL, event.rows)
 
 
-def _host_ns(source: Path, columns: Columns[str, Values], time: Time) -> NDArray[np.int64]:
-    """Times (n,) of the samples."""
+def _first_column(channel: ImuChannel | ScalarChannel) -> str:
+    """A column that has a value for every sample."""
+    if isinstance(channel, ScalarChannel):
+        return channel.value.column
+    return channel.gyro.column or (channel.gyro.columns or ("",))[0]
+
+
+def _host_ns(source: Path, columns: Columns[str, Values], time: Time, sampled: str) -> NDArray[np.int64]:
+    """Times (n,) of the samples; those of ``sampled``, evenly spaced, where the recording has none."""
+    if time.column is None:
+        assert time.rate_Hz is not None
+        count = len(columns.get(sampled, ()))  # a column that is not there is told when its values are asked for
+        start_ns = time.offset * NS_PER[time.unit]
+        return np.asarray(np.rint(start_ns + np.arange(count) * (1e9 / time.rate_Hz)), np.int64)
     values = foreign.numbers(source, columns, time.column)
     per_unit = NS_PER[time.unit]
     approximate = (values.astype(np.float64) + time.offset) * per_unit

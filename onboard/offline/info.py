@@ -1,7 +1,8 @@
 """What a log holds, on one screen."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -14,7 +15,8 @@ from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
 from onboard.recording.schema import message_name
 
-_EVENTS_KEPT = 10
+_EVENTS_KEPT = 6
+_OWN_VERSION = ("heft", "revision")  # the others are in --json
 _DAMAGE_SHOWN = 5
 
 
@@ -42,7 +44,7 @@ class ChannelInfo:
 
 @dataclass(frozen=True)
 class EventLine:
-    """One event."""
+    """One warning or error."""
 
     host_ns: int
     severity: int
@@ -77,6 +79,13 @@ class LogInfo:
     def rows(self) -> int:
         """Rows of all channels."""
         return sum(channel.rows for channel in self.channels)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        channels = [asdict(channel) for channel in self.channels]
+        damage = [str(one) for one in self.damage]
+        plain = {"path": str(self.path), "damage": damage, "duration_s": self.duration_s, "channels": channels}
+        return asdict(replace(self, path=Path(), damage=(), channels=())) | plain
 
     @property
     def unexplained(self) -> int:
@@ -117,14 +126,16 @@ class _Gatherer:
         for channel in np.unique(rows["channel"]):
             of_channel = rows[rows["channel"] == channel]
             ranges = np.stack([of_channel["first_missing"], of_channel["last_missing"]], axis=1).astype(np.int64)
-            self._gaps.setdefault(_text(channel), []).append(ranges)
+            self._gaps.setdefault(printable(channel), []).append(ranges)
 
     def _add_events(self, rows: Rows) -> None:
         for severity, number in zip(*np.unique(rows["severity"], return_counts=True), strict=True):
             self.event_counts[int(severity)] = self.event_counts.get(int(severity), 0) + int(number)
         lines = [
-            EventLine(int(row["host_ns"]), int(row["severity"]), *(_text(row[f]) for f in ("code", "source", "text")))
-            for row in rows[-_EVENTS_KEPT:]
+            EventLine(
+                int(row["host_ns"]), int(row["severity"]), *(printable(row[f]) for f in ("code", "source", "text"))
+            )
+            for row in rows[rows["severity"] >= Severity.WARNING][-_EVENTS_KEPT:]
         ]
         self.events = sorted([*self.events, *lines], key=lambda line: line.host_ns)[-_EVENTS_KEPT:]
 
@@ -151,20 +162,20 @@ class _Gatherer:
         )
 
 
-def _text(data: bytes) -> str:
+def printable(data: bytes) -> str:
     """What can be shown on a terminal without changing its state."""
     text = bytes(data).decode(errors="backslashreplace")
     return "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in text)
 
 
-def info(log: str | Path) -> LogInfo:
+def info(log: LogReader | str | Path) -> LogInfo:
     """Read all of ``log`` once more than its survey does, in constant memory.
 
     Raises:
         LogFormatError: it is no log of ours.
         OSError: it cannot be read.
     """
-    reader = LogReader(log)
+    reader = log if isinstance(log, LogReader) else LogReader(log)
     gatherer = _Gatherer(reader.channels)
     for batch in reader.batches():
         gatherer.add(batch)
@@ -187,7 +198,7 @@ def info(log: str | Path) -> LogInfo:
 
 def render(about: LogInfo) -> RenderableType:
     """``about`` for a terminal."""
-    return Group(_head(about), _channel_table(about), *_event_lines(about), *_verdict(about))
+    return Group(_head(about), _channel_table(about), *_empty_line(about), *_event_lines(about), *_verdict(about))
 
 
 def _head(about: LogInfo) -> Table:
@@ -195,7 +206,8 @@ def _head(about: LogInfo) -> Table:
     table.add_row("log", Text(str(about.path)))
     table.add_row("length", f"{about.duration_s:.3f} s, {about.rows:,} rows, {about.size_bytes / 1e6:.2f} MB")
     for name, items in about.metadata.items():
-        table.add_row(name, Text(", ".join(f"{key} {value}" for key, value in items.items())))
+        shown = {key: value for key, value in items.items() if name != "versions" or key in _OWN_VERSION}
+        table.add_row(name, Text(", ".join(f"{key} {value}" for key, value in shown.items())))
     if about.attachments:
         table.add_row("files", Text(", ".join(f"{name} ({size:,} B)" for name, size in about.attachments.items())))
     return table
@@ -207,6 +219,8 @@ def _channel_table(about: LogInfo) -> Table:
     for heading in ("rows", "rate Hz", "missing", "in gaps", "unexplained", "flagged"):
         table.add_column(heading, justify="right")
     for channel in about.channels:
+        if not (channel.rows or channel.gaps):
+            continue
         rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
         table.add_row(
             Text(channel.name),
@@ -220,12 +234,17 @@ def _channel_table(about: LogInfo) -> Table:
     return table
 
 
+def _empty_line(about: LogInfo) -> list[RenderableType]:
+    empty = [channel.name for channel in about.channels if not (channel.rows or channel.gaps)]
+    return [Text(f"without rows: {', '.join(empty)}")] if empty else []
+
+
 def _count(number: int) -> str:
     return f"{number:,}" if number else "-"
 
 
 def _event_lines(about: LogInfo) -> list[RenderableType]:
-    if not about.events:
+    if not about.event_counts:
         return []
     counts = ", ".join(f"{number} {_severity(severity)}" for severity, number in sorted(about.event_counts.items()))
     table = Table(box=None, padding=(0, 1), pad_edge=False, show_header=False)
@@ -234,7 +253,9 @@ def _event_lines(about: LogInfo) -> list[RenderableType]:
         when = f"{(event.host_ns - about.start_ns) * 1e-9:.3f} s"
         cells = [Text(text) for text in (event.code, event.source, event.text)]
         table.add_row(when, Text(_severity(event.severity), style=style), *cells)
-    return [Text(f"events: {counts}; the last:", style="bold"), table]
+    if not about.events:
+        return [Text(f"events: {counts}")]
+    return [Text(f"events: {counts}; the last warnings and errors:", style="bold"), table]
 
 
 def _severity(number: int) -> str:

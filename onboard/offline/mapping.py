@@ -14,6 +14,7 @@
     column = "t"
     unit = "s"                      # ns, us, ms, s
     offset = 0                      # added to the column, in its unit
+    # rate_Hz = 500                 # instead of column: samples without times, evenly spaced (heft resync finds when)
 
     [channel.imu_base]
     record = "imu"
@@ -86,11 +87,18 @@ class Csv(_Section):
 
 
 class Time(_Section):
-    """The recording's own clock."""
+    """The recording's own clock: a column of times, or nothing but the nominal rate of evenly spaced samples."""
 
-    column: str
-    unit: Literal["ns", "us", "ms", "s"]
+    column: str | None = None
+    unit: Literal["ns", "us", "ms", "s"] = "s"
+    rate_Hz: _Positive | None = None  # noqa: N815  (a key ends in its SI symbol)
     offset: float = 0
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if (self.column is None) == (self.rate_Hz is None):
+            raise ValueError("give either `column`, the name of the times, or `rate_Hz`, where there are none")
+        return self
 
 
 def _as_ratio(scale: object) -> object:

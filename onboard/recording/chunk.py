@@ -46,17 +46,21 @@ class PackedChannel:
         )
         self._padding = _padding(dtype)
 
-    def pack(self, rows: Rows) -> PackedRows:
-        """Message records of ``rows`` (n,).
+    @property
+    def record_bytes(self) -> int:
+        """Of one message record."""
+        return BODY_AT + self.dtype.itemsize
 
-        Raises:
-            ChannelError: the rows are not one-dimensional rows of the channel's dtype.
-        """
-        if rows.dtype != self.dtype or rows.ndim != 1:
+    def require(self, rows: Rows) -> None:
+        """Raises ChannelError unless ``rows`` are one-dimensional rows of the channel's dtype."""
+        if (rows.dtype is not self.dtype and rows.dtype != self.dtype) or rows.ndim != 1:
             raise ChannelError(
                 f"channel {self.channel.topic!r} takes one-dimensional rows of {self.dtype.names}, "
                 f"not {rows.ndim}-dimensional ones of {rows.dtype.names}"
             )
+
+    def pack(self, rows: Rows) -> PackedRows:
+        """Message records of ``rows`` (n,), which fit the channel and lie contiguous."""
         count, item = len(rows), self.dtype.itemsize
         log_times = rows["host_ns"].astype(np.uint64)
         records = np.empty((count, BODY_AT + item), np.uint8)
@@ -64,7 +68,7 @@ class PackedChannel:
         varying = records.view(self._varying)[:, 0]
         varying["sequence"] = rows["sequence"]
         varying["log_time"] = varying["publish_time"] = log_times
-        records[:, BODY_AT:] = np.ascontiguousarray(rows).view(np.uint8).reshape(count, item)
+        records[:, BODY_AT:] = rows.view(np.uint8).reshape(count, item)
         for first, last in self._padding:
             records[:, BODY_AT + first : BODY_AT + last] = 0
         return PackedRows(records, log_times)

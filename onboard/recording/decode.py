@@ -1,5 +1,6 @@
 """The records of a chunk to rows, one run of messages at a time."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -51,10 +52,19 @@ def _run_length(keys: NDArray[np.uint8]) -> int:
 
 
 class Decoder:
-    """Knows the channels of a log so far, and takes chunks apart."""
+    """Knows the channels of a log so far, and takes chunks apart.
 
-    def __init__(self) -> None:
-        self.channels: dict[str, KnownChannel] = {}
+    Args:
+        channels: those of the segments before, with which this one's must agree.
+
+    Attributes:
+        channels: by name, in the order they were met.
+        definitions: packed schema and channel records, by kind and number.
+    """
+
+    def __init__(self, channels: Mapping[str, KnownChannel] | None = None) -> None:
+        self.channels: dict[str, KnownChannel] = dict(channels or {})
+        self.definitions: dict[tuple[str, int], bytes] = {}
         self._by_number: dict[int, KnownChannel] = {}
         self._schemas: dict[int, str] = {}
         self._seen: set[bytes] = set()
@@ -103,8 +113,11 @@ class Decoder:
         if opcode == Opcode.SCHEMA:
             schema = mcap_format.Schema.parse(body)
             self._schemas[schema.number] = schema.text
+            self.definitions["schema", schema.number] = schema.pack()
         elif opcode == Opcode.CHANNEL:
-            self._define(mcap_format.Channel.parse(body))
+            channel = mcap_format.Channel.parse(body)
+            self._define(channel)
+            self.definitions["channel", channel.number] = channel.pack()
         else:
             raise LogFormatError(f"a record of type {opcode} has no place in a chunk")
         self._seen.add(key)

@@ -246,10 +246,17 @@ def pack_message_index(channel: int, log_times: NDArray[np.uint64], offsets: NDA
     return record(Opcode.MESSAGE_INDEX, struct.pack("<HI", channel, len(data)), data)
 
 
-def check_message_index(data: bytes) -> None:
-    """Raises LogFormatError unless ``data`` has the form of a message index's body."""
-    if len(data) < 6 or (len(data) - 6) % 16 or int.from_bytes(data[2:6], "little") != len(data) - 6:
-        raise LogFormatError("message index contradicts its length")
+class MessageIndex(NamedTuple):
+    """Message index record, of which only the channel is kept: whoever reads from the front needs no index."""
+
+    channel: int
+
+    @classmethod
+    def parse(cls, data: bytes) -> "MessageIndex":
+        """From a body; lengths that contradict each other raise LogFormatError."""
+        if len(data) < 6 or (len(data) - 6) % 16 or int.from_bytes(data[2:6], "little") != len(data) - 6:
+            raise LogFormatError("message index contradicts its length")
+        return cls(int.from_bytes(data[:2], "little"))
 
 
 def pack_chunk_index(chunk: Chunk, offset: int, length: int, indexes: Mapping[int, int], indexes_length: int) -> bytes:

@@ -1,6 +1,6 @@
 """Reads a log from the front, a chunk at a time, in constant memory; what is damaged is skipped and named."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ from onboard.recording.decode import Decoder, KnownChannel, Run, rows_of
 from onboard.recording.errors import ChannelError, LogFormatError
 from onboard.recording.mcap_format import Attachment, Chunk, Header, Metadata
 from onboard.recording.scan import Damage, Scan
+from onboard.recording.segments import segments
 from onboard.recording.writer import LIBRARY
 
 EXIT_COMPLETE = 0
@@ -23,34 +24,44 @@ class _Survey(NamedTuple):
     channels: dict[str, KnownChannel]
     attachments: dict[str, Attachment]
     metadata: dict[str, dict[str, str]]
-    damage: tuple[Damage, ...]
+    damage: list[Damage]
     truncated: bool
 
 
 class LogReader:
-    """A log on disk.
+    """A log on disk, in one file or in segments.
 
-    The properties need a whole pass over the file; the first use of one makes it, and so does a loop over
+    The properties need a whole pass over the log; the first use of one makes it, and so does a loop over
     ``batches`` that comes to its end.
 
     Args:
-        path: the log.
+        path: a log (``onboard.recording.segments`` says how they lie), or the segments to read, in order.
+
+    Attributes:
+        path: as given; the first where segments were given.
+        segments: the files, in the order they are read.
 
     Raises:
-        LogFormatError: the file is not a log of ours, or nothing at all of it can be read.
+        LogFormatError: a file is not a log of ours, or nothing at all of it can be read.
         OSError: it cannot be opened.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._scan = Scan(self.path)
+    def __init__(self, path: str | Path | Sequence[Path]) -> None:
+        if isinstance(path, str | Path):
+            self.path = Path(path)
+            self.segments = segments(self.path)
+        else:
+            self.path, self.segments = path[0], tuple(path)
+        self.size = sum(segment.stat().st_size for segment in self.segments)
+        self._before, self._scan = 0, Scan(self.segments[0])
         self._found: _Survey | None = None
-        self._require_ours()
+        for segment in self.segments:
+            self._require_ours(segment)
 
-    def _require_ours(self) -> None:
+    def _require_ours(self, segment: Path) -> None:
         """One sign is enough: our name in the header, or a chunk as only we write them."""
         writer = ""
-        for record in Scan(self.path).records():
+        for record in Scan(segment).records():
             if isinstance(record, Damage):
                 continue
             if isinstance(record.content, Header):
@@ -60,17 +71,12 @@ class LogReader:
             elif isinstance(record.content, Chunk) and _decodes(record.content):
                 return
         if writer:
-            raise LogFormatError(f"{self.path} was written by {writer!r}, not by heft; read it with a ROS 2 tool")
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file when it was opened."""
-        return self._scan.size
+            raise LogFormatError(f"{segment} was written by {writer!r}, not by heft; read it with a ROS 2 tool")
 
     @property
     def position(self) -> int:
-        """Bytes of the file that the present pass has come through."""
-        return self._scan.position
+        """Bytes of the log that the present pass has come through."""
+        return self._before + self._scan.position
 
     @property
     def channels(self) -> dict[str, np.dtype[np.void]]:
@@ -95,11 +101,11 @@ class LogReader:
     @property
     def damage(self) -> tuple[Damage, ...]:
         """What could not be read, in the order of the file; empty for a whole log."""
-        return self._survey().damage
+        return tuple(self._survey().damage)
 
     @property
     def truncated(self) -> bool:
-        """Whether the log was never closed, or its end is gone."""
+        """Whether the log was never closed, or the end of a segment is gone."""
         return self._survey().truncated
 
     @property
@@ -137,8 +143,8 @@ class LogReader:
             ChannelError: the log has no such channel.
             OSError: the medium refused.
         """
-        parts = [batch.rows for batch in self.batches([channel])]
-        return np.concatenate([np.empty(0, self.channels[channel]), *parts])
+        joined = bytearray().join(batch.rows.tobytes() for batch in self.batches([channel]))
+        return np.frombuffer(joined, self.channels[channel])
 
     def _require(self, channels: Collection[str]) -> None:
         if missing := sorted(set(channels) - set(self.channels)):
@@ -157,27 +163,47 @@ class LogReader:
 
     def _chunks(self) -> Iterator[list[Run]]:
         """One pass: the runs of each chunk; what else is found is kept when the end is reached."""
-        self._scan = scan = Scan(self.path)
-        decoder = Decoder()
-        attachments: dict[str, Attachment] = {}
-        metadata: dict[str, dict[str, str]] = {}
+        found = _Survey({}, {}, {}, [], False)
+        self._before = 0
+        for number, segment in enumerate(self.segments):
+            last = number == len(self.segments) - 1
+            found = yield from self._segment(segment, found, last=last and number > 0)
+            self._before += self._scan.size
+        self._before -= self._scan.size
+        self._found = found
+
+    def _segment(self, segment: Path, found: _Survey, *, last: bool) -> Generator[list[Run], None, _Survey]:
+        """One pass over a segment; returns ``found`` and what is found in it.
+
+        Args:
+            segment: the file.
+            found: in the segments before.
+            last: it may be one that was opened ahead and never used, which is no damage.
+        """
+        self._scan = scan = Scan(segment)
+        decoder = Decoder(found.channels)
         damage: list[Damage] = []
+        used = False
+        name = segment.name if len(self.segments) > 1 else ""
         for record in scan.records():
             if isinstance(record, Damage):
-                damage.append(record)
+                damage.append(record._replace(file=name))
             elif isinstance(record.content, Attachment):
-                attachments[record.content.name] = record.content
+                found.attachments[record.content.name] = record.content
             elif isinstance(record.content, Metadata):
-                metadata[record.content.name] = record.content.items
+                found.metadata[record.content.name] = record.content.items
             elif isinstance(record.content, Chunk):
+                used = True
                 try:
                     runs = decoder.runs(record.content.records)
                 except LogFormatError as error:
-                    damage.append(Damage(record.start, record.end, str(error)))
+                    damage.append(Damage(record.start, record.end, str(error), name))
                 else:
                     yield runs
-        channels = dict(sorted(decoder.channels.items(), key=lambda item: item[1].number))
-        self._found = _Survey(channels, attachments, metadata, tuple(damage), scan.truncated)
+        if last and not used and scan.truncated and len(damage) == 1:
+            return found
+        truncated = found.truncated or scan.truncated
+        return found._replace(channels=decoder.channels, damage=[*found.damage, *damage], truncated=truncated)
 
     def _survey(self) -> _Survey:
         if self._found is None:

@@ -1,11 +1,14 @@
 """The recording worker: rings to log, a step at a time.
 
-The rings are its buffer. While the disk refuses, nothing is drained, so nothing is lost until a ring overruns; what a
-ring has overrun is told by ``GAP`` rows as soon as writing works again. Acquisition notices none of it.
+The rings are its buffer. While the disk refuses, nothing is drained, and only what a ring can hold no longer is given
+up, the oldest first; every row given up or overrun is told by a ``GAP`` row with its cause as soon as writing works
+again. While the disk is nearly full only events and gaps are recorded, and the same holds for all other channels.
+Acquisition notices none of it.
 
 The recorder speaks on two channels of its own, so that its sequence numbers meet nobody else's.
 """
 
+import errno
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple, Protocol
 
@@ -13,37 +16,51 @@ import numpy as np
 
 from drivers import records
 from drivers.records import Batch, Rows, Severity
-from onboard.recording.writer import LogWriter
+from onboard.recording.segmented import GAP_CHANNEL, Mark
+from onboard.recording.source import OVERRUN, Ring, Source
+from onboard.recording.space import SpaceGuard
 
-GAP_CHANNEL = "recorder_gap"
 EVENT_CHANNEL = "recorder_event"
-OVERRUN = "ring_overrun"
+REFUSED, FULL = "disk_refused", "disk_full"
 _SOURCE = "recorder"
+_KEPT = 0.75  # of a ring, while it is not drained: the rest is for what comes before the next step
+_TELL_NS = _LOOK_NS = 1_000_000_000
+_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 
 
-class Ring(Protocol):
-    """What the recorder needs of a reading end of a ring."""
+class Log(Protocol):
+    """What the recorder needs of a log: ``LogWriter`` and ``SegmentedLog`` are such."""
 
-    name: str
-    dtype: np.dtype[np.void]
+    @property
+    def failing(self) -> bool:
+        """The disk has refused, and no ``sync`` has succeeded since."""
 
-    def read(self, limit: int | None = None) -> tuple[Rows, int]:
-        """Rows not read yet, oldest first, and how many were lost since the last call."""
+    @property
+    def ended(self) -> bool:
+        """Nothing more can be written."""
+
+    def register(self, channel: str, dtype: np.dtype[np.void], *, units: Mapping[str, str] | None = None) -> None:
+        """Make a channel known."""
+
+    def write(self, channel: str, rows: Rows) -> None:
+        """Accept rows (n,) of a channel. OSError: the disk refused, the rows are kept."""
+
+    def sync(self, now_ns: int) -> bool:
+        """When it is due, bring everything to the medium."""
+
+    def close(self) -> None:
+        """End the log."""
+
+    def abandon(self) -> None:
+        """Give the file back as it is."""
 
 
 class StepReport(NamedTuple):
-    """What a step did: rows accepted, rows that the rings had overrun, and whether the disk refuses."""
+    """What a step did: rows accepted, rows that are lost to the log, and whether the disk refuses."""
 
     rows: int
     lost: int
     failing: bool
-
-
-class _Last(NamedTuple):
-    """The newest row of a channel that was recorded."""
-
-    sequence: int
-    host_ns: int
 
 
 class Recorder:
@@ -53,6 +70,8 @@ class Recorder:
         writer: the log; it stays the caller's to attach configuration to.
         rings: drained in this order, each into the channel of its own name.
         units: channel to field to unit, for the definitions in the log.
+        recorded: how far each channel is in the log, which another recorder began.
+        space: looks after the disk's free space.
 
     Raises:
         SchemaError: the record of a ring cannot be written as a ROS 2 message.
@@ -60,20 +79,31 @@ class Recorder:
     """
 
     def __init__(
-        self, writer: LogWriter, rings: Iterable[Ring], *, units: Mapping[str, Mapping[str, str]] | None = None
+        self,
+        writer: Log,
+        rings: Iterable[Ring],
+        *,
+        units: Mapping[str, Mapping[str, str]] | None = None,
+        recorded: Mapping[str, Mark] | None = None,
+        space: SpaceGuard | None = None,
     ) -> None:
-        self._writer, self._rings = writer, tuple(rings)
-        self._last: dict[str, _Last] = {}
-        self._unplaced: dict[str, int] = {}  # lost rows of channels that have not delivered a row since
-        self._sequence = {GAP_CHANNEL: 0, EVENT_CHANNEL: 0}
+        recorded = recorded or {}
+        self._writer, self._space = writer, space
+        self._sources = [Source(ring, recorded.get(ring.name)) for ring in rings]
+        own = (GAP_CHANNEL, EVENT_CHANNEL)
+        self._sequence = {name: recorded[name].sequence + 1 if name in recorded else 0 for name in own}
         self._failing_since_ns: int | None = None
-        for ring in self._rings:
-            writer.register(ring.name, ring.dtype, units=(units or {}).get(ring.name))
+        self._refusal = REFUSED
+        self._room = True
+        self._look_ns = self._tell_ns = 0
+        for source in self._sources:
+            writer.register(source.name, source.ring.dtype, units=(units or {}).get(source.name))
         writer.register(GAP_CHANNEL, records.GAP)
         writer.register(EVENT_CHANNEL, records.EVENT)
 
     def step(self, now_ns: int) -> StepReport:
         """Record what the rings hold."""
+        self._look(now_ns)
         if self._writer.failing:
             self._sync(now_ns)
         report = self._drain(now_ns)
@@ -89,49 +119,61 @@ class Recorder:
         """
         report = StepReport(0, 0, False) if self._writer.ended else self.step(now_ns)
         try:
+            if not self._writer.failing and not self._writer.ended:
+                self._give_up_the_rest(now_ns)
             self._writer.close()
         except OSError:
             return report._replace(failing=True)
+        if self._space is not None:
+            self._space.close()
         return report._replace(failing=False)
+
+    def abandon(self) -> None:
+        """Give up a log that the disk refuses to end; what it did not take is still in the rings."""
+        self._writer.abandon()
+        if self._space is not None:
+            self._space.close()
+
+    def say(self, now_ns: int, severity: Severity, code: str, text: str) -> None:
+        """Put an event of the recorder's own into the log."""
+        self._own(EVENT_CHANNEL, records.event(now_ns, severity, code, _SOURCE, text))
 
     def _drain(self, now_ns: int) -> StepReport:
         taken = lost = 0
-        for ring in self._rings:
+        tell = now_ns - self._tell_ns >= _TELL_NS
+        for source in self._sources:
             if self._writer.failing:
-                break
-            rows, missed = ring.read()
-            lost += missed
-            if missed := missed + self._unplaced.pop(ring.name, 0):
-                self._tell_overrun(now_ns, ring.name, rows, missed)
-            if len(rows):
-                self._write(now_ns, ring.name, rows)
-                self._last[ring.name] = _Last(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
-                taken += len(rows)
+                lost += source.drop(int(_KEPT * source.ring.capacity), self._refusal)
+            elif self._room or _essential(source):
+                rows, missed = source.take()
+                lost += missed
+                self._tell_missing(now_ns, source)
+                if len(rows):
+                    self._write(now_ns, source.name, rows)
+                    taken += len(rows)
+            else:
+                lost += source.drop(int(_KEPT * source.ring.capacity), FULL)
+                if tell:
+                    self._tell_missing(now_ns, source)
+        if tell:
+            self._tell_ns = now_ns
         return StepReport(taken, lost, self._writer.failing)
 
-    def _tell_overrun(self, now_ns: int, channel: str, rows: Rows, missed: int) -> None:
-        """GAP rows for ``missed`` rows: they lie before ``rows`` or among them, where the sequence numbers jump."""
-        if not len(rows):
-            self._unplaced[channel] = missed
-            return
-        sequence = rows["sequence"].astype(np.int64)
-        host_ns = rows["host_ns"]
-        last = self._last.get(channel, _Last(-1, int(host_ns[0])))
-        before = np.concatenate([[last.sequence], sequence[:-1]])
-        before_ns = np.concatenate([[last.host_ns], host_ns[:-1]])
-        for jump in np.flatnonzero(sequence - before > 1):
-            first, end = int(before[jump]) + 1, int(sequence[jump])
-            duration_ns = int(host_ns[jump] - before_ns[jump])
-            self._own(GAP_CHANNEL, records.gap(now_ns, channel, first, end - 1, duration_ns, OVERRUN))
-            missed -= end - first
-            if missed <= 0:  # further jumps are losses that the device's own worker has told
-                return
-        if missed > 0:
-            text = f"{channel}: {missed} rows were lost that its sequence numbers do not show"
-            self._tell(now_ns, Severity.ERROR, OVERRUN, text)
+    def _give_up_the_rest(self, now_ns: int) -> None:
+        """At the end of a flight with the disk nearly full: what the rings hold will not be recorded."""
+        for source in self._sources:
+            if not self._room and not _essential(source):
+                source.drop(0, FULL)
+            self._tell_missing(now_ns, source)
 
-    def _tell(self, now_ns: int, severity: Severity, code: str, text: str) -> None:
-        self._own(EVENT_CHANNEL, records.event(now_ns, severity, code, _SOURCE, text))
+    def _tell_missing(self, now_ns: int, source: Source) -> None:
+        for first, last, from_ns, to_ns, cause in source.missing:
+            self._own(GAP_CHANNEL, records.gap(now_ns, source.name, first, last, to_ns - from_ns, cause))
+        source.missing.clear()
+        if source.unplaced:
+            text = f"{source.name}: {source.unplaced} rows were lost that its sequence numbers do not show"
+            self.say(now_ns, Severity.ERROR, OVERRUN, text)
+            source.unplaced = 0
 
     def _own(self, channel: str, batch: Batch) -> None:
         """Write a row on a channel of our own."""
@@ -153,10 +195,39 @@ class Recorder:
         if self._failing_since_ns is not None and not self._writer.failing:
             since_ns, self._failing_since_ns = self._failing_since_ns, None
             text = f"the disk takes the log again after {(now_ns - since_ns) * 1e-9:.3f} s"
-            self._tell(now_ns, Severity.INFO, "disk_resumed", text)
+            self.say(now_ns, Severity.INFO, "disk_resumed", text)
 
     def _refused(self, now_ns: int, error: OSError) -> None:
+        self._refusal = FULL if error.errno in _FULL_ERRORS else REFUSED
         if self._failing_since_ns is None:
             self._failing_since_ns = now_ns
             text = f"the disk refused the log: {error.strerror or error}; the rings hold what comes meanwhile"
-            self._tell(now_ns, Severity.ERROR, "disk_error", text)
+            self.say(now_ns, Severity.ERROR, "disk_error", text)
+        if self._refusal == FULL:
+            self._look(now_ns, refused=True)
+
+    def _look(self, now_ns: int, *, refused: bool = False) -> None:
+        """Ask how much room the disk has, once a second and when it says that it is full."""
+        if self._space is None or not (refused or now_ns - self._look_ns >= _LOOK_NS):
+            return
+        self._look_ns = now_ns
+        try:
+            room = self._space.look(refused=refused)
+        except OSError as error:
+            self._look_ns = now_ns + 9 * _LOOK_NS
+            self.say(now_ns, Severity.WARNING, "disk_not_asked", f"free space is not known: {error}")
+            return
+        for path in room.removed:
+            self.say(now_ns, Severity.WARNING, "old_flight_removed", f"{path.name}, to make room on the disk")
+        if room.for_all != self._room:
+            self._room = room.for_all
+            if room.for_all:
+                self.say(now_ns, Severity.INFO, "disk_has_room", "all channels are recorded again")
+            else:
+                text = "the disk is nearly full: only events and gaps are recorded; remove what is not needed"
+                self.say(now_ns, Severity.ERROR, "disk_nearly_full", text)
+
+
+def _essential(source: Source) -> bool:
+    """Events and gaps are small, and are recorded to the last."""
+    return source.ring.dtype in (records.EVENT, records.GAP)

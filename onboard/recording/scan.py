@@ -5,7 +5,7 @@ next one that proves itself: a chunk or attachment by its CRC, metadata by its l
 """
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -20,7 +20,15 @@ _WINDOW = 1 << 16
 _HEAD = mcap_format.RECORD_HEAD
 _PROVABLE = np.array([Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END], np.uint8)
 
-Content = mcap_format.Header | mcap_format.Chunk | mcap_format.Attachment | mcap_format.Metadata
+Content = (
+    mcap_format.Header | mcap_format.Chunk | mcap_format.MessageIndex | mcap_format.Attachment | mcap_format.Metadata
+)
+_PARSERS: tuple[tuple[int, Callable[[bytes], Content]], ...] = (
+    (Opcode.CHUNK, mcap_format.Chunk.parse),
+    (Opcode.MESSAGE_INDEX, mcap_format.MessageIndex.parse),
+    (Opcode.ATTACHMENT, mcap_format.Attachment.parse),
+    (Opcode.METADATA, mcap_format.Metadata.parse),
+)
 
 
 class Damage(NamedTuple):
@@ -29,9 +37,11 @@ class Damage(NamedTuple):
     start: int
     end: int
     reason: str
+    file: str = ""  # name of the segment, in a log of several
 
     def __str__(self) -> str:
-        return f"bytes {self.start} to {self.end}: {self.reason}"
+        where = f"{self.file}: " if self.file else ""
+        return f"{where}bytes {self.start} to {self.end}: {self.reason}"
 
 
 class Found(NamedTuple):
@@ -112,8 +122,7 @@ class Scan:
             except LogFormatError as error:
                 yield self._lost(file, start, str(error))
             else:
-                if content is not None:
-                    yield Found(start, self.position, content)
+                yield Found(start, self.position, content)
 
     def _cut(self, start: int) -> Damage:
         self._ended = True
@@ -178,17 +187,11 @@ class Scan:
         return not isinstance(content, mcap_format.Metadata) or bool(content.name and content.items)
 
 
-def _parse(opcode: int, body: bytes, start: int) -> Content | None:
-    """The content of a record of the data section; None for a message index, of which only the form is checked."""
-    if opcode == Opcode.MESSAGE_INDEX:
-        mcap_format.check_message_index(body)
-        return None
+def _parse(opcode: int, body: bytes, start: int) -> Content:
+    """The content of a record of the data section."""
     if opcode == Opcode.HEADER and start == len(MAGIC):
         return mcap_format.Header.parse(body)
-    if opcode == Opcode.CHUNK:
-        return mcap_format.Chunk.parse(body)
-    if opcode == Opcode.ATTACHMENT:
-        return mcap_format.Attachment.parse(body)
-    if opcode == Opcode.METADATA:
-        return mcap_format.Metadata.parse(body)
+    for known, parse in _PARSERS:
+        if opcode == known:
+            return parse(body)
     raise LogFormatError(f"a record of type {opcode} has no place there")

@@ -18,7 +18,7 @@ from math import prod
 
 import numpy as np
 
-from drivers import records
+from drivers import marks, records
 from onboard import channels
 from onboard.recording.errors import SchemaError
 
@@ -146,7 +146,7 @@ def message_name(channel: str, dtype: np.dtype[np.void]) -> str:
 
     ``imu_base`` with dtype ``records.IMU`` is a ``heft/msg/Imu``.
     """
-    named = [item for module in (records, channels) for item in vars(module).items()]
+    named = [item for module in (records, marks, channels) for item in vars(module).items()]
     known = (name for name, value in named if isinstance(value, np.dtype) and value == dtype)
     words = re.split(r"[^0-9A-Za-z]+", next(known, channel))
     name = "".join(word.capitalize() for word in words)

@@ -1,6 +1,8 @@
 """Where a log's bytes go. The writer names every offset, so a write that failed half-way is simply made again."""
 
+import contextlib
 import errno
+import fcntl
 import os
 from pathlib import Path
 from typing import Protocol
@@ -32,8 +34,24 @@ def sync_directory(path: Path) -> None:
         os.close(descriptor)
 
 
+def is_locked(path: Path) -> bool:
+    """Whether somebody is writing the file at ``path``.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
 class FileSink:
-    """A new file. Its directory entry is on the medium when the constructor returns.
+    """A new file, locked while it is open. Its directory entry is on the medium when the constructor returns.
 
     Args:
         path: file to create; its directory must exist.
@@ -49,6 +67,8 @@ class FileSink:
         self._durable = durable
         existing = os.O_TRUNC if overwrite else os.O_EXCL
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | existing, 0o644)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if durable:
             try:
                 sync_directory(Path(path).parent)

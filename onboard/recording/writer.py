@@ -4,6 +4,9 @@ Nothing is lost by a disk that refuses: every byte stays in memory until an ``fs
 written again when that fails (a failed ``fsync`` leaves Linux pages clean and unwritten). The caller bounds the
 backlog by not handing over more while it grows.
 
+Batches are small (a bus read is a few rows) and packing has a price a batch, so rows wait, a few chunks' worth of them
+at most and never past a ``sync``, and each channel's are packed together. Within a channel their order is kept.
+
 The same calls give the same bytes: no clock is read, padding is zeroed.
 """
 
@@ -14,7 +17,6 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from mcap.opcode import Opcode
 
 from drivers.records import GAP, Rows
 from onboard.recording import mcap_format
@@ -22,12 +24,16 @@ from onboard.recording.chunk import ChunkBuilder, PackedChannel
 from onboard.recording.errors import ChannelError, RecordingError
 from onboard.recording.schema import message_name, ros2msg
 from onboard.recording.sink import FileSink, Sink
+from onboard.recording.summary import Summary
 
 LIBRARY = "heft"
 CHUNK_BYTES = 16384
+_HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, LIBRARY).pack()
+HEADER_BYTES = len(_HEADER)
 SYNC_INTERVAL_NS = 150_000_000  # with steps of up to 50 ms nothing un-synced is ever older than 200 ms
 _NAME_BYTES = GAP["channel"].itemsize
 _MAX_UNSYNCED_BYTES = 4 << 20  # kept in memory; beyond it an fsync comes early
+_STAGED_CHUNKS = 4  # rows that wait to be packed, in chunks
 
 
 class LogWriter:
@@ -45,6 +51,8 @@ class LogWriter:
     def __init__(self, sink: Sink, *, chunk_bytes: int = CHUNK_BYTES, sync_interval_ns: int = SYNC_INTERVAL_NS) -> None:
         self._sink, self._sync_interval_ns = sink, sync_interval_ns
         self._chunk = ChunkBuilder(chunk_bytes)
+        self._staged: dict[str, list[bytes]] = {}
+        self._staged_bytes, self._stage_bytes = 0, _STAGED_CHUNKS * chunk_bytes
         self._channels: dict[str, PackedChannel] = {}
         self._schemas: dict[tuple[str, str], mcap_format.Schema] = {}
         self._blocks: list[bytes] = []  # since the last fsync
@@ -53,13 +61,10 @@ class LogWriter:
         self._data_crc = 0
         self._last_sync_ns: int | None = None
         self._failing = False
-        self._chunk_indexes: list[bytes] = []
-        self._attachment_indexes: list[bytes] = []
-        self._metadata_indexes: list[bytes] = []
-        self._counts: dict[int, int] = {}
-        self._span: tuple[int, int] | None = None
+        self._summary = Summary()
+        self._rows_written = 0
         self._ended = self._closed = False
-        self._append(mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, LIBRARY).pack())
+        self._append(_HEADER)
 
     @classmethod
     def create(
@@ -81,7 +86,7 @@ class LogWriter:
     @property
     def rows_written(self) -> int:
         """Rows accepted so far."""
-        return sum(self._counts.values())
+        return self._rows_written
 
     @property
     def bytes_written(self) -> int:
@@ -144,7 +149,7 @@ class LogWriter:
         number = len(self._channels) + 1
         packed = PackedChannel(packed_schema, mcap_format.Channel(number, packed_schema.number, channel), dtype)
         self._channels[channel] = packed
-        self._counts[number] = 0
+        self._summary.define(packed.definitions)
         if not self._chunk.define(packed):
             self._seal()
             self._chunk.define(packed)
@@ -163,17 +168,31 @@ class LogWriter:
             OSError: the disk refused; the rows are kept.
         """
         self._refuse_after_end()
-        packed_channel = self._channels.get(channel)
-        if packed_channel is None:
+        known = self._channels.get(channel)
+        if known is None:
             raise ChannelError(f"channel {channel!r} is not registered; register it with its dtype first")
-        packed = packed_channel.pack(rows)
-        while len(packed.records):
-            taken = self._chunk.add(packed_channel, packed)
-            if not taken:
-                self._seal()
-            packed = type(packed)(packed.records[taken:], packed.log_times[taken:])
-        self._counts[packed_channel.number] += len(rows)
-        self._drain_unless_failing()
+        known.require(rows)
+        if not len(rows):
+            return
+        self._staged.setdefault(channel, []).append(rows.tobytes())
+        self._staged_bytes += len(rows) * known.record_bytes
+        self._rows_written += len(rows)
+        if self._staged_bytes >= self._stage_bytes:
+            self._pack_staged()
+            self._drain_unless_failing()
+
+    def _pack_staged(self) -> None:
+        """Staged rows to the records of chunks, a channel at a time; chunks that are full are sealed."""
+        for name, parts in self._staged.items():
+            channel = self._channels[name]
+            packed = channel.pack(np.frombuffer(b"".join(parts), channel.dtype))
+            self._summary.counts[channel.number] += len(packed.records)
+            while len(packed.records):
+                taken = self._chunk.add(channel, packed)
+                if not taken:
+                    self._seal()
+                packed = type(packed)(packed.records[taken:], packed.log_times[taken:])
+        self._staged, self._staged_bytes = {}, 0
 
     def sync(self, now_ns: int) -> bool:
         """When it is due, write the chunk in the making and whatever the sink refused before, and ``fsync``.
@@ -185,7 +204,7 @@ class LogWriter:
             OSError: the disk refused; everything not synced is kept and written again.
         """
         due = self._last_sync_ns is None or now_ns - self._last_sync_ns >= self._sync_interval_ns
-        if not due or not (self._blocks or self._chunk.has_messages or self._failing):
+        if not due or not (self._blocks or self._staged or self._chunk.has_messages or self._failing):
             return False
         self._last_sync_ns = now_ns  # before the attempt: a disk that refuses is not asked in every step
         self.flush()
@@ -197,8 +216,7 @@ class LogWriter:
         Raises:
             OSError: the disk refused; everything not synced is kept and written again.
         """
-        if self._chunk.has_messages:
-            self._seal()
+        self._seal_messages()
         self._drain()
         self._fsync()
         self._failing = False
@@ -212,9 +230,8 @@ class LogWriter:
         self._refuse_after_end()
         attachment = mcap_format.Attachment(name, media_type, data, log_time_ns)
         packed = attachment.pack()
-        if self._chunk.has_messages:
-            self._seal()
-        self._attachment_indexes.append(attachment.pack_index(self._end, len(packed)))
+        self._seal_messages()
+        self._summary.add_attachment(attachment, self._end, len(packed))
         self._append(packed)
         self._drain_unless_failing()
 
@@ -227,9 +244,8 @@ class LogWriter:
         self._refuse_after_end()
         metadata = mcap_format.Metadata(name, dict(items))
         packed = metadata.pack()
-        if self._chunk.has_messages:
-            self._seal()
-        self._metadata_indexes.append(metadata.pack_index(self._end, len(packed)))
+        self._seal_messages()
+        self._summary.add_metadata(metadata, self._end, len(packed))
         self._append(packed)
         self._drain_unless_failing()
 
@@ -245,7 +261,7 @@ class LogWriter:
             self.flush()
             if not self._chunk.is_empty:
                 self._seal()
-            self._append(mcap_format.pack_end(self._end, self._data_crc, self._summary()))
+            self._append(self._summary.pack_end(self._end, self._data_crc))
             self._ended = True
         self._drain()
         self._fsync()
@@ -269,6 +285,12 @@ class LogWriter:
         if self._ended:
             raise RecordingError("the log is closed; open a new one")
 
+    def _seal_messages(self) -> None:
+        """Everything accepted so far is in sealed chunks when this returns."""
+        self._pack_staged()
+        if self._chunk.has_messages:
+            self._seal()
+
     def _seal(self) -> None:
         chunk, indexes = self._chunk.seal()
         packed = chunk.pack()
@@ -277,10 +299,7 @@ class LogWriter:
             positions[number] = at
             at += len(index)
         length = at - self._end - len(packed)
-        self._chunk_indexes.append(mcap_format.pack_chunk_index(chunk, self._end, len(packed), positions, length))
-        if indexes:
-            start_ns, end_ns = self._span or (chunk.start_ns, chunk.end_ns)
-            self._span = min(start_ns, chunk.start_ns), max(end_ns, chunk.end_ns)
+        self._summary.add_chunk(chunk, self._end, len(packed), positions, length)
         self._append(b"".join((packed, *indexes.values())))
 
     def _append(self, block: bytes) -> None:
@@ -314,24 +333,3 @@ class LogWriter:
             raise
         del self._blocks[: self._written]
         self._synced_offset, self._written = self._offset, 0
-
-    def _summary(self) -> dict[int, bytes]:
-        start_ns, end_ns = self._span or (0, 0)
-        statistics = mcap_format.Statistics(
-            schemas=len(self._schemas),
-            channels=len(self._channels),
-            attachments=len(self._attachment_indexes),
-            metadata=len(self._metadata_indexes),
-            chunks=len(self._chunk_indexes),
-            start_ns=start_ns,
-            end_ns=end_ns,
-            messages=self._counts,
-        )
-        return {
-            Opcode.SCHEMA: b"".join(schema.pack() for schema in self._schemas.values()),
-            Opcode.CHANNEL: b"".join(channel.channel.pack() for channel in self._channels.values()),
-            Opcode.STATISTICS: statistics.pack(),
-            Opcode.CHUNK_INDEX: b"".join(self._chunk_indexes),
-            Opcode.ATTACHMENT_INDEX: b"".join(self._attachment_indexes),
-            Opcode.METADATA_INDEX: b"".join(self._metadata_indexes),
-        }

@@ -1,18 +1,27 @@
-"""One device clock: vehicle time = offset + period x tick, with covariance, from marks.
+"""One device clock: vehicle time = offset + period x tick, with its uncertainty, from marks.
 
-A mark says "at tick k (a fraction for a quantised mark) the vehicle time was t, give or take sigma". The clock is a
-two-state Kalman filter on (time at the last mark, period), the period a random walk: oscillators drift, they do not
-jump. States follow the "time at the tone" model of flight software: a clock that has lost its marks flywheels with a
-growing sigma, and one that cannot be trusted says so.
+A mark says that an event fell between two ticks of the device and between two vehicle times. Whatever offset and rate
+agree with all marks, and with a rate that drifts no faster than it may, is possible; the set of them is a convex
+polygon (:mod:`onboard.timebase.polygon`). The clock's answer is the polygon's centroid, the least-squares answer where
+the quantisation is uniform, and its sigma the polygon's own. Many marks of one sample period each so narrow the offset
+down as 1/N, where a mean would do as 1/sqrt(N), and no mark that is believed can move the answer out of the polygon.
+
+States follow the "time at the tone" model of flight software: a clock that has lost its marks, or doubts them,
+flywheels with a growing sigma, and one that cannot be trusted says so.
 """
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from onboard.timebase.polygon import Moments, Polygon, box, clip, moments, shear, widen
+
+DRIFT_PER_S = 100e-6 / 60.0  # 100 ppm a minute: a gyro-referenced oscillator that warms up
+CRYSTAL_DRIFT_PER_S = 1e-6 / 60.0
+_SEARCH_NS = 1e9  # the newest mark narrows this down at once
 
 
 class ClockState(IntEnum):
@@ -20,7 +29,7 @@ class ClockState(IntEnum):
 
     ACQUIRING = 0
     LOCKED = 1
-    FLYWHEEL = 2  # marks have stopped: going on at the last rate, sigma growing
+    FLYWHEEL = 2  # marks have stopped or contradict: going on at the last rate, sigma growing
     INVALID = 3
 
 
@@ -38,11 +47,20 @@ class ClockSolution(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """Tick ``tick`` of the device was at vehicle time ``time_ns``, 1-sigma ``sigma_ns``."""
+    """An event after tick ``low`` and not after tick ``high``, between two vehicle times [ns]."""
+
+    low: float
+    high: float
+    earliest_ns: int
+    latest_ns: int
+
+
+class _View(NamedTuple):
+    """What is possible of (time of ``tick`` less ``base_ns`` [ns], rate error [ns/s])."""
 
     tick: float
-    time_ns: int
-    sigma_ns: float
+    base_ns: int
+    polygon: Polygon
 
 
 class DeviceClock:
@@ -51,25 +69,29 @@ class DeviceClock:
     Args:
         nominal_period_ns: data-sheet length of a tick; the true one may be ``tolerance`` off.
         tolerance: largest believable relative error of the nominal period.
-        wander: random walk of the period, relative per sqrt(second) (1e-6 is 1 ppm in a second).
+        drift_per_s: largest believable change of the relative rate in a second.
         flywheel_after_s: without marks for so long the clock flywheels.
         invalid_sigma_ns: a flywheeling clock is invalid when its sigma has grown to this.
+        common_sigma_ns: what all marks are late by together, 1-sigma: a stamp is never early.
     """
 
-    MARKS_TO_LOCK = 4
-    GATE_SIGMA = 5.0
+    MARKS_TO_LOCK = 5
+    MARKS_HELD = 8
     REJECTS_TO_REACQUIRE = 4
+    HEAL = 0.05  # of a refused mark's width: the polygon grows by so much, in case it was the polygon that was wrong
 
     def __init__(
         self,
         nominal_period_ns: float,
         tolerance: float = 0.06,
-        wander: float = 1e-6,
+        drift_per_s: float = DRIFT_PER_S,
         flywheel_after_s: float = 1.0,
         invalid_sigma_ns: float = 2e6,
+        common_sigma_ns: float = 7e3,
     ) -> None:
-        self.nominal_period_ns, self.tolerance, self.wander = nominal_period_ns, tolerance, wander
+        self.nominal_period_ns, self.tolerance, self.drift_per_s = nominal_period_ns, tolerance, drift_per_s
         self.flywheel_after_ns, self.invalid_sigma_ns = flywheel_after_s * 1e9, invalid_sigma_ns
+        self.common_sigma_ns = common_sigma_ns
         self.rejected = 0
         self.restart()
 
@@ -77,49 +99,61 @@ class DeviceClock:
         """Forget everything but the data sheet: the device's tick began again."""
         self.state = ClockState.ACQUIRING
         self.marks = 0
+        self.residual_ns = 0.0
+        self._residual_square = 0.0
         self._pending: list[Mark] = []
-        self._tick, self._time_ns, self._period_ns = 0.0, 0.0, self.nominal_period_ns
-        self._covariance: Floats = np.diag([1e18, (self.tolerance * self.nominal_period_ns) ** 2])
-        self._residual_square, self._mark_square, self.consecutive_rejects = 0.0, 1e-9, 0
+        self._refused: list[Mark] = []
+        self._contradiction_ns = 0.0
+        self._view = _View(0, 0, [])
+        self._set(self._view._replace(polygon=box(-_SEARCH_NS, _SEARCH_NS, *self._rates)))
+
+    @property
+    def _rates(self) -> tuple[float, float]:
+        return -self.tolerance * 1e9, self.tolerance * 1e9
+
+    @property
+    def consecutive_rejects(self) -> int:
+        """Marks refused since the last one that was believed."""
+        return len(self._refused)
 
     def mark(self, mark: Mark) -> bool:
         """Take a mark in; returns whether it was believed. Marks come in order of tick."""
-        if self.state is ClockState.ACQUIRING or self.state is ClockState.INVALID:
+        if self.state in (ClockState.ACQUIRING, ClockState.INVALID):
             return self._acquire(mark)
-        time_ns, period_ns, covariance = self._propagated(mark.tick)
-        innovation = mark.time_ns - time_ns
-        variance = covariance[0, 0] + mark.sigma_ns**2
-        if innovation**2 > self.GATE_SIGMA**2 * variance:
-            self.rejected += 1
-            self.consecutive_rejects += 1
-            if self.consecutive_rejects >= self.REJECTS_TO_REACQUIRE:
-                self.restart()
-                self._pending.append(mark)
+        carried = self._carried(mark.high)
+        left = self._cut(carried, mark) if mark.high >= self._view.tick else []
+        if not left:
+            self._refuse(mark)
             return False
-        gain = covariance[:, 0] / variance
-        self._tick = mark.tick
-        self._time_ns = time_ns + float(gain[0]) * innovation
-        self._period_ns = period_ns + float(gain[1]) * innovation
-        # Joseph form: stays positive definite however sharp the mark
-        keep = np.eye(2) - np.outer(gain, [1.0, 0.0])
-        self._covariance = keep @ covariance @ keep.T + np.outer(gain, gain) * mark.sigma_ns**2
-        self.consecutive_rejects = 0
-        self._residual_square += 0.05 * (innovation**2 - self._residual_square)
-        self._mark_square = mark.sigma_ns**2
+        self._residual(mark)
+        self._set(carried._replace(polygon=left))
+        self._refused, self._contradiction_ns = [], 0.0
         self.marks += 1
         self.state = ClockState.LOCKED
         return True
 
+    def doubt(self, error_ns: float = 0.0) -> None:
+        """Something speaks against this clock: it flywheels until the next mark that agrees with it.
+
+        Args:
+            error_ns: a mark does, by so much: the clock is :attr:`contradicted` until then.
+        """
+        if self.state is ClockState.LOCKED:
+            self.state = ClockState.FLYWHEEL
+        self._contradiction_ns = max(self._contradiction_ns, error_ns)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether a mark said otherwise, and none since has agreed: clock or mark is wrong, nobody knows which."""
+        return self._contradiction_ns > 0.0
+
     def at(self, now_ns: int) -> ClockState:
         """The state at ``now_ns``: marks that stay away end in FLYWHEEL, then INVALID."""
-        if self.state in (ClockState.LOCKED, ClockState.FLYWHEEL):
-            silence_ns = now_ns - self._time_ns
-            if silence_ns > self.flywheel_after_ns:
-                self.state = ClockState.FLYWHEEL
-                _, _, covariance = self._propagated(self._tick + silence_ns / self._period_ns)
-                if covariance[0, 0] > self.invalid_sigma_ns**2:
-                    self.restart()
-                    self.state = ClockState.INVALID
+        if self.trusted and now_ns - self._reference_ns > self.flywheel_after_ns:
+            self.state = ClockState.FLYWHEEL
+            if self.sigma_ns(self.tick_at(now_ns)) > self.invalid_sigma_ns:
+                self.restart()
+                self.state = ClockState.INVALID
         return self.state
 
     @property
@@ -127,74 +161,140 @@ class DeviceClock:
         """Whether :meth:`time_ns` means anything."""
         return self.state in (ClockState.LOCKED, ClockState.FLYWHEEL)
 
+    @property
+    def period_ns(self) -> float:
+        """Length of a tick, ns."""
+        return self.nominal_period_ns * (1.0 + self._moments.y * 1e-9)
+
     def time_ns(self, ticks: NDArray[np.generic] | float) -> NDArray[np.int64]:
         """Vehicle time [ns] of ``ticks`` (n,), int64 (n,)."""
-        since = (np.asarray(ticks, np.float64) - self._tick) * self._period_ns
-        whole = int(self._time_ns)
-        times: NDArray[np.int64] = whole + np.rint(since + (self._time_ns - whole)).astype(np.int64)
+        numbers = np.asarray(ticks)
+        if numbers.dtype.kind in "ui":
+            since = (numbers.astype(np.int64) - np.int64(self._whole_tick)) - (self._view.tick - self._whole_tick)
+        else:
+            since = numbers.astype(np.float64) - self._view.tick
+        after = since * self.period_ns + self._moments.x
+        times: NDArray[np.int64] = self._view.base_ns + np.rint(after).astype(np.int64)
         return times
 
+    def tick_at(self, time_ns: int) -> float:
+        """The tick, a fraction, at vehicle time ``time_ns``."""
+        return self._view.tick + (time_ns - self._view.base_ns - self._moments.x) / self.period_ns
+
     def sigma_ns(self, tick: float) -> float:
-        """1-sigma of the vehicle time of ``tick`` [ns]."""
-        return float(np.sqrt(self._propagated(tick)[2][0, 0] + self._undithered))
+        """1-sigma of the vehicle time of ``tick`` [ns]: the polygon's, and the drift since or until the last mark."""
+        at, s = self._moments, self._seconds(tick - self._view.tick)
+        drifted_ns = 0.5e9 * self.drift_per_s * s * s
+        possible = max(at.xx + 2.0 * at.xy * s + at.yy * s * s, 0.0)
+        return math.sqrt(possible + drifted_ns**2 / 3.0 + self.common_sigma_ns**2 + self._contradiction_ns**2)
 
-    @property
-    def _undithered(self) -> float:
-        """Variance [ns^2] that the residuals of quantised marks should show and do not.
-
-        Pulses that beat with the sample clock fall on one place in the sample period: the residuals are small, and the
-        common error, which no number of marks averages out, is as large as what is missing from them.
-        """
-        return max(0.0, 1 - self._residual_square / (0.5 * self._mark_square)) * self._mark_square
+    def blur(self, ticks: float) -> None:
+        """The count of ticks may be off by ``ticks`` either way from here on: lost samples were counted by guess."""
+        self._pending = []
+        if self.trusted:
+            self._set(self._view._replace(polygon=widen(self._view.polygon, ticks * self.period_ns, 0.0)))
+            self.doubt()
 
     @property
     def solution(self) -> ClockSolution:
-        """What is known now."""
+        """What was known at the last mark."""
+        return self.solution_at(self._view.tick)
+
+    def solution_at(self, tick: float) -> ClockSolution:
+        """The solution as it stands at ``tick``."""
+        drifted = self.drift_per_s * self._seconds(tick - self._view.tick)
         return ClockSolution(
-            self._tick,
-            self._time_ns,
-            self._period_ns,
-            float(np.sqrt(self._covariance[0, 0] + self._undithered)),
-            float(np.sqrt(self._covariance[1, 1])),
-            float(np.sqrt(self._residual_square)),
+            tick,
+            self._reference_ns + (tick - self._view.tick) * self.period_ns,
+            self.period_ns,
+            self.sigma_ns(tick),
+            self.nominal_period_ns * math.sqrt(1e-18 * self._moments.yy + drifted**2 / 3.0),
+            math.sqrt(self._residual_square),
             self.marks,
             self.state,
         )
 
-    def _propagated(self, tick: float) -> tuple[float, float, Floats]:
-        """Time, period and covariance carried to ``tick``, the period walking on the way (forwards or back)."""
-        steps = tick - self._tick
-        transition = np.array([[1.0, steps], [0.0, 1.0]])
-        seconds = abs(steps) * self._period_ns * 1e-9
-        walk = (self.wander * self._period_ns) ** 2 * seconds
-        noise = walk * np.array([[steps**2 / 3, steps / 2], [steps / 2, 1.0]])
-        covariance = transition @ self._covariance @ transition.T + noise
-        return self._time_ns + self._period_ns * steps, self._period_ns, covariance
+    # The polygon
+
+    @property
+    def _reference_ns(self) -> float:
+        return self._view.base_ns + self._moments.x
+
+    def _set(self, view: _View) -> None:
+        self._view = view
+        self._whole_tick = math.floor(view.tick)
+        self._moments: Moments = moments(view.polygon)
+
+    def _seconds(self, ticks: float) -> float:
+        return ticks * self.nominal_period_ns * 1e-9
+
+    def _carried(self, tick: float) -> _View:
+        """What is possible at ``tick``, a later one: the rate has drifted on the way, by how much is not known."""
+        seconds = self._seconds(tick - self._view.tick)
+        advance_ns = (tick - self._view.tick) * self.nominal_period_ns
+        whole_ns = math.floor(advance_ns)
+        polygon = [(x + advance_ns - whole_ns, y) for x, y in shear(self._view.polygon, seconds)]
+        drift = 1e9 * self.drift_per_s * seconds
+        if drift > 0.0:
+            # all that a bounded drift can do in (offset, rate) lies in the sum of two segments: a steady drift, and one
+            # that turns round half-way
+            polygon = widen(widen(polygon, 0.5 * drift * seconds, drift), 0.25 * drift * seconds, 0.0)
+        return _View(tick, self._view.base_ns + whole_ns, polygon)
+
+    def _cut(self, view: _View, mark: Mark, slack_ns: float = 0.0) -> Polygon:
+        """What ``mark`` leaves of ``view``; ``slack_ns`` looser on both sides."""
+        low, high = mark.low - view.tick, mark.high - view.tick
+        latest_ns = mark.latest_ns - view.base_ns - low * self.nominal_period_ns + slack_ns
+        earliest_ns = mark.earliest_ns - view.base_ns - high * self.nominal_period_ns - slack_ns
+        left = clip(view.polygon, 1.0, self._seconds(low), latest_ns)
+        return clip(left, -1.0, -self._seconds(high), -earliest_ns) if left else left
+
+    def _residual(self, mark: Mark) -> None:
+        middle_ns = mark.earliest_ns + (mark.latest_ns - mark.earliest_ns) // 2
+        self.residual_ns = float(middle_ns - int(self.time_ns(0.5 * (mark.low + mark.high))))
+        self._residual_square += 0.05 * (self.residual_ns**2 - self._residual_square)
+
+    def _refuse(self, mark: Mark) -> None:
+        self.rejected += 1
+        middle_ns = mark.earliest_ns + (mark.latest_ns - mark.earliest_ns) // 2
+        self.doubt(abs(middle_ns - int(self.time_ns(0.5 * (mark.low + mark.high)))))
+        self._refused.append(mark)
+        width_ns = (mark.high - mark.low) * self.period_ns + mark.latest_ns - mark.earliest_ns
+        if len(self._refused) >= self.REJECTS_TO_REACQUIRE:
+            refused, error_ns = self._refused, self._contradiction_ns
+            self.restart()
+            self.doubt(error_ns)
+            for again in refused:
+                self._acquire(again)
+        else:
+            self._set(self._view._replace(polygon=widen(self._view.polygon, self.HEAL * width_ns, 0.0)))
+
+    # Acquisition
 
     def _acquire(self, mark: Mark) -> bool:
-        """Lock when the last few marks lie on one line whose slope the data sheet allows."""
-        self._pending = [*self._pending, mark][-self.MARKS_TO_LOCK :]
-        if len(self._pending) < self.MARKS_TO_LOCK:
+        """Lock when most of the last few marks allow one offset and a rate that the data sheet allows."""
+        earlier = [one for one in self._pending if one.high < mark.high]
+        self._pending = [*earlier[1 - self.MARKS_HELD :], mark]
+        agreeing, polygon = self._consensus()
+        if agreeing < self.MARKS_TO_LOCK or 3 * agreeing < 2 * len(self._pending):
             return False
-        first = self._pending[0]
-        ticks = np.array([m.tick - first.tick for m in self._pending])
-        times = np.array([float(m.time_ns - first.time_ns) for m in self._pending])
-        weights = 1.0 / np.array([m.sigma_ns for m in self._pending])
-        design = np.column_stack([np.ones_like(ticks), ticks])
-        normal = (design * weights[:, None]).T @ (design * weights[:, None])
-        if np.linalg.cond(normal) > 1e20:
-            return False
-        covariance: Floats = np.asarray(np.linalg.inv(normal), np.float64)
-        offset, period = covariance @ ((design * weights[:, None]).T @ (times * weights))
-        residuals = times - design @ np.array([offset, period])
-        believable = abs(period / self.nominal_period_ns - 1) < self.tolerance
-        if not believable or np.any(np.abs(residuals) * weights > 3.0):
-            return False
-        self._tick, self._time_ns, self._period_ns = first.tick, first.time_ns + float(offset), float(period)
-        self._covariance = covariance
-        self._time_ns, self._period_ns, self._covariance = self._propagated(mark.tick)
-        self._tick = mark.tick
-        self._residual_square = float(np.mean(residuals**2))
-        self._pending = []
-        self.marks, self.state = self.MARKS_TO_LOCK, ClockState.LOCKED
+        self._set(_View(mark.high, mark.latest_ns, polygon))
+        self._pending, self._contradiction_ns = [], 0.0
+        self.marks, self.state = agreeing, ClockState.LOCKED
         return True
+
+    def _consensus(self) -> tuple[int, Polygon]:
+        """How many of the pending marks agree with the newest and each other at most, and what they leave."""
+        *others, newest = self._pending
+        everything = _View(newest.high, newest.latest_ns, box(-_SEARCH_NS, _SEARCH_NS, *self._rates))
+        start = everything._replace(polygon=self._cut(everything, newest))
+        best: tuple[int, Polygon] = (1, start.polygon)
+        for first in range(len(others)):
+            agreeing, view = 1, start
+            for mark in [others[first], *others[:first], *others[first + 1 :]]:
+                seconds = self._seconds(mark.high - newest.high)
+                left = self._cut(view, mark, 0.5e9 * self.drift_per_s * seconds * seconds)
+                if left:
+                    agreeing, view = agreeing + 1, view._replace(polygon=left)
+            best = max(best, (agreeing, view.polygon), key=lambda found: found[0])
+        return best

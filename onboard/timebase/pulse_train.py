@@ -1,16 +1,18 @@
 """Which pulse of the published code is this edge? From the intervals alone, with misses and spurious edges between."""
 
 from collections import deque
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.sync_pulse import code
 
+Edges = NDArray[np.int64]
+
 
 class PulsePlace(NamedTuple):
-    """A pulse of the code: it rose ``dither_ns`` after the start of SYNC number ``sync_count``."""
+    """A pulse of the code: it rose ``dither_ns`` after the start of SYNC ``sync_count`` of its cycle of the code."""
 
     sync_count: int
     dither_ns: int
@@ -19,11 +21,11 @@ class PulsePlace(NamedTuple):
 class PulseTrain:
     """Identifies edges of the coded pulse line.
 
-    Every pulse rises in a sync period that a de Bruijn sequence picks (``drivers.sync_pulse.code``), so four
-    consecutive edges name themselves. Once named, each further edge is placed by counting periods from the last good
-    one, and an edge that falls on no pulse of the code is spurious. The known dither of up to a millisecond after the
-    start of its period makes pulses fall everywhere in the sample periods of a recorder whose clock beats with the
-    sync period.
+    An edge is named when the newest four lie on four pulses of the code, whatever was missed between them, and on no
+    other four nearly as well; where there are spurious ones among them, when five of the last eight do. Once named,
+    each further edge is placed by the time since the last good one, and an edge that falls on no pulse is spurious.
+
+    The code repeats after some two hours, so a place is one in a cycle; which cycle, nothing on the line tells.
 
     Args:
         sync_period_ns: nominal length of a sync period.
@@ -32,22 +34,28 @@ class PulseTrain:
     """
 
     EDGES_TO_NAME = 4
-    CYCLES = 12  # of the code that are told apart once a pulse has been named: a day
+    EDGES_TO_NAME_AMONG_SPURIOUS = 5
+    EDGES_HELD = 8
     STRANGERS_TO_FORGET = 4
+    CLEARLY_WORSE, JITTER_NS = 3.0, 30e3  # another place that fits this much worse is no doubt
+    CRYSTALS = 100e-6  # two of them, 50 ppm each
+    LONGEST_SILENCE_NS = 60_000_000_000  # in which they drift apart by less than pulses can be told apart by
 
     def __init__(self, sync_period_ns: float, tolerance_ns: float = 200_000.0) -> None:
-        self.period_ns, self.tolerance_ns = sync_period_ns, tolerance_ns
-        cycles = np.arange(self.CYCLES)[:, None]
-        self._count_of = (code.sync_numbers() + cycles * code.cycle_sync_periods()).reshape(-1)
-        self._dither_ns = np.tile(code.dither_ns(), self.CYCLES)
-        self._rise_ns = self._count_of * sync_period_ns + self._dither_ns
+        self.tolerance_ns = tolerance_ns
+        self._cycle_ns = code.cycle_sync_periods() * sync_period_ns
+        rise_ns = code.sync_numbers() * sync_period_ns + code.dither_ns()
+        self._rise_ns = np.concatenate([rise_ns, rise_ns + self._cycle_ns])
         self._last: tuple[int, int] | None = None  # (number of the pulse, edge_ns)
-        self._recent: deque[int] = deque(maxlen=self.EDGES_TO_NAME)
+        self._recent: deque[int] = deque(maxlen=self.EDGES_HELD)
         self._strangers = 0
         self.spurious = 0
 
     def edge(self, edge_ns: int) -> PulsePlace | None:
         """The pulse that made this edge, or None while (or if) it cannot be told."""
+        if self._last is not None and edge_ns - self._last[1] > self.LONGEST_SILENCE_NS:
+            self._last = None
+            self._recent.clear()
         if self._last is not None:
             number = self._follow(*self._last, edge_ns)
             if number is not None:
@@ -56,34 +64,64 @@ class PulseTrain:
             self._strangers += 1
             if self._strangers < self.STRANGERS_TO_FORGET:
                 return None
-            self._last = None
+            self._last, self._strangers = None, 0
             self._recent.clear()
-        return self._name(edge_ns)
+        self._recent.append(edge_ns)
+        number = self._name(np.array(self._recent, np.int64))
+        return None if number is None else self._found(number, edge_ns)
+
+    def _found(self, number: int, edge_ns: int) -> PulsePlace:
+        self._last, self._strangers = (number, edge_ns), 0
+        return PulsePlace(int(code.sync_numbers()[number]), int(code.dither_ns()[number]))
 
     def _follow(self, last: int, last_ns: int, edge_ns: int) -> int | None:
         """Number of the pulse that rises ``edge_ns - last_ns`` after pulse ``last``, if one does."""
         elapsed_ns = edge_ns - last_ns
         if elapsed_ns <= 0:
             return None
-        expected_ns = self._rise_ns[last] + elapsed_ns
-        after = int(np.searchsorted(self._rise_ns, expected_ns))
-        near = [number for number in (after - 1, after) if last < number < len(self._rise_ns)]
-        allowed_ns = self.tolerance_ns + 100e-6 * elapsed_ns  # two crystals, 50 ppm each
-        return next((number for number in near if abs(self._rise_ns[number] - expected_ns) < allowed_ns), None)
+        number, is_pulse = self._pulses(np.array([last]), elapsed_ns)
+        return int(number[0]) % code.CODE_LENGTH if is_pulse[0] and number[0] > last else None
 
-    def _found(self, number: int, edge_ns: int) -> PulsePlace:
-        self._last, self._strangers = (number, edge_ns), 0
-        return PulsePlace(int(self._count_of[number]), int(self._dither_ns[number]))
+    def _pulses(self, first: NDArray[np.intp], after_ns: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """The pulses nearest to ``after_ns`` after pulses ``first`` (n,), and whether they are near enough."""
+        expected_ns = self._rise_ns[first] + after_ns
+        after = np.clip(np.searchsorted(self._rise_ns, expected_ns), 1, len(self._rise_ns) - 1)
+        before = after - 1
+        later = self._rise_ns[after] - expected_ns < expected_ns - self._rise_ns[before]
+        nearest = np.where(later, after, before)
+        allowed_ns = self.tolerance_ns + self.CRYSTALS * after_ns
+        return nearest, np.abs(self._rise_ns[nearest] - expected_ns) < allowed_ns
 
-    def _name(self, edge_ns: int) -> PulsePlace | None:
-        self._recent.append(edge_ns)
-        if len(self._recent) < self.EDGES_TO_NAME:
-            return None
-        steps = list(pairwise(self._recent))
-        number = code.pulse_number([round((b - a) / self.period_ns) for a, b in steps])
-        if number is None:
-            return None
-        firsts = range(number - len(steps), number)
-        if any(self._follow(first, a, b) != first + 1 for first, (a, b) in zip(firsts, steps, strict=True)):
-            return None
-        return self._found(number, edge_ns)
+    def _name(self, edges: Edges) -> int | None:
+        """Number of the pulse that made the last of ``edges`` (n,), if the others leave no doubt."""
+        best: dict[int, tuple[int, float]] = {}  # number of that pulse: edges explained, and how far off they lie
+        for anchor in range(len(edges) - self.EDGES_TO_NAME + 1):
+            firsts = np.arange(code.CODE_LENGTH)
+            newest, possible = self._pulses(firsts, int(edges[-1] - edges[anchor]))
+            firsts, newest = firsts[possible], newest[possible]
+            explained = np.ones((len(firsts), len(edges)), np.bool_)
+            explained[:, :anchor] = False
+            for other in range(anchor + 1, len(edges) - 1):
+                explained[:, other] = self._pulses(firsts, int(edges[other] - edges[anchor]))[1]
+            count = explained.sum(axis=1)
+            enough = explained[:, -self.EDGES_TO_NAME :].all(axis=1) | (count >= self.EDGES_TO_NAME_AMONG_SPURIOUS)
+            for row in np.flatnonzero(enough):
+                number = int(newest[row]) % code.CODE_LENGTH
+                found = int(count[row]), self._off_ns(int(firsts[row]), edges[explained[row]])
+                best[number] = max(best.get(number, (0, 0.0)), found, key=lambda one: (one[0], -one[1]))
+        ordered = sorted(best, key=lambda number: (-best[number][0], best[number][1]))
+        if len(ordered) > 1:
+            (most, off_ns), (next_most, next_off_ns) = best[ordered[0]], best[ordered[1]]
+            if most == next_most and next_off_ns < self.CLEARLY_WORSE * off_ns + self.JITTER_NS:
+                return None
+        return ordered[0] if ordered else None
+
+    def _off_ns(self, first: int, edges: Edges) -> float:
+        """How far ``edges`` (n,), of which pulse ``first`` made the first, lie from their pulses: rms about a rate."""
+        since = (edges - edges[0]).astype(np.float64)
+        rises = np.array([self._rise_ns[self._pulses(np.array([first]), int(ns))[0][0]] for ns in since])
+        off = rises - self._rise_ns[first] - since
+        off -= off.mean()
+        since -= since.mean()
+        rate = float(np.clip(since @ off / (since @ since), -self.CRYSTALS, self.CRYSTALS))
+        return float(np.sqrt(np.mean((off - rate * since) ** 2)))

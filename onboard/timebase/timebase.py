@@ -1,22 +1,37 @@
 """Every channel's samples on vehicle time.
 
-Marks come from the sync pulses: an IMU flags the sample into whose period the edge fell, and the SYNC producer's
-counter stands in a known relation to the pulse code, so no latency of the bus can shift a CAN clock by whole periods.
-Arrival stamps serve to say which pulse a flagged sample belongs to, and as a stopgap clock where the line is silent.
+Marks come from the sync pulses: an IMU flags the sample into whose period the edge fell, an encoder's adapter and a
+node latch their own clocks on it, and the SYNC producer's counter stands in a known relation to the pulse code.
+Arrival stamps serve to say which pulse a mark belongs to, as the clock of devices that see no pulses, and as a stopgap
+where the line is silent. What was asked for was so at some time between question and answer.
 """
 
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Rows, SampleStatus
+from drivers.records import Rows
+from drivers.sync_pulse.code import SHORTEST_INTERVAL
 from onboard.channels import CLOCK
-from onboard.timebase.clock import ClockState, DeviceClock, Mark
-from onboard.timebase.pulse_train import PulsePlace, PulseTrain
+from onboard.timebase.arrival import ArrivalClock
+from onboard.timebase.clock import ClockSolution, ClockState, DeviceClock
+from onboard.timebase.marking import (
+    Bracket,
+    Edge,
+    Edges,
+    FlaggingSource,
+    FreeSource,
+    LatchingSource,
+    Source,
+    SyncSource,
+)
+from onboard.timebase.pulse_train import PulseTrain
 
-SYNC_COUNTER_MODULUS = 240  # CiA 301 1019h as the sync box is set
+RECORD_EVERY_NS = 1_000_000_000  # of a clock that nothing new is known of
+WIDEST_WINDOW_NS = 60e6
+UNTOLD_DELAY_NS = 1e6  # of a serial line: a frame's time on it
+_NO_ROWS: Rows = np.zeros(0, CLOCK)
 
 
 class SampledChannel(NamedTuple):
@@ -25,105 +40,72 @@ class SampledChannel(NamedTuple):
     period_ns: float
 
 
+class MarkedChannel(NamedTuple):
+    """A channel with a clock of its own that stamps sync pulses, in channel ``marks``.
+
+    ``latches_counts``: its ticks are coarse, and the count that it latches on the edge says more.
+    """
+
+    period_ns: float
+    marks: str
+    latches_counts: bool = False
+
+
+class FreeChannel(NamedTuple):
+    """A channel with a timer of its own and no marks; ``delay_ns``: from sample to arrival, at the least."""
+
+    period_ns: float
+    delay_ns: float = 0.0
+    delay_sigma_ns: float = 0.0
+
+
+class PolledChannel(NamedTuple):
+    """A channel that is asked: ``tick`` is when, ``host_ns`` when the answer was in hand; their time on the wire."""
+
+    question_ns: float = 0.0
+    answer_ns: float = 0.0
+
+
 class SyncChannel(NamedTuple):
-    """SYNC messages; each pulse of the line rises at the start of one."""
+    """SYNC messages; each pulse of the line rises in the period of one."""
 
     period_ns: float
     delay_ns: float  # a SYNC frame on the wire: nodes sample at its end
 
 
 class FollowerChannel(NamedTuple):
-    """A channel whose ticks are SYNC numbers of ``sync``."""
+    """A channel whose ticks are those of channel ``sync``: the SYNCs of its bus, another channel of its device."""
 
     sync: str
 
 
 class RecordedChannel(NamedTuple):
-    """A channel of somebody else's recording: its ticks are its times [ns]."""
+    """A channel of somebody else's recording: its host stamps are its times."""
 
     sigma_ns: float
 
 
-ChannelClock = SampledChannel | SyncChannel | FollowerChannel | RecordedChannel
+ChannelClock = (
+    SampledChannel | MarkedChannel | FreeChannel | PolledChannel | SyncChannel | FollowerChannel | RecordedChannel
+)
 
 
-class _Sampled:
-    """Clock of a channel that flags pulses in its own samples."""
+class PulseLine(NamedTuple):
+    """The channel of the line's edges.
 
-    def __init__(self, spec: SampledChannel) -> None:
-        self.period_ns = spec.period_ns
-        self.clock = DeviceClock(spec.period_ns, wander=1e-6)
-        self.coarse = DeviceClock(spec.period_ns, wander=1e-5, flywheel_after_s=5.0, invalid_sigma_ns=20e6)
-        self._flagged: deque[int] = deque(maxlen=16)
-        self._last_flagged = -2
+    ``coded``: by the published code, and ``period_ns`` is that of SYNC; else the pulses' own. ``late_ns``: an edge is
+    stamped when the kernel's interrupt handler runs, seldom later than this after it.
+    """
 
-    def update(self, rows: Rows, edges: "deque[int]") -> bool:
-        restarts = np.flatnonzero(rows["status"] & SampleStatus.AFTER_RESET)
-        if len(restarts):
-            self.clock.restart()
-            self.coarse.restart()
-            self._flagged.clear()
-            rows = rows[restarts[-1] :]
-        # the newest sample of a drain is on average half a period old when it is counted
-        newest = rows[-1]
-        self.coarse.mark(Mark(float(newest["tick"]), int(newest["host_ns"] - self.period_ns / 2), 2e6))
-        for tick in rows["tick"][rows["sync"] != 0].tolist():
-            # a pulse still high when its sample is latched flags the next one too: the first is the one it rose in
-            if tick != self._last_flagged + 1:
-                self._flagged.append(tick)
-            self._last_flagged = tick
-        return self._match(edges)
+    channel: str
+    period_ns: float = 5e6
+    coded: bool = True
+    late_ns: int = 25_000
 
-    def _match(self, edges: "deque[int]") -> bool:
-        changed = False
-        finder = self.clock if self.clock.trusted else self.coarse
-        while self._flagged and finder.trusted and edges:
-            tick = self._flagged[0]
-            estimate = int(finder.time_ns(np.array([tick - 0.5]))[0])
-            edge_ns = min(edges, key=lambda edge: abs(edge - estimate))
-            if estimate - edges[-1] > 60e6:
-                break  # its edge has not been read yet
-            self._flagged.popleft()
-            if abs(edge_ns - estimate) < 60e6:  # pulses are at least 150 ms apart
-                # latched in the period that ended with this sample: uniform over one period
-                changed |= self.clock.mark(Mark(tick - 0.5, edge_ns, self.clock.solution.period_ns / np.sqrt(12)))
-        return changed
-
-
-class _Sync:
-    """Clock of the SYNC producer."""
-
-    EDGE_SIGMA_NS = 10e3
-
-    def __init__(self, spec: SyncChannel) -> None:
-        self.delay_ns, self.period_ns = spec.delay_ns, spec.period_ns
-        self.clock = DeviceClock(spec.period_ns, tolerance=1e-3, wander=5e-8)
-        self.coarse = DeviceClock(spec.period_ns, tolerance=1e-2, wander=1e-6, flywheel_after_s=5.0)
-        self._recent: deque[tuple[int, int, int]] = deque(maxlen=400)  # (tick, counter, host_ns)
-        self._unmatched: deque[tuple[int, PulsePlace]] = deque(maxlen=16)
-
-    def edge(self, edge_ns: int, place: PulsePlace) -> None:
-        self._unmatched.append((edge_ns, place))
-
-    def update(self, rows: Rows) -> bool:
-        self._recent.extend(
-            zip(rows["tick"].tolist(), rows["sync_counter"].tolist(), rows["host_ns"].tolist(), strict=True)
-        )
-        newest = rows[-1]
-        self.coarse.mark(Mark(float(newest["tick"]), int(newest["host_ns"] - self.delay_ns), 1e6))
-        changed = False
-        while self._unmatched:
-            edge_ns, place = self._unmatched[0]
-            if self._recent[-1][2] < edge_ns + 0.3e9:
-                break  # its SYNC may still be on its way
-            self._unmatched.popleft()
-            counter = place.sync_count % SYNC_COUNTER_MODULUS + 1
-            # the counter recurs after 1.2 s, so within 0.6 s it names one SYNC
-            ticks = [t for t, c, host_ns in self._recent if c == counter and abs(host_ns - edge_ns) < 0.3e9]
-            if len(ticks) == 1:
-                tick = ticks[0] + place.dither_ns / self.period_ns
-                changed |= self.clock.mark(Mark(tick, edge_ns, self.EDGE_SIGMA_NS))
-        return changed
+    @property
+    def shortest_interval_ns(self) -> float:
+        """Between two pulses."""
+        return self.period_ns * (SHORTEST_INTERVAL - 1 if self.coded else 1)
 
 
 class Timebase:
@@ -131,105 +113,160 @@ class Timebase:
 
     Args:
         channels: clock specification by channel name.
-        pulse_channel: the channel of the sync line's edges, if there is one.
-        sync_period_ns: nominal SYNC period that pulse intervals are counted in.
+        line: the sync line, if there is one.
     """
 
-    def __init__(
-        self, channels: dict[str, ChannelClock], pulse_channel: str | None, sync_period_ns: float = 5e6
-    ) -> None:
+    def __init__(self, channels: dict[str, ChannelClock], line: PulseLine | None) -> None:
         self._specs = channels
-        self._pulse_channel = pulse_channel
-        self._train = PulseTrain(sync_period_ns)
-        self._edges: deque[int] = deque(maxlen=64)
-        self._sampled = {n: _Sampled(s) for n, s in channels.items() if isinstance(s, SampledChannel)}
-        self._syncs = {n: _Sync(s) for n, s in channels.items() if isinstance(s, SyncChannel)}
+        self._line = line
+        self._train = PulseTrain(line.period_ns) if line is not None and line.coded else None
+        interval_ns = line.shortest_interval_ns if line is not None else WIDEST_WINDOW_NS
+        self._edges = Edges(min(WIDEST_WINDOW_NS, 0.4 * interval_ns))
+        self._sources = {name: source for name, spec in channels.items() if (source := _source(spec, line)) is not None}
+        self._brackets = {n: Bracket(*s) for n, s in channels.items() if isinstance(s, PolledChannel)}
         self._states: dict[str, ClockState] = {}
+        self._recorded_ns: dict[str, int] = {}
 
     def update(self, now_ns: int, batches: dict[str, Rows]) -> Rows:
-        """Take in what arrived; returns CLOCK rows of the clocks that moved (``sequence`` to be filled in)."""
-        changed: list[str] = []
-        rows = batches.get(self._pulse_channel or "")
-        if rows is not None:
-            for edge_ns in rows["edge_ns"].tolist():
-                self._edges.append(edge_ns)
-                place = self._train.edge(edge_ns)
-                if place is not None:
-                    for sync in self._syncs.values():
-                        sync.edge(edge_ns, place)
-        for name, rows in batches.items():
-            if not len(rows):
-                continue
-            if name in self._sampled and self._sampled[name].update(rows, self._edges):
-                changed.append(name)
-            if name in self._syncs and self._syncs[name].update(rows):
-                changed.append(name)
-        for name, clock in self._clocks():
-            state = clock.at(now_ns)
-            if state is not self._states.get(name, ClockState.ACQUIRING) and name not in changed:
-                changed.append(name)
-            self._states[name] = state
-        return self._records(now_ns, changed)
+        """Take in what arrived; returns CLOCK rows of the clocks that moved (``sequence`` to be filled in).
 
-    def time_ns(self, channel: str, ticks: NDArray[np.generic]) -> NDArray[np.int64] | None:
-        """When samples ``ticks`` (n,) of ``channel`` were taken, filter delays not removed; None: not known yet.
+        A clock that does not move is recorded once a second nevertheless, with the sigma that it then has.
+        """
+        if self._line is not None and self._line.channel in batches:
+            self._pulses(self._line, batches[self._line.channel])
+        moved = [name for name, source in self._sources.items() if self._move(name, source, batches)]
+        for name, bracket in self._brackets.items():
+            if name in batches and len(batches[name]):
+                bracket.update(batches[name])
+        due = list(moved)
+        for name, source in self._sources.items():
+            state = source.at(now_ns)
+            if name not in moved and (
+                state is not self._states.get(name, ClockState.ACQUIRING)
+                or (source.best is not None and self._is_stale(name, now_ns))
+            ):
+                due.append(name)
+            self._states[name] = state
+        due += [name for name, bracket in self._brackets.items() if bracket.samples and self._is_stale(name, now_ns)]
+        self._recorded_ns |= dict.fromkeys(due, now_ns)
+        return self._records(now_ns, due)
+
+    def _is_stale(self, name: str, now_ns: int) -> bool:
+        return now_ns - self._recorded_ns.get(name, 0) >= RECORD_EVERY_NS
+
+    def time_ns(self, channel: str, rows: Rows) -> NDArray[np.int64] | None:
+        """When samples of ``channel`` were taken, filter delays not removed; None: not known yet, or contradicted.
 
         A clock without marks falls back on arrival stamps, whose error is milliseconds: see :meth:`sigma_ns`.
-        """
-        if isinstance(self._specs[channel], RecordedChannel):
-            return ticks.astype(np.int64)
-        clock, delay_ns = self._find(channel)
-        if clock is None:
-            return None
-        return clock.time_ns(ticks) + np.int64(delay_ns)
 
-    def sigma_ns(self, channel: str, tick: float) -> float:
-        """1-sigma of :meth:`time_ns`; infinite while nothing is known."""
+        Args:
+            channel: its name.
+            rows: with fields ``tick`` and ``host_ns``, (n,).
+        """
+        spec = self._specs[channel]
+        if isinstance(spec, RecordedChannel):
+            return rows["host_ns"].astype(np.int64)
+        if isinstance(spec, PolledChannel):
+            return self._brackets[channel].time_ns(rows)
+        clock, delay_ns = self._clock(channel)
+        return None if clock is None else clock.time_ns(rows["tick"]) + np.int64(delay_ns)
+
+    def sigma_ns(self, channel: str, at_ns: int) -> float:
+        """1-sigma of :meth:`time_ns` for samples of about vehicle time ``at_ns``; infinite while nothing is known."""
         spec = self._specs[channel]
         if isinstance(spec, RecordedChannel):
             return spec.sigma_ns
-        clock, _ = self._find(channel)
-        return np.inf if clock is None else clock.sigma_ns(tick)
+        if isinstance(spec, PolledChannel):
+            return self._brackets[channel].sigma_ns
+        clock, _ = self._clock(channel)
+        return np.inf if clock is None else clock.sigma_ns(clock.tick_at(at_ns))
+
+    def waited(self, channel: str, rows: Rows) -> NDArray[np.bool_]:
+        """Which samples (n,) were taken later than their ticks say: the device's line was busy telling of an edge."""
+        source = self._sources.get(channel)
+        if isinstance(source, LatchingSource):
+            return source.waited(rows["tick"].astype(np.int64))
+        return np.zeros(len(rows), np.bool_)
 
     def trusted(self, channel: str) -> bool:
-        """Whether the channel's clock runs on pulses (locked or flywheel) and not on arrival stamps."""
+        """Whether the channel's clock runs on the best it can have, and not on a stopgap."""
         spec = self._specs[channel]
-        if isinstance(spec, RecordedChannel):
-            return True
+        match spec:
+            case RecordedChannel():
+                return True
+            case PolledChannel():
+                return bool(self._brackets[channel].samples)
+            case FollowerChannel():
+                return self.trusted(spec.sync)
+            case _:
+                return self._sources[channel].main.trusted
+
+    def _pulses(self, line: PulseLine, rows: Rows) -> None:
+        for edge_ns in rows["edge_ns"].tolist():
+            edge = Edge(edge_ns - line.late_ns, edge_ns)
+            self._edges.append(edge)
+            place = self._train.edge(edge_ns) if self._train is not None else None
+            if place is not None:
+                for source in self._sources.values():
+                    if isinstance(source, SyncSource):
+                        source.edge(edge, place)
+
+    def _move(self, name: str, source: Source, batches: dict[str, Rows]) -> bool:
+        rows = batches.get(name, _NO_ROWS)
+        match source, self._specs[name]:
+            case LatchingSource(), MarkedChannel(_, channel, _):
+                marks = batches.get(channel, _NO_ROWS)
+                return len(rows) + len(marks) > 0 and source.update(rows, marks, self._edges)
+            case FlaggingSource(), _:
+                return len(rows) > 0 and source.update(rows, self._edges)
+            case _:
+                return len(rows) > 0 and source.take(rows)
+
+    def _clock(self, channel: str) -> tuple[DeviceClock | ArrivalClock | None, float]:
+        spec = self._specs[channel]
         name = spec.sync if isinstance(spec, FollowerChannel) else channel
-        return dict(self._clocks())[name].trusted
+        source = self._sources[name]
+        clock = None if source.clock.contradicted else source.best
+        return clock, source.delay_ns if isinstance(source, SyncSource) and name != channel else 0.0
 
-    def _find(self, channel: str) -> tuple[DeviceClock | None, float]:
-        spec = self._specs[channel]
-        if isinstance(spec, FollowerChannel):
-            delay_ns = self._syncs[spec.sync].delay_ns
-            channel = spec.sync
-        else:
-            delay_ns = 0.0
-        source = self._sampled.get(channel) or self._syncs[channel]
-        for clock in (source.clock, source.coarse):
-            if clock.trusted:
-                return clock, delay_ns
-        return None, delay_ns
-
-    def _clocks(self) -> list[tuple[str, DeviceClock]]:
-        return [(n, s.clock) for n, s in self._sampled.items()] + [(n, s.clock) for n, s in self._syncs.items()]
-
-    def _records(self, now_ns: int, changed: list[str]) -> Rows:
-        clocks = dict(self._clocks())
-        rows = np.zeros(len(changed), CLOCK)
-        for row, name in zip(rows, changed, strict=True):
-            solution = clocks[name].solution
-            row["host_ns"] = now_ns
-            for field in (
-                "reference_tick",
-                "reference_ns",
-                "period_ns",
-                "sigma_ns",
-                "sigma_period_ns",
-                "residual_rms_ns",
-                "marks",
-            ):
-                row[field] = getattr(solution, field)
-            row["rejected"], row["state"], row["channel"] = clocks[name].rejected, solution.state, name.encode()
+    def _records(self, now_ns: int, names: list[str]) -> Rows:
+        rows = np.zeros(len(names), CLOCK)
+        for row, name in zip(rows, names, strict=True):
+            row["host_ns"], row["channel"] = now_ns, name.encode()
+            if name in self._brackets:
+                bracket = self._brackets[name]
+                solution = ClockSolution(
+                    bracket.newest_ns,
+                    bracket.newest_ns,
+                    1.0,
+                    bracket.sigma_ns,
+                    0.0,
+                    0.0,
+                    bracket.samples,
+                    ClockState.LOCKED,
+                )
+            else:
+                source = self._sources[name]
+                clock = source.best or source.main
+                row["rejected"], row["residual_ns"] = clock.rejected, clock.residual_ns
+                flywheels = clock.state is ClockState.FLYWHEEL
+                solution = clock.solution_at(clock.tick_at(now_ns)) if flywheels else clock.solution
+                if clock is not source.main:
+                    solution = solution._replace(state=source.main.state)
+            for field, value in zip(solution._fields, solution, strict=True):
+                row[field] = value
         return rows
+
+
+def _source(spec: ChannelClock, line: PulseLine | None) -> Source | None:
+    match spec:
+        case SampledChannel(period_ns):
+            return FlaggingSource(period_ns) if line else FreeSource(period_ns, 0.0, period_ns)
+        case MarkedChannel(period_ns, _, latches_counts):
+            return LatchingSource(period_ns, latches_counts) if line else FreeSource(period_ns, 0.0, UNTOLD_DELAY_NS)
+        case FreeChannel(period_ns, delay_ns, delay_sigma_ns):
+            return FreeSource(period_ns, delay_ns, delay_sigma_ns)
+        case SyncChannel(period_ns, delay_ns):
+            return SyncSource(period_ns, delay_ns, line is not None and line.coded)
+        case _:
+            return None

@@ -10,6 +10,7 @@ import serial
 
 from drivers.errors import FrameError
 from drivers.records import EVENT, GAP, Batch
+from tests.drivers.batches import codes
 
 MS = 1_000_000
 
@@ -177,3 +178,27 @@ class SerialFlight:
             assert batch.rows.dtype == dtypes[batch.channel]
         self.batches += made
         return made
+
+
+def fault_at_any_call(
+    make: Callable[[], SerialFlight],
+    fly: Callable[[SerialFlight], object],
+    fly_on: Callable[[SerialFlight], object],
+    fewest_calls: int,
+) -> Iterator[SerialFlight]:
+    """The same flight again and again, each time with another call of its port that fails, and told so."""
+    flight = make()
+    flight.start()
+    fly(flight)
+    flight.stop()
+    calls = flight.port.calls
+    assert calls > fewest_calls
+    for fail_at in range(1, calls + 1):
+        flight = make()
+        flight.port.fail_at = fail_at
+        flight.start()
+        fly(flight)
+        fly_on(flight)
+        flight.stop()
+        assert "bus_error" in codes(flight.batches), fail_at
+        yield flight

@@ -75,6 +75,17 @@ def test_a_repeated_sync_is_a_restart_and_not_a_round_lost():
     assert sync.advance(7, 1000).restarted
 
 
+def test_a_producer_that_stood_still_is_told_from_a_host_that_read_late():
+    sync = SyncCounter(PERIOD_NS)
+    arrivals = [0, 1, 2, *range(22, 40), *[60] * 21, *range(61, 70)]  # 20 periods still; then 20 more read at once
+    pauses = []
+    for number, period in enumerate(arrivals):
+        assert sync.advance(counter_of(number), period * PERIOD_NS) == (number, 0, False)
+        pauses.append(sync.pause_ns)
+    assert np.flatnonzero(pauses).tolist() == [4]
+    assert pauses[4] == 19 * PERIOD_NS
+
+
 def test_without_counter_host_time_decides():
     sync = SyncCounter(PERIOD_NS)
     sync.advance(0, 0)
@@ -127,6 +138,13 @@ class Stream:
     def take(self):
         self.channel.hand_over()
         self.batches += self.report.take()
+
+
+END = (b"no_pdo", 1)  # the last SYNC of a test, which nobody answers
+
+
+def gaps(stream):
+    return [(gap["cause"], int(gap["last_missing"] - gap["first_missing"]) + 1) for gap in of(stream.batches, "gap")]
 
 
 @given(
@@ -205,8 +223,10 @@ def test_an_answer_that_comes_twice_is_one_row_even_after_an_overdue_sync():
     stream.sync_at(1)
     stream.answer(1)
     stream.sync_at(2)
-    assert stream.end()["tick"].tolist() == [0, 1]
+    rows = stream.end()
+    assert rows["tick"].tolist() == [0, 1]
     assert codes(stream.batches) == ["pdo_extra"]
+    assert gaps(stream) == [(b"pdo_extra", 1), END]
 
 
 def test_more_answers_than_syncs_are_told_and_left():
@@ -219,6 +239,59 @@ def test_more_answers_than_syncs_are_told_and_left():
     rows = stream.end()
     assert rows["tick"].tolist() == [0, 1, 2]
     assert "pdo_extra" in codes(stream.batches)
+    assert gaps(stream) == [*[(b"pdo_extra", 1)] * 3, END]
+
+
+@pytest.mark.parametrize("slow_for", [50, 350])
+def test_late_answers_to_syncs_named_as_unanswered_are_not_named_again(slow_for):
+    """A node that is slow for a while: it answers each SYNC four SYNCs late, and then again in time."""
+    stream = Stream()
+    for number in range(slow_for + 20):
+        stream.sync_at(number)
+        if number < 4 or number >= slow_for:
+            stream.answer(number)
+        if 4 <= number - 4 < slow_for:
+            stream.answer(number - 4, delay_ns=20_300_000)
+    stream.sync_at(slow_for + 20)
+    rows = stream.end()
+    assert len(rows) == slow_for + 20 - 4
+    assert gaps(stream) == [(b"no_pdo", 4), END]
+    assert "pdo_extra" in codes(stream.batches)
+
+
+@pytest.mark.parametrize("answers", [1, 2])
+def test_of_two_syncs_at_a_restart_of_their_producer_each_has_an_answer_or_a_gap(answers):
+    """The second comes before the first is answered; a node with one mailbox then sends one answer, another two."""
+    stream = Stream()
+    for number in range(10):
+        stream.sync_at(number)
+        if number < 9:
+            stream.answer(number)
+    host_ns = 9 * PERIOD_NS + 100_000
+    before, before_ns = stream.sync.tick, stream.sync.host_ns
+    step = stream.sync.advance(1, host_ns)
+    assert step.restarted
+    stream.channel.close(before, before_ns, before + 1)
+    stream.channel.sync_restarted(host_ns, before, step.tick)
+    for place in range(answers):
+        stream.channel.accept(host_ns + 200_000 * (place + 1), (9).to_bytes(4, "little"))
+    tick = stream.sync.advance(2, host_ns + PERIOD_NS).tick
+    stream.channel.close(step.tick, host_ns, tick)
+    rows = stream.end()
+    assert len(rows) == 10
+    assert gaps(stream) == [(b"no_pdo", 1), END]
+
+
+def test_a_gap_long_ago_owes_nothing():
+    stream = Stream()
+    for number in range(1_000):
+        stream.sync_at(number)
+        if number != 10:
+            stream.answer(number)
+    stream.answer(999, delay_ns=400_000)
+    stream.sync_at(1_000)
+    stream.end()
+    assert gaps(stream) == [(b"no_pdo", 1), (b"pdo_extra", 1), END]
 
 
 def test_an_overdue_sync_lets_the_answer_out_and_it_is_not_counted_twice():

@@ -11,7 +11,7 @@ from drivers.dsc_load_cell import Answer, DscLoadCell, DscLoadCellConfig, decode
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SCALAR
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight
+from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call
 
 S = 1_000_000_000
 
@@ -215,19 +215,7 @@ def test_an_answer_in_pieces_is_put_together(clock, most):
 
 
 def test_a_fault_at_any_call_is_survived(clock):
-    flight = Flight(clock)
-    flight.start()
-    flight.fly(30)
-    flight.stop()
-    calls = flight.port.calls
-    for fail_at in range(1, calls + 1):
-        flight = Flight(clock)
-        flight.port.fail_at = fail_at
-        flight.start()
-        flight.fly(30)
-        flight.fly(50)
-        flight.stop()
-        assert "bus_error" in codes(flight.batches), fail_at
+    for flight in fault_at_any_call(lambda: Flight(clock), lambda f: f.fly(30), lambda f: f.fly(50), 20):
         assert len(flight.rows()) > 10
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.fuzz_targets import targets
+from bench.fuzzing import targets
 from drivers.mpu6050.sample_clock import SampleClock
 
 FOUND = {

@@ -1,11 +1,13 @@
-"""A slice of bench/fuzz.py: so many executions of each decoder from one seed, and a fuzzer that is shown to find."""
+"""A slice of bench/fuzz.py: so many executions of each decoder from one seed, and fuzzers that are shown to find."""
 
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from bench import fuzz
-from bench.fuzz_targets import targets
+from bench.fuzzing import NAMES, findings, own_engine, targets
 from drivers.errors import FrameError
 from drivers.transports.can_slcan import decode_line
 
@@ -19,19 +21,20 @@ EXECUTIONS = {  # about 2 s each, most of it the trace function
     "modbus": 500,
     "dsc": 900,
     "node_frame": 500,
+    "sync_pulse": 500,
 }
 
 
 def test_every_decoder_has_a_slice():
-    assert set(EXECUTIONS) == set(targets()) == set(fuzz.NAMES)
+    assert set(EXECUTIONS) == set(targets()) == set(NAMES)
 
 
 @pytest.mark.parametrize("name", EXECUTIONS)
 def test_a_slice_finds_nothing(name):
     target = targets()[name]
-    findings = fuzz.Findings(target.call, None)
-    result = fuzz.fuzz_own(target.call, target.seeds, SEED, findings, EXECUTIONS[name], 0.0)
-    assert {place: data.hex() for place, data in findings.places.items()} == {}
+    found = findings.Findings(target.call, None)
+    result = own_engine.fuzz(target.call, target.seeds, SEED, found, EXECUTIONS[name], 0.0)
+    assert {place: data.hex() for place, data in found.places.items()} == {}
     assert result.executions == EXECUTIONS[name]
     assert result.paths > len(target.seeds) // 2  # it is guided: seeds alone do not reach it all
 
@@ -48,17 +51,17 @@ def planted(data):
 
 
 def slice_of(call, seed, folder=None):
-    findings = fuzz.Findings(call, folder)
-    result = fuzz.fuzz_own(call, [b"t08001\rt2812AABB\rt18201\r"], seed, findings, 1500, 0.0)
-    return findings, result
+    found = findings.Findings(call, folder)
+    result = own_engine.fuzz(call, [b"t08001\rt2812AABB\rt18201\r"], seed, found, 1500, 0.0)
+    return found, result
 
 
 def test_a_planted_bug_is_found_shortened_and_saved(tmp_path):
-    findings, _ = slice_of(planted, SEED, tmp_path / "findings" / "planted")
-    (data,) = findings.places.values()
+    found, _ = slice_of(planted, SEED, tmp_path / "findings" / "planted")
+    (data,) = found.places.values()
     assert data.startswith(b"t")
     assert len(data) == 7  # t, identifier, length 1, one byte: nothing is left to leave out
-    (file,) = findings.files
+    (file,) = found.files.values()
     assert file.read_bytes() == data
     assert "KeyError" in file.with_suffix(".txt").read_text(encoding="utf-8")
     assert (tmp_path / "findings" / ".gitignore").read_text(encoding="ascii") == "*\n"
@@ -73,11 +76,41 @@ def test_the_same_seed_finds_the_same_and_another_goes_another_way():
 
 
 def test_what_does_not_end_is_a_finding(monkeypatch):
-    monkeypatch.setattr(fuzz, "HANG_S", 0.05)
+    monkeypatch.setattr(findings, "HANG_S", 0.05)
 
     def endless(data):
         while True:
             pass
 
-    assert isinstance(fuzz.raised(endless, b""), fuzz.Hang)
-    assert fuzz.raised(len, b"") is None
+    assert isinstance(findings.raised(endless, b""), findings.Hang)
+    assert findings.raised(len, b"") is None
+
+
+def test_atheris_finds_a_planted_bug_too(tmp_path):
+    pytest.importorskip("atheris", reason="atheris is not made for this machine: bench/fuzz.py uses its own engine")
+    program = f"""
+from pathlib import Path
+import bench.fuzzing
+from bench.fuzzing import atheris_engine
+
+def targets():
+    from tests.drivers.test_fuzz_slice import planted
+    return {{"planted": bench.fuzzing.Target(planted, [b"t08001\\rt2812AABB\\r"])}}
+
+bench.fuzzing.targets, atheris_engine.FOLDER = targets, Path({str(tmp_path)!r})
+atheris_engine.run_leg("planted", Path({str(tmp_path / "corpus")!r}), 1, 3)
+"""
+    (tmp_path / "corpus").mkdir()
+    (tmp_path / "planted").mkdir()
+    run = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    place, file = run.stdout.splitlines()[0].split("\t")
+    assert place.startswith("KeyError ")
+    assert len(Path(file).read_bytes()) == 7

@@ -14,7 +14,7 @@ from drivers.modbus_load_cell import ModbusLoadCell, ModbusLoadCellConfig
 from drivers.records import SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.modbus_model import TransmitterModel, framed
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight
+from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call
 
 S = 1_000_000_000
 
@@ -281,21 +281,7 @@ def test_a_device_that_is_not_started_does_nothing(clock):
 
 
 def test_a_fault_at_any_call_is_survived(clock):
-    flight = Flight(clock)
-    flight.start()
-    flight.fly(60)
-    flight.stop()
-    calls = flight.port.calls
-    assert calls > 50
-    for fail_at in range(1, calls + 1):
-        flight = Flight(clock)
-        flight.port.fail_at = fail_at
-        flight.start()
-        flight.fly(60)
-        flight.fly(60)
-        flight.stop()
-        flight.rows()
-        assert "bus_error" in codes(flight.batches), fail_at
+    for flight in fault_at_any_call(lambda: Flight(clock), lambda f: f.fly(60), lambda f: f.fly(60), 50):
         assert len(flight.rows()) > 10
 
 

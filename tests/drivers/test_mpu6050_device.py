@@ -377,22 +377,46 @@ def test_after_a_brown_out_losses_are_counted_by_the_new_phase(flight):
     assert of(flight.batches, "gap")["cause"].tolist() == [b"brown_out"] + [b"fifo_overflow"] * 5
 
 
-def test_a_count_that_cannot_be_is_no_loss_of_thousands(flight):
+@pytest.mark.parametrize("count", [b"\xff\xff", b"\x00\x05", b"\x03\xf8"], ids=bytes.hex)
+def test_a_count_that_cannot_be_is_asked_for_again_and_loses_nothing(flight, count):
     flight.start()
     flight.fly(100)
     read = flight.chip.write_read
     floating = [True]
 
-    def glitch(address, data, count):
-        reply = read(address, data, count)
-        return reply._replace(data=b"\xff\xff") if data == b"\x72" and floating and floating.pop() else reply
+    def glitch(address, data, size):
+        reply = read(address, data, size)
+        return reply._replace(data=count) if data == b"\x72" and floating and floating.pop() else reply
 
     flight.chip.write_read = glitch
     flight.fly(100)
     flight.stop()
-    whole(flight.batches, NAME)
-    (gap,) = of(flight.batches, "gap")
-    assert int(gap["last_missing"]) - int(gap["first_missing"]) < 80
+    assert codes(flight.batches).count("bus_error") == 1
+    assert "what it says is garbage" in texts(flight.batches, "bus_error")[0]
+    assert len(flight.check()) == flight.chip.written
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_garbage_for_a_while_loses_no_more_than_was_made_in_it(flight, seed):
+    """Every byte read is random, the chip's WHO_AM_I and counts among them: it is believed no number of samples."""
+    rng = np.random.default_rng(seed)
+    flight.start()
+    flight.fly(200)
+    read, began_ns = flight.chip.write_read, flight.clock()
+
+    def garbled(address, data, size):
+        reply = read(address, data, size)
+        is_over = flight.clock() - began_ns > 600 * MS
+        return reply if is_over else reply._replace(data=rng.bytes(size))
+
+    flight.chip.write_read = garbled
+    flight.fly(400)
+    flight.stop()
+    rows = whole(flight.batches, NAME)
+    before, after = rows[rows["host_ns"] < began_ns], rows[rows["host_ns"] > began_ns + 1_200 * MS]
+    assert len(after) > 2_000
+    np.testing.assert_array_equal(numbers(before), before["tick"])
+    np.testing.assert_allclose(numbers(after), after["tick"], rtol=0, atol=1)
 
 
 def test_a_fifo_just_short_of_full_is_drained_and_loses_nothing(clock):

@@ -12,7 +12,7 @@ from drivers.nimu import Nimu, NimuConfig, PacketStream, PacketTimer, decode_pac
 from drivers.records import IMU, SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
 from tests.drivers.nimu_model import TICK_NS, NimuModel
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, bytewise, fed, pieces
+from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, bytewise, fault_at_any_call, fed, pieces
 from tests.drivers.serial_script import whole as at_once
 
 S = 1_000_000_000
@@ -457,20 +457,7 @@ def test_a_port_that_is_gone_is_told_once_and_opened_again(flight):
 
 
 def test_a_fault_at_any_call_is_survived(clock):
-    flight = Flight(clock)
-    flight.start()
-    flight.fly(30)
-    flight.stop()
-    calls = flight.port.calls
-    assert calls > 30
-    for fail_at in range(1, calls + 1):
-        flight = Flight(clock)
-        flight.port.fail_at = fail_at
-        flight.start()
-        flight.fly(30)
-        flight.fly(10)
-        flight.stop()
-        assert "bus_error" in codes(flight.batches), fail_at
+    for flight in fault_at_any_call(lambda: Flight(clock), lambda f: f.fly(30), lambda f: f.fly(10), 30):
         assert len(flight.rows()) > 90
 
 
@@ -502,3 +489,16 @@ def test_it_works_on_a_pty():
     rows = whole(batches, "imu")
     np.testing.assert_array_equal(numbers(rows), np.arange(len(rows)))
     assert codes(batches) == ["started", "stopped"]
+
+
+def test_a_unit_that_hangs_and_still_sends_is_named_and_its_samples_are_not_valid(flight):
+    """Its timer runs on; samples 100 to 149 are one and the same."""
+    words = flight.model.payload
+    flight.model.payload = lambda number: words(number if number not in range(100, 150) else 100)
+    flight.fly(120)
+    rows = flight.rows()
+    bad = rows["sequence"][(rows["status"] & SampleStatus.NOT_VALID) != 0]
+    assert set(range(108, 150)) <= set(bad.tolist()) <= set(range(100, 150))
+    assert texts(flight.batches, "stuck")[0].startswith("samples from 100 on are the same to the bit")
+    assert codes(flight.batches).count("stuck_over") == 1
+    assert not len(of(flight.batches, "gap"))

@@ -10,7 +10,7 @@ from drivers.node_frame import NodeFrame, NodeFrameConfig
 from drivers.records import SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, whole
 from tests.drivers.node_model import NodeModel, framed
-from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight
+from tests.drivers.serial_script import MS, Pty, ScriptedSerial, SerialFlight, fault_at_any_call
 
 S = 1_000_000_000
 FORCE, ANGLE = ("force", "N", 5, 0, 1, -4), ("angle", "rad", 2, 1, 15, -4)
@@ -451,23 +451,11 @@ def test_a_port_that_is_gone_is_told_once_and_opened_again(flight):
 
 
 def test_a_fault_at_any_call_is_survived(clock):
-    flight = Flight(clock)
-    flight.start()
-    flight.descend()
-    flight.fly(100)
-    flight.stop()
-    calls = flight.port.calls
-    assert calls > 20
-    for fail_at in range(1, calls + 1):
-        flight = Flight(clock)
-        flight.port.fail_at = fail_at
-        flight.start()
+    def fly(flight):
         flight.descend()
         flight.fly(100)
-        flight.descend()
-        flight.fly(100)
-        flight.stop()
-        assert "bus_error" in codes(flight.batches), fail_at
+
+    for flight in fault_at_any_call(lambda: Flight(clock), fly, fly, 20):
         assert len(flight.rows()) >= 80
 
 

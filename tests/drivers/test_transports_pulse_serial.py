@@ -1,5 +1,6 @@
 """Pulse and serial ports: a libgpiod request of the test's own, datagrams, ptys."""
 
+import contextlib
 import os
 import pty
 import socket
@@ -11,7 +12,7 @@ import gpiod
 import pytest
 from gpiod.line import Clock, Direction, Edge
 
-from drivers.transports import open_pulse, open_serial
+from drivers.transports import open_pulse, open_pulse_output, open_serial
 
 
 def test_a_gpio_line_is_asked_for_rising_edges_in_monotonic_time(monkeypatch, clock):
@@ -114,3 +115,19 @@ def test_a_serial_port_pulled_out_is_an_os_error():
     with pytest.raises(OSError, match=r"."):
         port.read(1)
     port.close()
+
+
+def test_a_line_driven_into_a_socket_is_seen_by_whoever_bound_it(tmp_path, clock):
+    path = tmp_path / "loop.sock"
+    output = open_pulse_output(f"gpio-out+unix://{path}", clock)
+    clock.now_ns = 100
+    assert output.drive(True) == (100, 100)  # nobody looks yet
+    assert output.untaken == 1
+    with contextlib.closing(open_pulse(f"gpio+unix://{path}", clock)) as line:
+        output.drive(True)  # high already: no edge
+        output.drive(False)
+        assert line.receive(0.0) == []
+        clock.now_ns = 300
+        output.drive(True)
+        assert line.receive(0.0) == [(300, 300, 2)]
+    output.close()

@@ -30,10 +30,11 @@ class Result(NamedTuple):
         return [f"{r['source'].decode()}: {r['text'].decode()}" for r in rows if r["code"].decode() == code]
 
 
-def fly(path: Path, seed: int = 3, scenario: Scenario | None = None, **overrides: Any) -> Result:
-    """Fly rocksat; ``overrides`` change tables of the scenario."""
-    vehicle = config.load(config.packaged("rocksat"))
-    world, urls = open_in_process(scenario or load("rocksat", overrides or None), seed)
+def fly(
+    path: Path, seed: int = 3, scenario: Scenario | None = None, vehicle: str = "rocksat", **overrides: Any
+) -> Result:
+    """Fly a packaged vehicle in its scenario; ``overrides`` change tables of the scenario."""
+    world, urls = open_in_process(scenario or load(vehicle, overrides or None), seed)
     with world:
-        flown = hil.fly_simulated(vehicle, world, urls, path)
+        flown = hil.fly_simulated(config.load(config.packaged(vehicle)), world, urls, path)
     return Result(path, flown, table.result(flown))

@@ -6,6 +6,17 @@ import pytest
 
 from onboard import cli, config
 
+ON_A_LOG = [
+    ["info", "nowhere.mcap"],
+    ["report", "nowhere.mcap"],
+    ["replay", "nowhere.mcap"],
+    ["replay", "nowhere.mcap", "--with", "x.toml"],
+    ["dump", "nowhere.mcap", "--to", "csv", "out"],
+    ["watch", "nowhere.mcap"],
+    ["recover", "nowhere.mcap", "-o", "out.mcap"],
+    ["merge", "nowhere.mcap", "also.mcap", "-o", "out.mcap"],
+]
+
 
 def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     code = cli.main(arguments)
@@ -29,8 +40,7 @@ def test_a_vehicle_file_with_a_mistake_names_the_line(tmp_path: Path, capsys: py
     [
         (["fly", "nowhere/vehicle.toml"], "give the path of a vehicle.toml"),
         (["hil", "moonshot"], "moonshot"),
-        (["info", "nowhere.mcap"], "nowhere.mcap"),
-        (["replay", "nowhere.mcap"], "nowhere.mcap"),
+        *((command, "nowhere.mcap: no such file or directory; check the path") for command in ON_A_LOG),
         (["dump", "nowhere.mcap", "--to", "xlsx", "out"], "known formats: csv"),
         (["identify", "--vehicle", "nowhere.toml", "log.mcap"], "give the path of a vehicle.toml"),
         (["import", "nomapping", "source", "-o", "out"], "nomapping"),

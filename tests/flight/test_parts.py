@@ -14,6 +14,7 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.history import History
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.publisher import Publisher
+from onboard.flight.roles import roles_of
 from onboard.flight.signals import Signals
 from onboard.flight.zeroing import Zeroing
 from onboard.ring import RingReader, RingWriter
@@ -27,15 +28,19 @@ def test_history_is_the_tail_of_a_list(batches: list[int], capacity: int) -> Non
     history, told = History(capacity, 2), 0
     for count in batches:
         ticks = np.arange(told, told + count)
-        history.append(ticks, np.column_stack([ticks, -ticks]).astype(float), ticks % 3 > 0)
+        rows = np.zeros(count, records.SCALAR)
+        rows["tick"], rows["host_ns"] = ticks, 7 * ticks
+        history.append(rows, np.column_stack([ticks, -ticks]).astype(float), ticks % 3 > 0)
         told += count
-        kept = len(history.ticks)
+        ticks = history.stamps["tick"]
+        kept = len(ticks)
         assert min(told, capacity) <= kept <= 2 * capacity
-        assert history.ticks.tolist() == list(range(told - kept, told))
-        assert history.values[:, 1].tolist() == [-float(t) for t in history.ticks]
-        assert history.valid.tolist() == [t % 3 > 0 for t in history.ticks.tolist()]
+        assert ticks.tolist() == list(range(told - kept, told))
+        assert (history.stamps["host_ns"] == 7 * ticks).all()
+        assert (history.values[:, 1] == -ticks).all()
+        assert (history.valid == (ticks % 3 > 0)).all()
     history.clear()
-    assert len(history.ticks) == len(history.values) == 0
+    assert len(history.stamps) == len(history.values) == 0
 
 
 def phase_rows(*changes: tuple[int, int]) -> records.Rows:
@@ -52,8 +57,22 @@ def test_phases_are_told_once_and_the_payload_goes_when_they_say() -> None:
     assert track.update({"arm_phase": phase_rows((10, 0), (11, 0), (20, 3))}) == ["phase 0", "phase 3"]
     assert track.at(at).tolist() == [-1, 0, 3, 3]
     assert track.update({"arm_phase": phase_rows((30, 5)), "imu_base": np.zeros(0, records.IMU)}) == ["phase 5"]
+    assert track.attached(at).all()  # until it is read back
+    assert track.update({"arm_phase": phase_rows((32, 5))}) == []
     assert track.attached(at).tolist() == [True, True, True, False]
     assert PhaseTrack(None).attached(at).all()
+
+
+def test_one_false_reading_does_not_let_the_payload_go() -> None:
+    track = PhaseTrack(ROCKSAT.file.estimation.phases)
+    doubted = phase_rows((22, 5), (23, 5))
+    doubted["status"] = records.SampleStatus.NOT_VALID
+    assert track.update({"arm_phase": phase_rows((10, 4), (11, 4))}) == ["phase 4"]
+    assert track.update({"arm_phase": doubted}) == []
+    assert track.update({"arm_phase": phase_rows((25, 5), (26, 4), (30, 5))}) == ["phase 5", "phase 4", "phase 5"]
+    at = np.array([24, 28, 40])
+    assert track.attached(at).all()
+    assert track.at(at).tolist() == [4, 4, 5]
 
 
 def test_zero_is_the_mean_at_rest_and_waits_for_enough_of_it() -> None:
@@ -117,7 +136,7 @@ def test_signals_are_si_smoothed_and_differentiated(tmp_path: Path) -> None:
     seconds = np.arange(0.0, 1.0, 1e-3)
     signals.append({"imu": imu_rows(seconds)})
     at_ns = np.array([300_000_000, 500_000_000])
-    smoothed = signals.at("imu", Timebase({"imu": RecordedChannel(0.0)}, None), at_ns, 1)
+    smoothed = signals.at("imu", recorded("imu"), at_ns, 1)
     one_count = 1e-4
     assert smoothed.derivatives[0][:, 2] == pytest.approx(np.sin(4 * at_ns * 1e-9), abs=one_count)
     assert smoothed.derivatives[1][:, 2] == pytest.approx(4 * np.cos(4 * at_ns * 1e-9), abs=0.005)
@@ -127,6 +146,25 @@ def test_signals_are_si_smoothed_and_differentiated(tmp_path: Path) -> None:
     assert (smoothed.sigma[0][:, 3] < 0.1).all()
 
 
+def test_a_time_that_is_not_known_well_makes_what_changes_uncertain(tmp_path: Path) -> None:
+    signals = Signals(recorded_vehicle(tmp_path))
+    signals.append({"imu": imu_rows(np.arange(0.0, 1.0, 1e-3))})
+    at_ns = np.array([190, 200, 210]) * 1_000_000
+    sharp = signals.at("imu", Timebase({"imu": RecordedChannel(0.0)}, None), at_ns, 1)
+    vague = signals.at("imu", Timebase({"imu": RecordedChannel(2e6)}, None), at_ns, 1)
+    two_milliseconds = 2e-3
+    for order in (0, 1):
+        added = np.sqrt(vague.sigma[order] ** 2 - sharp.sigma[order] ** 2)
+        assert added[:, 0] == pytest.approx(0.0, abs=1e-6)  # it does not change
+    rate = 4 * np.cos(4 * at_ns * 1e-9)
+    added = np.sqrt(vague.sigma[0] ** 2 - sharp.sigma[0] ** 2)
+    more_than_noise = np.sqrt(np.maximum(rate**2 - sharp.sigma[1][:, 2] ** 2, 0.0))
+    assert added[:, 2] == pytest.approx(two_milliseconds * more_than_noise, rel=0.02, abs=1e-6)
+    alone = signals.at("imu", Timebase({"imu": RecordedChannel(2e6)}, None), at_ns, 0)  # the rate from tick to tick
+    added = np.sqrt(alone.sigma[0] ** 2 - sharp.sigma[0] ** 2)
+    assert added[1, 2] == pytest.approx(two_milliseconds * abs(rate[1]), rel=0.2)
+
+
 def test_a_hole_and_a_saturated_sample_refuse_the_ticks_around_them(tmp_path: Path) -> None:
     signals = Signals(recorded_vehicle(tmp_path))
     seconds = np.arange(0.0, 1.0, 1e-3)
@@ -134,14 +172,14 @@ def test_a_hole_and_a_saturated_sample_refuse_the_ticks_around_them(tmp_path: Pa
     rows["status"][np.searchsorted(rows["host_ns"], 600_000_000)] = records.SampleStatus.SATURATED
     signals.append({"imu": rows})
     at_ns = np.array([200, 305, 450, 610, 800]) * 1_000_000
-    smoothed = signals.at("imu", Timebase({"imu": RecordedChannel(0.0)}, None), at_ns, 0)
+    smoothed = signals.at("imu", recorded("imu"), at_ns, 0)
     assert smoothed.refused.tolist() == [0, GateReason.GAP, 0, GateReason.SATURATED, 0]
 
 
 def test_a_clock_that_is_not_known_yet_refuses_everything() -> None:
     signals = Signals(ROCKSAT)
     rows = np.zeros(50, records.SCALAR)
-    rows["tick"] = np.arange(50)
+    rows["tick"], rows["unit"] = np.arange(50), b"rad"
     signals.append({"joint_1": rows})
     smoothed = signals.at("joint_1", _unlocked(), np.array([0, 1]), 2)
     assert (smoothed.refused == GateReason.NOT_SYNCHRONISED).all()
@@ -150,3 +188,117 @@ def test_a_clock_that_is_not_known_yet_refuses_everything() -> None:
 
 def _unlocked() -> Timebase:
     return Timebase({"can_sync": SyncChannel(5e6, 0.0), "joint_1": FollowerChannel("can_sync")}, None)
+
+
+def mixed_vehicle(tmp_path: Path) -> config.Vehicle:
+    text = (Path(__file__).with_name("mixed.toml")).read_text(encoding="utf-8")
+    (tmp_path / "mixed.urdf").write_text("<robot/>")
+    return config.parse(text, tmp_path / "vehicle.toml")
+
+
+def scalar_rows(raw: float, scale: float, unit: bytes, start_ms: int = 0, period_ms: int = 5) -> records.Rows:
+    """Half a second of steady rows."""
+    rows = np.zeros(500 // period_ms, records.SCALAR)
+    rows["host_ns"] = rows["tick"] = (start_ms + period_ms * np.arange(len(rows))) * 1_000_000
+    rows["value_raw"], rows["scale"], rows["unit"] = raw, scale, unit
+    return rows
+
+
+def recorded(*channels: str) -> Timebase:
+    return Timebase({channel: RecordedChannel(0.0) for channel in channels}, None)
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "expected"),
+    [
+        ("wrist_angle", b"rad", 2.5),
+        ("wrist_angle", b"deg", np.radians(2.5)),
+        ("wrist_force", b"N", 2.5),
+        ("wrist_force", b"kg", 2.5 * 9.80665),
+        ("wrist_gyro_x", b"rad/s", 2.5),
+        ("wrist_gyro_x", b"deg/s", np.radians(2.5)),
+        ("wrist_accel_z", b"m/s^2", 2.5),
+        ("wrist_accel_z", b"g", 2.5 * 9.80665),
+    ],
+)
+def test_rows_become_si_by_their_own_unit(tmp_path: Path, channel: str, unit: bytes, expected: float) -> None:
+    signals = Signals(mixed_vehicle(tmp_path))
+    assert signals.append({channel: scalar_rows(250, 0.01, unit)}) == {}
+    smoothed = signals.at(channel, recorded(channel), np.array([250_000_000]), 0)
+    assert smoothed.refused.tolist() == [0]
+    assert smoothed.derivatives[0][0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_rows_of_a_unit_that_the_role_has_not_are_refused_and_told_once(tmp_path: Path) -> None:
+    signals = Signals(mixed_vehicle(tmp_path))
+    said = signals.append({"wrist_force": scalar_rows(1, 1.0, b"V")})
+    assert said == {"wrist_force": "unit 'V' is none of N, kg: not used, mend its device"}
+    assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"V", 500)}) == {}
+    assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"N", 1000)}) == {}
+    at_ns = np.array([250, 750, 1250]) * 1_000_000
+    smoothed = signals.at("wrist_force", recorded("wrist_force"), at_ns, 0)
+    assert (smoothed.refused == 0).tolist() == [False, False, True]
+
+
+def test_a_force_at_the_capacity_is_saturated_whatever_the_transmitter_says(tmp_path: Path) -> None:
+    signals = Signals(mixed_vehicle(tmp_path))
+    rows = scalar_rows(4999, 0.01, b"N")
+    rows["value_raw"][50] = 5000
+    signals.append({"load_cell": rows})
+    at_ns = np.array([100, 250, 400]) * 1_000_000
+    smoothed = signals.at("load_cell", recorded("load_cell"), at_ns, 0)
+    assert smoothed.refused.tolist() == [0, GateReason.SATURATED, 0]
+
+
+@pytest.mark.parametrize(("channel", "absolute"), [("shoulder", True), ("elbow", False), ("wrist_angle", False)])
+def test_after_a_reset_only_an_absolute_encoder_still_knows_its_zero(
+    tmp_path: Path, channel: str, absolute: bool
+) -> None:
+    signals = Signals(mixed_vehicle(tmp_path))
+    period_ms = 2 if channel == "elbow" else 5
+    rows = scalar_rows(100, 0.01, b"rad", 0, period_ms)
+    rows["status"][20] = records.SampleStatus.AFTER_RESET
+    said = signals.append({channel: rows})
+    assert (said == {}) is absolute
+    assert signals.append({channel: scalar_rows(100, 0.01, b"rad", 500, period_ms)}) == {}
+    smoothed = signals.at(channel, recorded(channel), np.array([700_000_000]), 0)
+    assert bool(smoothed.refused[0] == 0) is absolute
+
+
+def test_a_timer_that_stands_still_costs_its_samples_and_nothing_else(tmp_path: Path) -> None:
+    signals = Signals(mixed_vehicle(tmp_path))
+    rows = scalar_rows(100, 0.01, b"rad")
+    rows["host_ns"][40:45] = rows["host_ns"][40]
+    rows["status"][41:45] = records.SampleStatus.NOT_VALID
+    signals.append({"shoulder": rows})
+    smoothed = signals.at("shoulder", recorded("shoulder"), np.array([100, 210, 350]) * 1_000_000, 1)
+    assert smoothed.refused.tolist() == [0, GateReason.GAP, 0]
+
+
+def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
+    roles = roles_of(mixed_vehicle(tmp_path))
+    wrist = tuple(f"wrist_{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz")
+    assert [imu.channels for imu in roles.imus] == [("imu_base",), ("imu_tip",), wrist]
+    assert roles.imu.frame == "body"
+    assert {joint.joint: joint.channel for joint in roles.joints} == {
+        "joint_1": "shoulder",
+        "joint_2": "upper",
+        "joint_3": "elbow",
+        "joint_4": "wrist_angle",
+    }
+    assert [cell.name for cell in roles.cells] == ["load_cell", "cell", "grip", "wrist_force"]
+    assert roles.signals.keys() == {"imu_base", "imu_tip", *wrist} | {j.channel for j in roles.joints} | {
+        cell.channel for cell in roles.cells
+    }
+
+
+def test_the_parts_of_an_imu_stand_side_by_side(tmp_path: Path) -> None:
+    signals = Signals(mixed_vehicle(tmp_path))
+    names = roles_of(mixed_vehicle(tmp_path)).imus[2].channels
+    for place, name in enumerate(names):
+        rows = scalar_rows(100 * (place + 1), 0.01, b"rad/s" if "gyro" in name else b"m/s^2")
+        signals.append({name: rows if place else rows[rows["tick"] < 300_000_000]})
+    smoothed = signals.together(names, recorded(*names), np.array([150, 350]) * 1_000_000, 1)
+    assert smoothed.derivatives[0][0] == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert smoothed.sigma[1].shape == (2, 6)
+    assert smoothed.refused.tolist() == [0, GateReason.GAP]

@@ -10,10 +10,12 @@ import can
 import pytest
 import smbus2
 
-from hil_sim.buses import CanBus, EdgeDatagrams, I2cBus, InProcess, PulseLine, VirtualCan, install_i2c
+from hil_sim.buses import CanBus, EdgeDatagrams, I2cBus, PulseLine
 from hil_sim.devices.can_wire import WireFrame
 from hil_sim.faults import Fault, FaultError, FaultPlan
-from tests.hil_sim.twin_bench import MS, START_NS, SmallMission
+from hil_sim.i2c_dev import install_i2c
+from hil_sim.in_process import VirtualCan, in_process
+from tests.hil_sim.twin_bench import BUSES, MS, START_NS, SmallMission
 
 PATH = "/dev/i2c-test"
 
@@ -307,7 +309,7 @@ def test_virtual_channel_keeps_stamps_and_ignores_what_is_not_a_base_frame():
         near.send(can.Message(arbitration_id=0x601, data=b"\x40", is_extended_id=False))
         near.send(can.Message(arbitration_id=0x601, data=b"\x41", is_extended_id=True))
         near.send(can.Message(arbitration_id=0x601, is_remote_frame=True, dlc=2, is_extended_id=False))
-        assert far.take() == [(0x601, b"\x40")]
+        assert far.take() == [(0x601, b"\x40"), (0x601, 2)]
         far.give([WireFrame(123_456_789_012, 0x182, b"\x01\x02")])
         message = near.recv(0)
         assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == (0x182, b"\x01\x02", False)
@@ -344,9 +346,9 @@ def test_in_process_end_to_end_is_the_same_each_time(tmp_path, clock):
         mission, now = SmallMission(), [START_NS]
         edges_path = tmp_path / f"{name}"
         edges_path.mkdir()
-        with InProcess(edges_path, lambda: now[0], name=name, seed=3) as buses:
-            mission.attach(i2c=buses.i2c, can=buses.can, pulse=buses.pulse, start_ns=START_NS)
-            assert buses.urls["i2c_1"] == f"i2c:///dev/i2c-{name}"
+        with in_process(BUSES, edges_path, lambda: now[0], name=name, seed=3) as buses:
+            mission.plug(buses.buses, START_NS)
+            assert buses.urls["i2c_1"] == f"i2c:///dev/i2c-{name}-i2c_1"
             assert buses.urls["can_0"] == f"can+virtual://{name}_can_0?timestamps=monotonic"
             assert buses.urls["sync_line"] == f"gpio+unix://{edges_path}/sync_line.sock"
             with (
@@ -377,7 +379,7 @@ def test_in_process_end_to_end_is_the_same_each_time(tmp_path, clock):
                             log.append(edges.recv(64))
                     except BlockingIOError:
                         continue
-                assert buses.lost_edges == 0
+                assert buses.ports["sync_line"].counts()["edges_without_receiver"] == 0
                 return log, mission.produced()
 
     (log, produced), (again, _) = flight("one"), flight("two")

@@ -16,9 +16,10 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, dat
 from canopen.profiles.p402 import BaseNode402
 from hypothesis import given
 
-from hil_sim.buses import CanBus, VirtualCan
+from hil_sim.buses import CanBus
 from hil_sim.devices.drive402 import Drive402
 from hil_sim.faults import Fault, FaultError, FaultPlan
+from hil_sim.in_process import VirtualCan
 from tests.hil_sim.twin_bench import START_NS, Analog, CanRig
 
 NODE = 5
@@ -382,7 +383,9 @@ def test_canopen_p402_enables_it_reads_it_and_resets_its_fault():
         assert node.emcy.wait(0x2310, 2.0).code == 0x2310
         assert node.tpdo[3].wait_for_reception(2.0)
         assert node.tpdo[3][0x6077].raw == 0
-        time.sleep(0.1)
+        until_s = time.monotonic() + 5.0
+        while node.state != "FAULT" and time.monotonic() < until_s:
+            time.sleep(0.01)
         assert node.state == "FAULT"
         node.reset_from_fault()
         assert node.state == "OPERATION ENABLED"

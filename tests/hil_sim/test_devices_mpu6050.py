@@ -583,3 +583,13 @@ def test_samples_are_made_in_batches_when_nobody_looks():
     assert bench.analog.calls == []
     bench.chip.advance(bench.wait(1).now_ns)
     assert [call[0] for call in bench.analog.calls] == [50]
+
+
+def test_samples_shown_are_counted_from_the_first_to_the_last_read_as_new():
+    bench = Bench().wake()
+    assert bench.chip.shown == 0
+    bench.wait(5.5).read("INT_STATUS")  # what was there before is not new any more
+    for ms in (1, 0.1, 3, 1, 0.2):  # a new one, the same, two missed and a new one, a new one, the same
+        bench.wait(ms).read("INT_STATUS", 15)
+    bench.wait(3).read("ACCEL_XOUT_H", 14)  # nothing says that these are new
+    assert bench.chip.shown == 5

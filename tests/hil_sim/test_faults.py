@@ -29,7 +29,6 @@ from hil_sim.faults import (
     PowerCycle,
     told_phases,
 )
-from hil_sim.serial_bus import LineFaultKind
 from tests.hil_sim.twin_bench import MS, START_NS, Analog, CanRig, FlatImu, RateClock, StairImu
 
 S = 1_000_000_000
@@ -152,10 +151,6 @@ def test_imu_sticks_the_same_however_the_samples_are_batched(batches):
 def test_imu_stuck_from_the_first_sample():
     analog = FaultyImu(StairImu(), of(Fault("stuck", "x", 0.0)), START_NS)
     assert (analog.counts(np.arange(1, 5) * 1e-3, 1.0, 1.0, 0)[:, 0] == 1).all()
-
-
-def test_serial_lines_speak_the_same_vocabulary():
-    assert {kind.value for kind in LineFaultKind} <= {kind.value for kind in FaultKind}
 
 
 # Inputs

@@ -10,9 +10,11 @@ import canopen
 import pytest
 import smbus2
 
-from hil_sim.buses import CanBus, I2cBus, PulseLine, VirtualCan, install_i2c
+from hil_sim.buses import CanBus, I2cBus, PulseLine
 from hil_sim.devices.can_wire import WireFrame
 from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.i2c_dev import install_i2c
+from hil_sim.in_process import VirtualCan
 from hil_sim.slcan import SlcanAdapter
 from tests.hil_sim.twin_bench import MS, START_NS, FlatImu, RateClock, SmallMission, StairImu
 
@@ -106,27 +108,52 @@ def test_raspberry_tears_words_as_it_does_on_a_chip(raspberry_on):
 # canopen.RemoteNode on the virtual channel, our nodes pumped in real time
 
 
-@pytest.fixture
-def network():
-    mission, stop = SmallMission(60.0), threading.Event()
-    link = VirtualCan("peer")
-    start_ns = time.monotonic_ns()
-    mission.attach(i2c=I2cBus(), can=CanBus(link), pulse=PulseLine(Nobody()), start_ns=start_ns)
+class Bench:
+    """Our nodes on a virtual channel, pumped in real time from ``power_up`` on, and canopen's network on it."""
 
-    def pump():
-        while not stop.is_set():
-            mission.advance(time.monotonic_ns())
+    def __init__(self, mission, link, net):
+        self.mission, self.net = mission, net
+        self._link, self._stop = link, threading.Event()
+        self._thread = threading.Thread(target=self._pump)
+
+    def power_up(self, *nodes):
+        """Returns when these nodes have sent their boot-up messages: heard here, for canopen forgets earlier ones."""
+        heard = self.boots(*nodes)
+        start_ns = time.monotonic_ns()
+        pulse = PulseLine(Nobody())
+        self.mission.attach(i2c=I2cBus(), can=CanBus(self._link), pulse=pulse, start_ns=start_ns)
+        self._thread.start()
+        assert all(boot.wait(10) for boot in heard)
+
+    def boots(self, *nodes):
+        """Events that the next boot-up of each node sets."""
+        heard = []
+        for node in nodes:
+            boot = threading.Event()
+            self.net.subscribe(0x700 + node.id, lambda _, data, __, boot=boot: boot.set() if data == b"\0" else None)
+            heard.append(boot)
+        return heard
+
+    def close(self):
+        self.net.disconnect()
+        self._stop.set()
+        if self._thread.ident:
+            self._thread.join()
+        self._link.close()
+
+    def _pump(self):
+        while not self._stop.is_set():
+            self.mission.advance(time.monotonic_ns())
             time.sleep(0.0005)
 
-    thread = threading.Thread(target=pump)
-    thread.start()
+
+@pytest.fixture
+def bench():
     net = canopen.Network()
+    bench = Bench(SmallMission(60.0), VirtualCan("peer"), net)
     net.connect(interface="virtual", channel="peer")
-    yield net, mission
-    net.disconnect()
-    stop.set()
-    thread.join()
-    link.close()
+    yield bench
+    bench.close()
 
 
 def dictionary():
@@ -164,11 +191,9 @@ def dictionary():
     return od
 
 
-def test_canopen_master_configures_starts_and_reads(network):
-    net, mission = network
-    joint, cell = (net.add_node(canopen.RemoteNode(number, dictionary())) for number in (1, 2))
-    for node in (joint, cell):
-        node.nmt.wait_for_bootup(2)
+def test_canopen_master_configures_starts_and_reads(bench):
+    joint, cell = (bench.net.add_node(canopen.RemoteNode(number, dictionary())) for number in (1, 2))
+    bench.power_up(joint, cell)
     assert joint.sdo["Device type"].raw == 0x0002_0196
     assert cell.sdo["Device type"].raw == 0x0002_0194
     assert cell.sdo["Decimals"][1].raw == 4
@@ -191,7 +216,7 @@ def test_canopen_master_configures_starts_and_reads(network):
     positions, forces = [], []
     joint.tpdo[2].add_callback(lambda message: positions.append(message["Position"].raw))
     cell.tpdo[1].add_callback(lambda message: forces.append(message["Process value.Process value 1"].raw))
-    net.nmt.state = "OPERATIONAL"
+    bench.net.nmt.state = "OPERATIONAL"
     assert joint.nmt.wait_for_heartbeat(2) == "OPERATIONAL"
     deadline = time.monotonic() + 5
     while len(forces) < 40 and time.monotonic() < deadline:
@@ -201,13 +226,12 @@ def test_canopen_master_configures_starts_and_reads(network):
     assert set(forces) == {15_000}
     assert positions == sorted(positions)
     assert positions[0] > 1000
-    assert mission.joint.produced >= len(positions)
+    assert bench.mission.joint.produced >= len(positions)
 
 
-def test_canopen_remaps_a_pdo(network):
-    net, _mission = network
-    cell = net.add_node(canopen.RemoteNode(2, dictionary()))
-    cell.nmt.wait_for_bootup(2)
+def test_canopen_remaps_a_pdo(bench):
+    cell = bench.net.add_node(canopen.RemoteNode(2, dictionary()))
+    bench.power_up(cell)
     cell.tpdo[1].read()
     cell.tpdo[1].clear()
     cell.tpdo[1].add_variable(0x6150, 1)
@@ -221,12 +245,12 @@ def test_canopen_remaps_a_pdo(network):
     assert bytes(cell.tpdo[1].data) == b"\x00" + (15_000).to_bytes(4, "little")
 
 
-def test_canopen_resets_a_node(network):
-    net, _ = network
-    joint = net.add_node(canopen.RemoteNode(1, dictionary()))
-    joint.nmt.wait_for_bootup(2)
+def test_canopen_resets_a_node(bench):
+    joint = bench.net.add_node(canopen.RemoteNode(1, dictionary()))
+    bench.power_up(joint)
+    (again,) = bench.boots(joint)
     joint.nmt.state = "RESET"
-    joint.nmt.wait_for_bootup(2)
+    assert again.wait(10)
 
 
 # python-can's slcan on the adapter

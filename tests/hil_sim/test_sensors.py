@@ -76,11 +76,12 @@ class World:
 
 
 def imu_of(world, rng, **overrides) -> ImuSensor:
-    return ImuSensor(world, load("rocksat", {"imu": PERFECT_IMU | overrides}).imu, rng)
+    return ImuSensor(world, load("rocksat", {"sensor": {"imu": PERFECT_IMU | overrides}}).sensor["imu"], rng)
 
 
 def cell_of(world, rng, **overrides) -> LoadCellSensor:
-    return LoadCellSensor(world, load("rocksat", {"load_cell": PERFECT_CELL | overrides}).load_cell, rng)
+    scenario = load("rocksat", {"sensor": {"load_cell": PERFECT_CELL | overrides}})
+    return LoadCellSensor(world, scenario.sensor["load_cell"], rng)
 
 
 def tone(frequency_hz: float, size: float):
@@ -208,7 +209,7 @@ def test_drawn_errors_are_applied_as_told_by_truth(rng) -> None:
         40.0, lambda t: np.tile(force_g * G, (len(t), 1)), lambda t: np.tile(np.deg2rad(rate_deg_s), (len(t), 1))
     )
     scenario = load("rocksat")
-    imu = ImuSensor(world, scenario.imu, rng)
+    imu = ImuSensor(world, scenario.sensor["imu"], rng)
     counts = imu.counts(np.arange(10.0, 30.0, 1e-3), 8192.0, 131.0, 2).astype(float).mean(axis=0)
     rise = (imu.temperature_deg_c(np.arange(10.0, 30.0, 1e-3)) - 24.0).mean()
     t = imu.truth()
@@ -221,7 +222,7 @@ def test_drawn_errors_are_applied_as_told_by_truth(rng) -> None:
 
 
 def test_draws_fill_the_datasheet_limits_and_stay_inside() -> None:
-    world, table = World(0.1), load("rocksat").imu
+    world, table = World(0.1), load("rocksat").sensor["imu"]
     drawn = [ImuSensor(world, table, np.random.default_rng(seed)).truth() for seed in range(200)]
     for key, limit in (("accel_bias_g", [0.05, 0.05, 0.08]), ("gyro_bias_deg_s", [20.0, 20.0, 20.0])):
         largest = np.abs([d[key] for d in drawn]).max(axis=0)
@@ -248,8 +249,8 @@ def test_counts_do_not_hang_on_the_polling() -> None:
     answers = []
     for batch in (1, 7, 2000):
         plant = Plant(scenario, np.random.default_rng(1))
-        imu = ImuSensor(plant, scenario.imu, np.random.default_rng(2))
-        cell = LoadCellSensor(plant, scenario.load_cell, np.random.default_rng(3))
+        imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2))
+        cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
         rows, forces = [], []
         for part in np.split(times, range(batch, len(times), batch)):
             plant.advance(part[-1])
@@ -271,9 +272,9 @@ def test_no_sensor_answers_about_the_future() -> None:
     scenario = load("rocksat", {"sequence": [{"phase": 0, "action": "hold", "duration_s": 2.0}]})
     plant = Plant(scenario, np.random.default_rng(1))
     plant.advance(1.0)
-    imu = ImuSensor(plant, scenario.imu, np.random.default_rng(2))
-    cell = LoadCellSensor(plant, scenario.load_cell, np.random.default_rng(3))
-    encoder = EncoderSensor(plant, scenario.encoder, np.random.default_rng(4))
+    imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2))
+    cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
+    encoder = EncoderSensor(plant, scenario.sensor["encoder"], np.random.default_rng(4))
     assert imu.counts(np.array([1.0]), 8192.0, 131.0, 2).shape == (1, 7)
     assert imu.counts(np.array([]), 8192.0, 131.0, 2).shape == (0, 7)
     for ask in (
@@ -290,7 +291,8 @@ def test_no_sensor_answers_about_the_future() -> None:
 
 def test_encoder_gives_whole_counts_of_500000_a_turn(rng) -> None:
     world = World(1.0, angle_rad=lambda t: 0.2 * np.sin(6.0 * t))
-    table = load("rocksat", {"encoder": {"eccentricity_urad": 0.0, "transmission_error_urad": 0.0}}).encoder
+    perfect = {"eccentricity_urad": 0.0, "transmission_error_urad": 0.0}
+    table = load("rocksat", {"sensor": {"encoder": perfect}}).sensor["encoder"]
     encoder = EncoderSensor(world, table, rng)
     step = 2 * np.pi / 500_000
     for t in np.linspace(0.01, 0.98, 200):
@@ -302,7 +304,7 @@ def test_encoder_gives_whole_counts_of_500000_a_turn(rng) -> None:
 def test_encoder_errors_are_cyclic_in_the_motor(rng) -> None:
     """Once and twice per motor turn, 100 motor turns to one of the joint; 23 and 70 urad."""
     world = World(4.0, angle_rad=lambda t: 0.05 * t)
-    encoder = EncoderSensor(world, load("rocksat").encoder, rng)
+    encoder = EncoderSensor(world, load("rocksat").sensor["encoder"], rng)
     times = np.linspace(0.5, 0.5 + 2 * np.pi / 100 / 0.05 * 2, 400, endpoint=False)  # two motor turns
     error = np.array([encoder.analog_rad(t) - 0.05 * t for t in times])
     size = 2 * np.abs(np.fft.rfft(error)) / len(error)
@@ -371,7 +373,7 @@ def test_cell_scale_lever_and_nonlinearity_are_those_of_truth(rng) -> None:
 
 
 def test_cell_calibration_draws_have_the_stated_sigma() -> None:
-    world, table = World(0.1), load("rocksat").load_cell
+    world, table = World(0.1), load("rocksat").sensor["load_cell"]
     drawn = [LoadCellSensor(world, table, np.random.default_rng(seed)).truth() for seed in range(600)]
     assert np.std([d["gain"] for d in drawn]) == pytest.approx(0.0025, rel=0.1)
     assert np.std([d["lever_m"] for d in drawn]) == pytest.approx(1e-4, rel=0.1)
@@ -395,8 +397,8 @@ def test_flight_has_its_two_full_scale_readings_in_the_middle_of_sweeps() -> Non
     scenario = load("rocksat")
     plant = Plant(scenario, np.random.default_rng(0))
     sweeps = [span for span in plant.program.spans if span.action == "sweep"]
-    assert len(scenario.load_cell.full_scale_readings_s) == 2
-    for start in scenario.load_cell.full_scale_readings_s:
+    assert len(scenario.sensor["load_cell"].full_scale_readings_s) == 2
+    for start in scenario.sensor["load_cell"].full_scale_readings_s:
         assert any(span.start_s + 1.0 < start < span.end_s - 1.0 for span in sweeps)
 
 
@@ -427,8 +429,8 @@ def test_a_fast_clock_is_early() -> None:
 
 def test_clock_draws_respect_the_limit() -> None:
     table = load("rocksat").clock
-    rates = [DriftingClock.draw(table.imu_base, np.random.default_rng(s)).rate_error for s in range(500)]
+    rates = [DriftingClock.draw(table["imu_base"], np.random.default_rng(s)).rate_error for s in range(500)]
     assert np.abs(rates).max() <= 0.010
     assert np.std(rates) == pytest.approx(0.005, rel=0.1)
-    crystal = [DriftingClock.draw(table.sync_box, np.random.default_rng(s)).rate_error for s in range(500)]
+    crystal = [DriftingClock.draw(table["sync_box"], np.random.default_rng(s)).rate_error for s in range(500)]
     assert 3e-5 < np.abs(crystal).max() <= 5e-5

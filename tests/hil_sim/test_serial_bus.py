@@ -1,8 +1,6 @@
 """Serial buses: T0 ports on a virtual clock, T1 pseudo-terminals for pyserial, and what can break on the line."""
 
-import math
 import os
-import re
 import time
 
 import hypothesis.strategies as st
@@ -15,8 +13,8 @@ from hil_sim.devices.nimu import Nimu
 from hil_sim.devices.qsb import Qsb
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.faults import NO_FAULTS, FaultError
-from hil_sim.serial_bus import LineFault, SerialBus
+from hil_sim.faults import NO_FAULTS, Fault, FaultError, FaultPlan
+from hil_sim.serial_bus import SerialBus
 from hil_sim.serial_port import PtySerial, VirtualSerial, install_serial
 from tests.hil_sim.serial_bench import RealTime
 from tests.hil_sim.twin_bench import MS, START_NS, Analog, RateClock, StairImu
@@ -44,7 +42,7 @@ class Rig:
         self.bus = SerialBus(self.adapter, seed, latency_ns=latency_ns)
         self.device = device or Echo()
         self.bus.add(self.device)
-        self.bus.inject(faults, START_NS)
+        self.bus.inject(FaultPlan(faults, START_NS).of("line"))
         self.now_ns = START_NS
         self.bus.advance(START_NS)
 
@@ -171,8 +169,8 @@ def test_serial_opens_the_path_while_it_is_installed(tmp_path):
 
 def test_a_run_is_the_same_to_the_byte_each_time():
     def run():
-        fault = LineFault("byte_garble", "echo", 0.0, value=0.05)
-        rig = Rig(fault, LineFault("byte_loss", "echo", 0.0, value=0.05), seed=7)
+        fault = Fault("byte_garble", "line", 0.0, value=0.05)
+        rig = Rig(fault, Fault("byte_loss", "line", 0.0, value=0.05), seed=7)
         port = rig.adapter.open(FAST)
         received = b""
         for _ in range(50):
@@ -246,14 +244,14 @@ def test_a_usb_adapter_hands_over_full_packets_at_once():
 
 
 def test_what_a_usb_adapter_holds_goes_with_it():
-    rig = Rig(LineFault("unplug", "echo", 0.0009, 0.01), latency_ns=MS)
+    rig = Rig(Fault("unplug", "line", 0.0009, 0.01), latency_ns=MS)
     rig.adapter.open(FAST).write(b"hello")
     rig.run(20)
     assert rig.bus.to_host == 0
 
 
 def test_the_bus_says_when_something_happens_next():
-    rig = Rig(LineFault("unplug", "echo", 0.05, 0.07))
+    rig = Rig(Fault("unplug", "line", 0.05, 0.07))
     assert rig.bus.due_ns == START_NS + 50 * MS
     port = rig.adapter.open(FAST)
     port.write(b"a")
@@ -268,7 +266,7 @@ def test_the_bus_says_when_something_happens_next():
 
 @pytest.mark.parametrize("kind", ["byte_loss", "byte_garble"])
 def test_characters_break_with_their_probability_both_ways(kind):
-    rig = Rig(LineFault(kind, "echo", 0.1, 1.1, value=0.1))
+    rig = Rig(Fault(kind, "line", 0.1, 1.1, value=0.1))
     port = rig.adapter.open(FAST)
     received = b""
     for _ in range(100):
@@ -292,7 +290,7 @@ def test_characters_break_with_their_probability_both_ways(kind):
 
 
 def test_all_of_them():
-    rig = Rig(LineFault("byte_loss", "echo", 0.0, value=1.0))
+    rig = Rig(Fault("byte_loss", "line", 0.0, value=1.0))
     port = rig.adapter.open(FAST)
     port.write(b"hello")
     rig.run(10)
@@ -300,7 +298,7 @@ def test_all_of_them():
 
 
 def test_unplugged_the_port_dies_and_must_be_opened_again():
-    rig = Rig(LineFault("unplug", "echo", 0.1, 0.2))
+    rig = Rig(Fault("unplug", "line", 0.1, 0.2))
     port = rig.adapter.open(FAST)
     rig.run(99.85)
     port.write(b"hello")
@@ -327,7 +325,7 @@ def test_unplugged_the_port_dies_and_must_be_opened_again():
 
 
 def test_unplugged_twice_in_a_row_is_once():
-    rig = Rig(LineFault("unplug", "echo", 0.1, 0.2), LineFault("unplug", "echo", 0.2, 0.3))
+    rig = Rig(Fault("unplug", "line", 0.1, 0.2), Fault("unplug", "line", 0.2, 0.3))
     rig.run(250)
     with pytest.raises(serial.SerialException, match="could not open port"):
         rig.adapter.open(FAST)
@@ -337,29 +335,30 @@ def test_unplugged_twice_in_a_row_is_once():
 
 def test_the_twin_lives_on_while_it_is_unplugged():
     nimu = Nimu(StairImu(), RateClock(), START_NS)
-    rig = Rig(LineFault("unplug", "nimu", 0.5, 1.0), device=nimu)
+    rig = Rig(Fault("unplug", "line", 0.5, 1.0), device=nimu)
     rig.run(1500)
     assert nimu.produced == pytest.approx(1.25 * 150, abs=1)
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        (("nack", "x", 0.0), "No fault of a serial line is called 'nack'; name one of: byte_loss"),
-        (("unplug", "x", -1.0), "give 0 <= start_s < end_s"),
-        (("unplug", "x", 2.0, 1.0), "give 0 <= start_s < end_s"),
-        (("byte_loss", "x", 0.0), "needs `value`, a probability"),
-        (("byte_garble", "x", 0.0, math.inf, 1.1), "needs `value`, a probability"),
-    ],
-)
-def test_a_fault_that_makes_no_sense_is_refused(fields, message):
-    with pytest.raises(FaultError, match=re.escape(message)):
-        LineFault(*fields)
+def test_a_loose_connector_loses_the_first_half_of_every_period():
+    rig = Rig(Fault("intermittent", "line", 0.1, 0.2, value=0.02))
+    port = rig.adapter.open(FAST)
+    rig.run(95)
+    for _ in range(110):  # a character a millisecond, from 95 ms on
+        port.write(b"a")
+        rig.run(1)
+    assert len(rig.device.heard) == pytest.approx(110 - 50, abs=5)
+
+
+@pytest.mark.parametrize("kind", ["nack", "frame_drop", "off"])
+def test_a_fault_that_a_line_cannot_have_is_refused(kind):
+    with pytest.raises(FaultError, match=f"line cannot have the fault {kind}; it can have: byte_loss"):
+        Rig(Fault(kind, "line", 0.0))
 
 
 @given(st.lists(st.tuples(st.binary(max_size=30), st.floats(0.0, 3.0)), max_size=8), st.floats(0.01, 1.0))
 def test_what_arrives_is_what_was_sent_less_what_was_lost(pieces, probability):
-    rig = Rig(LineFault("byte_loss", "echo", 0.0, value=probability))
+    rig = Rig(Fault("byte_loss", "line", 0.0, value=probability))
     port = rig.adapter.open(FAST)
     received = b""
     for data, pause_ms in pieces:
@@ -412,12 +411,25 @@ def test_the_speed_that_pyserial_sets_is_seen(pty, baud_rate):
     assert bus.to_device == 10
 
 
+def test_closing_a_terminal_sends_what_is_still_in_it():
+    link, echo = PtySerial(), Echo()
+    bus = SerialBus(link)
+    bus.add(echo)
+    with serial.Serial(link.path, 115_200) as port:
+        bus.advance(START_NS)
+        port.write(b"stop")
+    for ms in range(5):
+        bus.advance(START_NS + ms * MS)
+    assert bytes(echo.heard) == b"stop"
+    link.close()
+
+
 @pytest.mark.realtime
 def test_pulled_out_and_put_back(pty):
     link, bus = pty
     now_ns = time.monotonic_ns()
     with serial.Serial(link.path, 115_200, timeout=5.0) as port:
-        bus.inject([LineFault("unplug", "echo", 0.1, 0.6)], now_ns)
+        bus.inject(FaultPlan([Fault("unplug", "line", 0.1, 0.6)], now_ns).of("line"))
         with pytest.raises(serial.SerialException):
             port.read(1)
     assert not os.path.lexists(link.path)

@@ -16,18 +16,22 @@ import time
 from pathlib import Path
 
 import can
+import minimalmodbus
 import numpy as np
 import pytest
+import serial
 
 from hil_sim.buses import I2cBus
 from hil_sim.devices.can_wire import WireFrame
 from hil_sim.devices.mpu6050 import Mpu6050
 from hil_sim.i2c_socket import I2cSocket
-from hil_sim.serve import Server
+from hil_sim.realtime import Server
+from hil_sim.serve import open_sockets
 from hil_sim.slcan import SlcanAdapter
-from tests.hil_sim.twin_bench import MS, START_NS, FlatImu, RateClock, SmallMission
+from tests.hil_sim.twin_bench import BUSES, MS, START_NS, FlatImu, RateClock, SmallMission
 
 ROOT = Path(__file__).resolve().parents[2]
+SERIAL_PORTS = {"imu_port": 115_200, "joint_port": 230_400, "cell_port": 115_200, "arm_port": 115_200}
 
 
 # The Lawicel protocol
@@ -88,12 +92,17 @@ def terminal():
         (b"S6\rO\rt12311\r", b"\r\r\a"),  # half a byte
         (b"S6\rO\rt1239000000000000000000\r", b"\r\r\a"),
         (b"S6\rO\rtxyz0\r", b"\r\r\a"),
-        (b"S6\rO\rr1230\rR000001230\rT000001231AA\r", b"\r\rz\rZ\rZ\r"),
+        (b"S6\rO\rR000001230\rT000001231AA\r", b"\r\rZ\rZ\r"),
         (b"S6\rL\rt1230\r", b"\r\r\a"),
     ],
 )
 def test_commands(terminal, said, heard):
     assert terminal.say(said) == (heard, [])
+
+
+def test_a_remote_frame_asks_for_so_many_bytes(terminal):
+    terminal.say(b"S6\rO\r")
+    assert terminal.say(b"r7011\r") == (b"z\r", [(0x701, 1)])
 
 
 def test_a_frame_in_one_piece_and_in_single_bytes(terminal):
@@ -307,11 +316,12 @@ class Client(threading.Thread):
 @pytest.mark.realtime
 def test_the_loop_keeps_real_time(tmp_path):
     mission, stop = SmallMission(3.0), threading.Event()
-    with Server(tmp_path / "buses", seed=1) as server:
-        assert set(server.urls) == {"i2c_1", "can_0", "sync_line"}
-        client = Client(server.urls, stop)
+    with open_sockets(BUSES, tmp_path / "buses", seed=1) as ports:
+        server = Server(ports, time.monotonic_ns)
+        assert set(ports.urls) == {"i2c_1", "can_0", "sync_line"}
+        client = Client(ports.urls, stop)
         start_ns = time.monotonic_ns()
-        mission.attach(i2c=server.i2c, can=server.can, pulse=server.pulse, start_ns=start_ns)
+        mission.plug(ports.buses, start_ns)
         client.start()
         stopper = threading.Timer(2.5, stop.set)
         stopper.start()
@@ -333,31 +343,33 @@ def test_the_loop_keeps_real_time(tmp_path):
     assert [sequence for _, sequence in client.edges] == [*range(client.edges[0][1], client.edges[-1][1] + 1)]
     marks = np.flatnonzero(np.diff(samples[:, 3] & 1, prepend=0) == 1)  # a pulse that straddles a sample marks two
     assert abs(len(marks) - len(client.edges)) <= 2
-    assert summary["can_frames_lost_in_adapter"] == 0
-    assert summary["i2c_refused"] == 0
+    assert summary["can_0"]["frames_lost_in_adapter"] == 0
+    assert summary["i2c_1"]["refused"] == 0
     assert np.median(client.polls_ms) > 0.2  # wire time is there
     assert json.dumps(summary)
 
 
 def test_the_loop_stops_when_told(tmp_path):
     mission = SmallMission(60.0)
-    with Server(tmp_path) as server:
-        mission.attach(i2c=server.i2c, can=server.can, pulse=server.pulse, start_ns=time.monotonic_ns())
+    with open_sockets(BUSES, tmp_path) as ports:
+        mission.plug(ports.buses, time.monotonic_ns())
         begin = time.monotonic()
-        server.run(mission, lambda: time.monotonic() - begin > 0.2)
+        Server(ports, time.monotonic_ns).run(mission, lambda: time.monotonic() - begin > 0.2)
     assert time.monotonic() - begin < 1.0
     assert not mission.finished
 
 
 def test_an_absent_client_costs_no_processor(tmp_path):
     mission = SmallMission(1.0)
-    with Server(tmp_path) as server:
-        fd = os.open(server.urls["can_0"].removeprefix("can+slcan://").split("?")[0], os.O_RDWR | os.O_NOCTTY)
+    with open_sockets(BUSES, tmp_path) as ports:
+        server = Server(ports, time.monotonic_ns)
+        can_bus = ports.buses["can_0"]
+        fd = os.open(ports.urls["can_0"].removeprefix("can+slcan://").split("?")[0], os.O_RDWR | os.O_NOCTTY)
         os.write(fd, b"S6\rO\r")
-        server.can.advance(0)
+        can_bus.advance(0)
         termios.tcflush(fd, termios.TCIOFLUSH)
         os.close(fd)  # the terminal hangs up: always "readable" from now on
-        mission.attach(i2c=server.i2c, can=server.can, pulse=server.pulse, start_ns=time.monotonic_ns())
+        mission.plug(ports.buses, time.monotonic_ns())
         server.run(mission)
         assert server.turns < 2000
 
@@ -371,7 +383,7 @@ def test_the_process_says_where_and_then_what(tmp_path, number):
     command = [sys.executable, "-m", "hil_sim.serve", "rocksat", "--seed", "7", "--directory", str(tmp_path)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         ready = json.loads(process.stdout.readline())
-        assert set(ready) == {"i2c_1", "can_0", "sync_line", "start_ns"}
+        assert set(ready) == {"i2c_1", "can_0", "sync_line", "start_ns", "duration_s"}
         assert abs(time.monotonic_ns() - ready["start_ns"]) < 2_000 * MS
         stop = threading.Event()
         client = Client(ready, stop)
@@ -385,7 +397,49 @@ def test_the_process_says_where_and_then_what(tmp_path, number):
     assert set(report) == {"produced", "truth", "server"}
     assert len(client.fifo) // 14 <= report["produced"]["imu_base"]
     assert len(client.fifo) // 14 > 400
-    assert report["server"]["can_frames_lost_in_adapter"] == 0
+    assert report["server"]["can_0"]["frames_lost_in_adapter"] == 0
+
+
+@pytest.mark.realtime
+def test_serial_devices_are_served_on_terminals(tmp_path):
+    command = [sys.executable, "-m", "hil_sim.serve", "rocksat_serial", "--seed", "7", "--directory", str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        ready = json.loads(process.stdout.readline())
+        assert set(ready) == {*SERIAL_PORTS, "sync_line", "start_ns", "duration_s"}
+        urls = {name: ready[name].removeprefix("serial://").split("?baud=") for name in SERIAL_PORTS}
+        assert {name: int(baud) for name, (_, baud) in urls.items()} == SERIAL_PORTS
+        with contextlib.ExitStack() as stack:
+            imu, joint, arm = (
+                stack.enter_context(serial.Serial(path, int(baud), timeout=0.02))
+                for path, baud in (urls[name] for name in ("imu_port", "joint_port", "arm_port"))
+            )
+            cell = minimalmodbus.Instrument(urls["cell_port"][0], 1)
+            stack.callback(cell.serial.close)
+            cell.serial.baudrate, cell.serial.timeout = 115_200, 0.1
+            said, answers, weights = b"", b"", []
+            deadline = time.monotonic() + 3.0
+            while time.monotonic() < deadline:
+                said += imu.read(4096)
+                if ready["start_ns"] + 600 * MS < time.monotonic_ns():
+                    weights.append(cell.read_long(7))
+                joint.write(b"R14\r\n")
+                answers += joint.read(4096)
+            frames = arm.read(65_536).split(b"\0")
+            imu.timeout = 0
+            said += imu.read(4096)
+            imu.close()
+        process.send_signal(signal.SIGTERM)
+        report = json.loads(process.stdout.readline())
+        assert process.wait(10) == 0
+    produced, packets = report["produced"], said.count(b"\xff\xff\xff\xff\x26\x00\x14")
+    assert packets > 300
+    assert 0 <= produced["imu_base"] - packets <= 1  # one that came after the last read
+    assert produced["load_cell"] == len(weights) > 20
+    assert max(weights) < 1000  # N/1000: nothing presses on it yet
+    assert b"r 14 13FA600E" in answers
+    assert produced["joint_1"] == 0  # nobody asked for its stream
+    assert sum(frame[1:2] == b"\x10" for frame in frames) > 400
+    assert report["server"]["imu_port"]["characters_to_host"] >= len(said)
 
 
 def test_an_unknown_scenario_is_a_sentence_and_a_status(tmp_path):

@@ -1,17 +1,23 @@
 """What the twins hang on in these tests: a clock of known rate, and analogue inputs that can be predicted by hand."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.buses import CanBus, I2cBus, PulseLine
+from hil_sim.buses import Bus, CanBus, I2cBus, PulseLine
+from hil_sim.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable
 from hil_sim.devices.can_wire import CanTalker, CanWire, WireFrame
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
 from hil_sim.devices.mpu6050 import Mpu6050
 from hil_sim.devices.sync_box import SyncBox
 
+BUSES: dict[str, BusTable] = {
+    "i2c_1": I2cBusTable(kind="i2c"),
+    "can_0": CanBusTable(kind="can"),
+    "sync_line": PulseLineTable(kind="pulse", channel="pulse"),
+}
 START_NS = 7_000_000_000
 MS = 1_000_000
 
@@ -129,6 +135,14 @@ class SmallMission:
             can.add(node)
         self.box.connect_pin(self.imu.fsync)
         self.box.connect_pin(pulse.edge)
+
+    def plug(self, buses: Mapping[str, Bus], start_ns: int) -> None:
+        """Attach to buses opened as ``BUSES``."""
+        i2c, can, pulse = (buses[name] for name in BUSES)
+        assert isinstance(i2c, I2cBus)
+        assert isinstance(can, CanBus)
+        assert isinstance(pulse, PulseLine)
+        self.attach(i2c=i2c, can=can, pulse=pulse, start_ns=start_ns)
 
     def advance(self, now_ns: int) -> None:
         self.now_ns = now_ns

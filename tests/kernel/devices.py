@@ -12,19 +12,22 @@ import select
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.buses import CanBus, I2cBus, PulseLine
+from hil_sim.buses import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
 from hil_sim.devices.mpu6050 import Mpu6050
 from hil_sim.devices.sync_box import SyncBox
 from hil_sim.faults import Fault, FaultPlan
-from hil_sim.kernel.server import KernelServer
+from hil_sim.kernel.server import open_nodes
+from hil_sim.realtime import Server
+from tests.hil_sim.twin_bench import BUSES
 
 FOREVER_NS = 1 << 61
 ACCEL_Z, TEMPERATURE = 16384, -4420  # 1 g at +-2 g; 23.53 degC
@@ -85,7 +88,11 @@ class Bench:
     end_ns = FOREVER_NS
     finished = False
 
-    def __init__(self, i2c: I2cBus, can: CanBus, pulse: PulseLine, start_ns: int, settings: dict[str, Any]) -> None:
+    def __init__(self, buses: Mapping[str, Bus], start_ns: int, settings: dict[str, Any]) -> None:
+        i2c, can, pulse = (buses[name] for name in BUSES)
+        assert isinstance(i2c, I2cBus)
+        assert isinstance(can, CanBus)
+        assert isinstance(pulse, PulseLine)
         plan = FaultPlan([Fault(**fault) for fault in settings.get("faults", [])], start_ns)
         self._i2c, self._can, self._pulse = i2c, can, pulse
         self.imu = Mpu6050(CountingImu(), TrueClock(start_ns), start_ns, faults=plan.of("imu_base"))
@@ -116,13 +123,14 @@ def main() -> None:
     node, can = settings.get("i2c", "i2c-9"), settings.get("can", "vcan0")
     with (
         tempfile.TemporaryDirectory() as directory,
-        KernelServer(Path(directory), i2c_node=node, can_interface=can) as server,
+        open_nodes(BUSES, Path(directory), i2c_node=node, can_interface=can) as ports,
     ):
+        server = Server(ports, time.monotonic_ns)
         start_ns = time.monotonic_ns()
-        bench = Bench(server.i2c, server.can, server.pulse, start_ns, settings)
-        sys.stdout.write(json.dumps({**server.urls, "start_ns": start_ns}) + "\n")
+        bench = Bench(ports.buses, start_ns, settings)
+        sys.stdout.write(json.dumps({**ports.urls, "start_ns": start_ns}) + "\n")
         sys.stdout.flush()
-        server.run(bench, time.monotonic_ns, stdin_closed)
+        server.run(bench, stdin_closed)
         done = {
             "imu_base": bench.imu.produced_by_enable,
             "can_sync": bench.box.produced,

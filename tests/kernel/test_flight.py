@@ -114,13 +114,13 @@ def test_the_mission_flies_and_the_table_comes_out(
         half_width = 0.5 * (row["high"] - row["low"])
         assert abs(row["value"] - row["truth"]) < 3.0 * half_width, row  # six sigma: one flight, any noise
     server, counted = end["server"], result["channels"]
-    assert server["can_frames_not_taken"] == 0
-    assert server["i2c_refused"] == 0
+    assert server["can_0"]["frames_not_taken"] == 0
+    assert server["i2c_1"]["refused"] == 0
     for channel in ("joint_1", "load_cell", "arm_phase"):
         account = counted[channel]
         assert account["recorded"] + account["missing"] == account["produced"] > 0, channel
     assert counted["pulse"]["recorded"] == counted["pulse"]["produced"] > 300
-    assert counted["pulse"]["missing"] <= server["edges_without_receiver"]
+    assert counted["pulse"]["missing"] <= server["sync_line"]["edges_without_receiver"]
     flown = read(log)
     gaps = rows_of_kind(flown, records.GAP)
     imu = counted["imu_base"]

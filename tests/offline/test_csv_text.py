@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from onboard.offline.columns import Column
-from onboard.offline.csv_text import block, cells, header
+from onboard.offline.csv_text import Encoder, cells, header
 
 integers = st.sampled_from(["|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8"])
 
 
 def texts(values, digits=None):
-    return [bytes(row[row != 0]).decode() for row in cells(values, digits)]
+    made = cells(values, digits)
+    made = np.broadcast_to(made, (len(values), made.shape[1]))  # one row stands for values that are all alike
+    return [bytes(row[row != 0]).decode() for row in made]
 
 
 @given(integers.flatmap(lambda kind: hnp.arrays(kind, st.integers(0, 30))))
@@ -58,7 +60,7 @@ def test_text_is_read_back_by_the_csv_module(values):
     rows = np.zeros(len(values), [("text", "S12")])
     rows["text"] = values
     number = Column("n", "count", lambda rows: np.arange(len(rows)))
-    data = header([number, column]) + block([number, column], rows)
+    data = header([number, column]) + Encoder([number, column]).block(rows)
     lines = list(csv.reader(io.StringIO(data.decode(), newline=""), strict=True))
     assert lines[0] == ["n [count]", "text, with comma"]
     expected = [bytes(value).decode(errors="backslashreplace").replace("\0", "\\x00") for value in rows["text"]]
@@ -67,4 +69,35 @@ def test_text_is_read_back_by_the_csv_module(values):
 
 
 def test_no_rows_no_lines():
-    assert block([Column("a", "", lambda rows: rows["a"])], np.zeros(0, [("a", "<i4")])) == b""
+    assert Encoder([Column("a", "", lambda rows: rows["a"])]).block(np.zeros(0, [("a", "<i4")])) == b""
+
+
+def product(scale_kind):
+    """A column that is counts x scale, and its rows' dtype."""
+    dtype = np.dtype([("counts", "<i2"), ("scale", scale_kind)])
+
+    def values(rows):
+        return rows["counts"].astype(np.float64) * rows["scale"].astype(np.float64)
+
+    return dtype, Column("v", "m", values, 9, (lambda rows: rows["counts"], lambda rows: rows["scale"]))
+
+
+@given(
+    st.lists(
+        st.tuples(hnp.arrays("<i2", st.integers(1, 40)), st.floats(2**-20, 2**20, width=32)), min_size=1, max_size=5
+    )
+)
+def test_products_from_the_table_are_those_made_one_by_one(blocks):
+    dtype, column = product("<f4")
+    encoder = Encoder([column])
+    for counts, scale in blocks:
+        rows = np.zeros(len(counts), dtype)
+        rows["counts"], rows["scale"] = counts, scale
+        expected = [f"{value:.9g}" for value in column.values(rows).tolist()]
+        assert encoder.block(rows).decode().splitlines() == expected
+
+
+def test_a_scale_that_changes_within_a_block():
+    dtype, column = product("<f8")
+    rows = np.array([(3, 0.5), (3, 0.25)], dtype)
+    assert Encoder([column]).block(rows) == b"1.5\n0.75\n"

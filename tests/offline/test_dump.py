@@ -9,6 +9,7 @@ from rich.progress import Progress
 from drivers import records
 from onboard.offline.columns import unit_of
 from onboard.offline.dump import dump
+from onboard.offline.selection import Selection
 from onboard.recording.errors import ChannelError
 from onboard.recording.writer import LogWriter
 
@@ -134,11 +135,11 @@ def test_units_by_name(field, unit):
 
 def test_only_some_channels_and_an_odd_name(tmp_path, imu_row):
     log = make(tmp_path / "a.mcap", {"imu": imu_row, "arm/joint 1": scalar_rows(2), "arm_joint_1": scalar_rows(3)})
-    result = dump(log, tmp_path / "some", ["arm/joint 1", "arm_joint_1"])
+    result = dump(log, tmp_path / "some", Selection(("arm/joint 1", "arm_joint_1")))
     assert [path.name for path in result.files] == ["arm_joint_1_1.csv", "arm_joint_1.csv"]
     assert result.rows == {"arm/joint 1": 2, "arm_joint_1": 3}
     with pytest.raises(ChannelError, match="nobody"):
-        dump(log, tmp_path / "none", ["nobody"])
+        dump(log, tmp_path / "none", Selection(("nobody",)))
     assert not (tmp_path / "none").exists()
 
 

@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from rich.console import Console
 
 from drivers import records
 from drivers.records import Severity
+from onboard import cli
 from onboard.offline.continuity import Continuity, common, count, union
 from onboard.offline.info import info, render
 from onboard.recording.writer import LogWriter
@@ -83,7 +85,7 @@ def log(tmp_path):
         writer.write("recorder_gap", records.gap(2, "late", 0, 4, 0, "ring_overrun").rows)
         writer.write("recorder_gap", records.gap(2, "late", 8, 9, 0, "ring_overrun").rows)
         for n in range(15):
-            severity = Severity.ERROR if n == 3 else Severity.INFO
+            severity = Severity.ERROR if n % 2 else Severity.INFO
             writer.write("event", records.event(n, severity, f"code_{n}", "test", "said \x1b[31m so").rows)
     return path
 
@@ -105,10 +107,10 @@ def test_what_is_missing_and_what_is_told(log):
     assert about.rows == 8 + 3 + 4 + 1 + 3 + 15
 
 
-def test_events_are_counted_and_the_last_shown(log):
+def test_events_are_counted_and_the_last_that_matter_shown(log):
     about = info(log)
-    assert about.event_counts == {Severity.INFO: 14, Severity.ERROR: 1}
-    assert [event.code for event in about.events] == [f"code_{n}" for n in range(5, 15)]
+    assert about.event_counts == {Severity.INFO: 8, Severity.ERROR: 7}
+    assert [event.code for event in about.events] == [f"code_{n}" for n in range(3, 15, 2)]
 
 
 def text_of(about, width=110):
@@ -120,9 +122,26 @@ def text_of(about, width=110):
 def test_the_screen_shows_it(log):
     shown = text_of(info(log))
     assert len(shown.splitlines()) < 40
-    for part in ("rocksat", "vehicle.toml (6 B)", "0.120 s", "1 error", "code_14", "2 rows are missing", "whole"):
+    for part in ("rocksat", "vehicle.toml (6 B)", "0.120 s", "7 error", "code_13", "2 rows are missing", "whole"):
         assert part in shown
     assert "\x1b" not in shown  # text in a log cannot steer the terminal
+
+
+def test_json_holds_what_the_screen_shows(log, capsys):
+    assert cli.main(["info", str(log), "--json", "-"]) == cli.OK
+    told = json.loads(capsys.readouterr().out)
+    assert told["channels"][0]["name"] == "pulse"
+    assert told["channels"][0]["missing"] == 5
+    assert told["metadata"]["flight"]["host_machine"] == "aarch64"
+    assert told["event_counts"] == {"0": 8, "2": 7}
+    assert told["clocks"] == {}
+    assert told["rows"] == {"total": 0, "used": 0, "refused": {}}
+
+
+def test_a_log_without_clocks_has_nothing_to_plot(log, tmp_path, capsys):
+    assert cli.main(["info", str(log), "--clocks", str(tmp_path / "clocks.png")]) == cli.BAD_INPUT
+    assert "has no clock" in capsys.readouterr().err
+    assert not (tmp_path / "clocks.png").exists()
 
 
 def test_a_cut_log_says_so(log):

@@ -1,5 +1,6 @@
 """Bad vehicle files: the line, the reason, the remedy."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from onboard import config
 from onboard.flight.estimator import Estimator
 
 TEXT = config.packaged("rocksat").read_text()
+MIXED = (Path(__file__).parents[1] / "flight" / "mixed.toml").read_text(encoding="utf-8")
 
 
 def refuse(old: str, new: str) -> str:
@@ -15,6 +17,16 @@ def refuse(old: str, new: str) -> str:
     with pytest.raises(config.ConfigError) as caught:
         config.parse(TEXT.replace(old, new, 1), config.packaged("rocksat"))
     return str(caught.value)
+
+
+def refuse_mixed(old: str, new: str) -> str:
+    """What is said of the vehicle with a device of every kind, its URDF aside, and that it names a line."""
+    assert MIXED.count(old) >= 1, old
+    with pytest.raises(config.ConfigError) as caught:
+        config.parse(MIXED.replace(old, new, 1), Path("mixed/vehicle.toml"))
+    said = str(caught.value)
+    assert re.match(r"mixed/vehicle\.toml:[1-9][0-9]*: ", said)
+    return said
 
 
 def line_of(text: str, start: str) -> int:
@@ -42,7 +54,11 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
         ('kind = "mpu6050"', 'kind = "mpu9999"', "'cia404'"),
         ("node = 2\n", "", "'device.load_cell.node' is missing"),
         ("[estimation.gates]", "[estimation.gate]", "did you mean 'gates'"),
-        ('channel = "arm_phase"', 'channel = "phase"', "no device 'phase'"),
+        (
+            'channel = "arm_phase"',
+            'channel = "phase"',
+            "no channel 'phase' with values; there are: joint_1, load_cell, arm_phase",
+        ),
         ('urdf = "rocksat.urdf"', 'urdf = "lost.urdf"', "put the URDF beside the vehicle file"),
         ("[vehicle]", "[vehicle", "not TOML"),
         ('base = "prescribed"', 'base = "floating"', "'free', 'prescribed' or 'fixed'"),
@@ -68,6 +84,87 @@ def without(device: str) -> str:
 )
 def test_devices_that_cannot_fly_together(old: str, new: str, expected: str) -> None:
     assert expected in refuse(old, new)
+
+
+NODE_GYRO = '[[device.wrist.channel]]\nname = "gyro_x"\nrole = "gyro"\naxis = "x"\nnoise_rad_s = 1e-3\n'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        # buses
+        ('url = "serial:///dev/ttyUSB0?baud=115200"', 'url = "i2c:///dev/i2c-2"', "are on a serial line: bus URL"),
+        ("?baud=115200", "", "lacks baud: add '?baud=...'"),
+        ("?line=17", "", "lacks line: add '?line=...'"),
+        ("?baud=115200", "?baud=115200&parity_bit=N", "unknown options parity_bit"),
+        ('bus = "tty_grip"', 'bus = "tty_cell"', "'tty_cell' has cell, grip; a serial line has one device: give each"),
+        ('bus = "loop_in"', 'bus = "sync_line"', "'sync_line' has pulse, second; a pulse line has one device"),
+        ('bus = "tty_imu"', 'bus = "tty_9"', "no bus 'tty_9'; there are: i2c_1, can_0"),
+        # CAN
+        ("node = 4", "node = 1", "'upper' and 'shoulder' are both node 1; a node has one profile"),
+        ("node = 3", 'node = 1\nsupervision = "guarding"', "'phase' and 'shoulder' are one node; give both the same"),
+        ("node = 3", 'node = 3\nsupervision = "guarding"\nguard_time_ms = 0', "guard_time_ms = 0: use 1..65535"),
+        ("node = 3", 'node = 3\nsupervision = "watching"', "'heartbeat' or 'guarding'"),
+        ("torque = true", "torque = true\ntpdos = [1]", "its values fill 2 TPDOs: name more tpdos"),
+        ("torque = true", "torque = true\ngear_ratio = 0", "gear_ratio = 0.0: motor revolutions"),
+        ('format = "u8"', 'format = "u64"\nbyte_offset = 4', "byte_offset = 4: the object must end in 8 bytes"),
+        ('kind = "canopen_sync"', 'kind = "canopen_sync"\nnode = 9', "unknown key 'device.can_sync.node'"),
+        # drivers refuse what does not go together
+        ("noise_rad_s = 1.95e-3", "noise_rad_s = 1.95e-3\nsample_rate_hz = 300", "use a whole fraction of 1000"),
+        ("noise_rad_s = 1.95e-3", "noise_rad_s = 1.95e-3\npoll_period_ms = 50", "over 18 samples would gather"),
+        ("noise_rad_s = 1.95e-3", 'noise_rad_s = 1.95e-3\nmode = "stream"', "'fifo' or 'burst'"),
+        ('unit = "N"\n', "", "scale and unit go together"),
+        ("sample_period_ms = 20", "sample_period_ms = 20\ntimeout_ms = 10", "the manual allows an answer 50 ms"),
+        ("sample_period_ms = 10", "sample_period_ms = 10\naddress = 300", "less than or equal to 247"),
+        ("sample_period_ms = 10", 'sample_period_ms = 10\nvalues = ["tare"]', "'gross' or 'net'"),
+        ('bus = "tty_joint"', 'bus = "tty_joint"\ninterval_ticks = 0', "interval_ticks = 0: use 1 to"),
+        ('bus = "tty_joint"', 'bus = "tty_joint"\nsync_edge = "both"', "'rising', 'falling' or 'none'"),
+        ("sample_rate_hz = 150", "", "'device.imu_tip.sample_rate_hz' is missing; add it"),
+        ("sample_rate_hz = 150", 'sample_rate_hz = 150\nchecksum_span = "all"', "'packet', 'after_sync' or 'payload'"),
+        # a node's channels
+        ('role = "record"', 'role = "recorded"', "'record', 'joint', 'force', 'gyro', 'accel'"),
+        ("noise_rad = 1e-6", "noise_deg = 1e-6", "did you mean 'noise_rad'"),
+        ('name = "mode"', 'name = "angle"', "name each channel of the node, once"),
+        (NODE_GYRO, "", "'wrist' is an IMU by parts; give gyro x, y, z and accel x, y, z, each once"),
+        ('role = "gyro"\naxis = "x"', 'role = "gyro"\naxis = "y"', "'wrist' is an IMU by parts"),
+        ('frame = "link_4"\n\n[[', "\n[[", "'wrist' has gyro and accel channels; give the frame"),
+        # pulses
+        (
+            "[device.loop]",
+            '[device.other]\nkind = "sync_pulse"\nbus = "loop_in"\nsync_period_ms = 5\n[device.loop]',
+            "'loop_in' has",
+        ),
+        ('bus = "loop_out"', 'bus = "loop_out"\nsync_bus = "tty_imu"', "no CAN bus 'tty_imu' with devices"),
+        (
+            '"loop_out"\nsync_period_ms = 5',
+            '"loop_out"\nsync_period_ms = 4\nsync_bus = "can_0"',
+            "has period_ms = 5; give",
+        ),
+        ('"loop_out"\nsync_period_ms = 5', '"loop_out"\nsync_period_ms = 1', "give more than the dither of 1 ms"),
+        # channels
+        ("[device.second]", "[device.elbow_mark]", "channel 'elbow_mark' is that of 'elbow' too; rename one of them"),
+        ("[device.second]", "[device.event]", "channel 'event' is one of heft's own"),
+        ("[device.second]", '[device."1pps"]', "channel '1pps' is no name; use a letter, then letters"),
+        ("[device.second]", "[device.second_pulse_of_the_receiver_on_top]", "32 at the most"),
+        ('channel = "wrist_mode"', 'channel = "wrist"', "no channel 'wrist' with values; there are: imu_tip_mag_x"),
+        ('channel = "wrist_mode"', 'channel = "pulse"', "no channel 'pulse' with values"),
+    ],
+)
+def test_devices_that_do_not_go_together(old: str, new: str, expected: str) -> None:
+    assert expected in refuse_mixed(old, new)
+
+
+def test_the_line_of_a_nodes_channel_is_named() -> None:
+    line = line_of(MIXED, "noise_m_s2")
+    said = refuse_mixed("\nnoise_m_s2 = 0.01", "\nnoise_m_s = 0.01")
+    assert f":{line}: unknown key 'device.wrist.channel.5.noise_m_s'; did you mean 'noise_m_s2'" in said
+
+
+def test_an_slcan_adapter_cannot_be_opened_twice() -> None:
+    text = MIXED.replace("can+socketcan://can0?bitrate=500000", "can+slcan:///dev/ttyACM0?bitrate=500000")
+    text = text.replace('bus = "loop_out"', 'bus = "loop_out"\nsync_bus = "can_0"')
+    with pytest.raises(config.ConfigError, match=r"can be opened once.*use can\+socketcan"):
+        config.parse(text, Path("mixed/vehicle.toml"))
 
 
 @pytest.mark.parametrize(

@@ -109,3 +109,39 @@ def test_a_ring_of_another_record_is_refused(tmp_path: Path) -> None:
     (tmp_path / "not.ring").write_bytes(os.urandom(8192))
     with pytest.raises(RingFormatError, match="not a ring"):
         RingReader(tmp_path / "not.ring")
+
+
+@pytest.mark.parametrize("pushed", [0, 5, 8, 11, 20])
+def test_a_reader_goes_on_after_a_number(tmp_path: Path, pushed: int) -> None:
+    writer = RingWriter(tmp_path / "imu.ring", records.IMU, 8)
+    for first in range(0, pushed, 3):
+        writer.push(rows(10 + first, min(3, pushed - first)))
+    held = list(range(10 + max(0, pushed - 8), 10 + pushed))
+    for number in range(8, 12 + pushed):
+        reader = RingReader(tmp_path / "imu.ring")
+        whole = reader.seek_after(number)
+        assert whole == (pushed <= 8 or number + 1 >= held[0])
+        got, lost = reader.read()
+        assert got["sequence"].tolist() == [n for n in held if n > number]
+        assert lost == 0
+        assert reader.backlog == 0
+
+
+def test_it_goes_on_after_a_number_beside_damaged_rows_and_jumps(tmp_path: Path) -> None:
+    writer = RingWriter(tmp_path / "imu.ring", records.IMU, 16)
+    writer.push(rows(0, 5))
+    writer.push(rows(9, 5))  # the device lost four
+    writer._data[2] ^= 1
+    writer._data[7] ^= 1  # number 11
+    for number, following in ((1, [3, 4, 9]), (2, [3, 4, 9]), (4, [9, 10, 12]), (6, [9, 10, 12]), (11, [12, 13])):
+        reader = RingReader(tmp_path / "imu.ring")
+        assert reader.seek_after(number)
+        got, _ = reader.read()
+        assert got["sequence"].tolist()[:3] == following
+
+
+def test_the_writer_that_takes_over_sees_what_there_is(tmp_path: Path) -> None:
+    writer = RingWriter(tmp_path / "imu.ring", records.IMU, 8)
+    assert len(writer.newest()) == 0
+    writer.push(rows(0, 13))
+    assert writer.newest()["sequence"].tolist() == list(range(5, 13))

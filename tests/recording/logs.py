@@ -1,9 +1,12 @@
 """Files in memory that fail in known ways, and rows to fill logs with."""
 
 import errno
+import io
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 
 from onboard.recording.writer import LogWriter
 
@@ -72,6 +75,26 @@ def write_small(path):
         writer.attach("late.bin", "application/octet-stream", bytes(range(64)))
         writer.add_metadata("end", {"reason": "done"})
     return path
+
+
+def overwrite(path, data):
+    """Make ``data`` the content of a file, in place: ext4 brings to the disk what is emptied and written anew."""
+    path.touch()
+    with path.open("r+b") as file:
+        file.write(data)
+        file.truncate()
+
+
+def chunk_places(data):
+    """Start and end of every chunk record, by the stock reader's own account of what stands where."""
+    places, at = [], 8
+    while at < len(data) - 8:
+        length = int.from_bytes(data[at + 1 : at + 9], "little")
+        if data[at] == 6:
+            places.append((at, at + 9 + length))
+        at += 9 + length
+    assert len(places) == sum(isinstance(r, Chunk) for r in StreamReader(io.BytesIO(data), emit_chunks=True).records)
+    return places
 
 
 class MemorySink:

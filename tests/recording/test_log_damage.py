@@ -1,19 +1,25 @@
 """A log that something happened to: cut at every byte, a bit flipped at every byte, un-synced writes lost."""
 
-import io
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader
 
 from onboard.recording.errors import LogFormatError
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
 from onboard.recording.writer import LogWriter
-from tests.recording.logs import LABEL, READING, SMALL, MemorySink, label_rows, reading_rows, same_fields, write_small
+from tests.recording.logs import (
+    LABEL,
+    READING,
+    SMALL,
+    chunk_places,
+    label_rows,
+    overwrite,
+    reading_rows,
+    same_fields,
+    write_small,
+)
 
 
 @pytest.fixture
@@ -21,24 +27,9 @@ def small(tmp_path):
     return write_small(tmp_path / "small.mcap")
 
 
-def chunk_places(data):
-    """Start and end of every chunk record, by the stock reader's own account of what stands where."""
-    places, at = [], 8
-    while at < len(data) - 8:
-        length = int.from_bytes(data[at + 1 : at + 9], "little")
-        if data[at] == 6:
-            places.append((at, at + 9 + length))
-        at += 9 + length
-    assert len(places) == sum(isinstance(r, Chunk) for r in StreamReader(io.BytesIO(data), emit_chunks=True).records)
-    return places
-
-
 def read(path, data):
     """Rows by channel, and the log, of a file with ``data`` as its content."""
-    path.touch()
-    with path.open("r+b") as file:  # in place: ext4 brings a file to the disk that is emptied and written anew
-        file.write(data)
-        file.truncate()
+    overwrite(path, data)
     log = LogReader(path)
     rows = {"reading": [], "label": []}
     for batch in log.batches():
@@ -229,54 +220,3 @@ def test_whatever_is_done_to_it_what_comes_back_was_written(module_log, edits):
         return
     all_good(rows)
     assert log.exit_code == (0 if data == module_log.read_bytes() else 3)
-
-
-class PowerCutSink(MemorySink):
-    """Remembers every write since the last sync, and what a sync has made safe."""
-
-    def __init__(self):
-        super().__init__()
-        self.safe = b""
-        self.loose = []
-
-    def write_at(self, offset, data):
-        super().write_at(offset, data)
-        self.loose.append((offset, bytes(data)))
-
-    def sync(self):
-        super().sync()
-        self.safe, self.loose = bytes(self.data), []
-
-    def after_power_cut(self, rng):
-        """The medium: all that was synced, and of the rest any subset of sectors, zeros elsewhere or no file end."""
-        image = bytearray(self.safe)
-        for offset, data in self.loose:
-            for sector in range(0, len(data), 512):
-                if rng.integers(2):
-                    part = data[sector : sector + 512]
-                    image.extend(bytes(max(0, offset + sector + len(part) - len(image))))
-                    image[offset + sector : offset + sector + len(part)] = part
-        return bytes(image)
-
-
-def test_after_a_power_cut_everything_before_the_last_sync_reads_back(tmp_path, rng):
-    sink = PowerCutSink()
-    writer = LogWriter(sink, chunk_bytes=1200)
-    writer.register("reading", READING)
-    path = tmp_path / "cut.mcap"
-    step_ns, number, safe, oldest_unsafe_ns = 50_000_000, 0, 0, 0
-    for step in range(60):
-        now_ns = step * step_ns
-        count = int(rng.integers(0, 90))
-        writer.write("reading", reading_rows(number, count))
-        number += count
-        if writer.sync(now_ns):
-            safe, oldest_unsafe_ns = number, now_ns
-        assert now_ns + step_ns - oldest_unsafe_ns <= 200_000_000
-        for _ in range(5):
-            rows, log = read(path, sink.after_power_cut(rng))
-            all_good_long = reading_rows(0, number)[rows["reading"]["sequence"].astype(int)]
-            assert same_fields(rows["reading"], all_good_long)
-            assert set(range(safe)) <= set(rows["reading"]["sequence"].tolist())
-            assert log.exit_code == 3
-    assert safe > 1000

@@ -42,10 +42,10 @@ def test_batches_come_in_file_order_and_are_the_reader_s_own(small):
         first, last = int(batch.rows["sequence"][0]), int(batch.rows["sequence"][-1])
         assert first >= seen[batch.channel]
         seen[batch.channel] = last
-        assert first >= newest - 20  # channels keep together
+        assert first >= newest - 40  # channels keep together, to the four chunks that the writer stages
         newest = max(newest, last)
         batch.rows["host_ns"] = 0  # a caller may do with them as it likes
-    assert count > 12
+    assert count > 8
     assert log.read("reading")["host_ns"][-1] == 39_000
 
 

@@ -302,8 +302,10 @@ def test_a_channel_may_come_late_and_a_silent_one_is_still_named():
     data = written(build)
     summary = SeekingReader(io.BytesIO(data)).get_summary()
     assert {c.topic for c in summary.channels.values()} == {"reading", "label", "silent"}
-    last = breakup_chunk(chunks(data)[-1])
-    assert {r.topic for r in last if isinstance(r, Channel)} >= {"label", "silent"}
+    named = [{r.topic for r in breakup_chunk(chunk) if isinstance(r, Channel)} for chunk in chunks(data)]
+    assert len(named) > 2
+    assert "label" in named[-1]
+    assert any("silent" in topics for topics in named)
 
 
 def test_two_channels_share_a_schema_and_other_records_of_a_name_do_not():
@@ -367,10 +369,10 @@ def test_while_the_disk_refuses_everything_is_kept_and_only_sync_tries():
     assert writer.sync(0)
     sink.refuse_writes = errno.EIO
     with pytest.raises(OSError, match="refused"):
-        writer.write("reading", reading_rows(0, 50))
+        writer.write("reading", reading_rows(0, 80))
     assert writer.failing
     assert writer.backlog_bytes > 0
-    writer.write("reading", reading_rows(50, 50))
+    writer.write("reading", reading_rows(80, 20))
     writer.attach("a", "text/plain", b"kept")
     writer.add_metadata("m", {"kept": "too"})
     assert not writer.sync(50)  # not due

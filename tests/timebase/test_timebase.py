@@ -5,10 +5,20 @@ import pytest
 
 from drivers import records
 from drivers.sync_pulse import code
-from onboard.timebase.timebase import FollowerChannel, SampledChannel, SyncChannel, Timebase
+from onboard.timebase.clock import ClockState
+from onboard.timebase.timebase import FollowerChannel, PulseLine, SampledChannel, SyncChannel, Timebase
+from tests.timebase.streams import Fleet
 
 SYNC_NS = 5_000_000
+STAMPS = np.dtype([("tick", "<u8"), ("host_ns", "<i8")])
 STEP_NS = 50_000_000
+
+
+def at_ticks(*ticks: int) -> np.ndarray:
+    """Rows of these ticks."""
+    rows = np.zeros(len(ticks), STAMPS)
+    rows["tick"] = ticks
+    return rows
 
 
 class Bench:
@@ -24,7 +34,7 @@ class Bench:
         self.edges = self.start_ns + numbers * SYNC_NS + code.dither_ns()[:2000]
         self.timebase = Timebase(
             {"imu": SampledChannel(1e6), "sync": SyncChannel(SYNC_NS, 110_000.0), "joint": FollowerChannel("sync")},
-            "pulse",
+            PulseLine("pulse", SYNC_NS),
         )
         self.clocks: list[np.ndarray] = []
 
@@ -68,12 +78,12 @@ class Bench:
 def test_every_channel_is_on_vehicle_time_after_ten_seconds(rng: np.random.Generator, rate_error: float) -> None:
     bench = Bench(rng, rate_error)
     bench.run(10.0)
-    ticks = np.array([9000, 9500])
-    imu = bench.timebase.time_ns("imu", ticks)
+    ticks = (9000, 9500)
+    imu = bench.timebase.time_ns("imu", at_ticks(*ticks))
     assert imu is not None
     a_quarter_of_a_sample = 250_000
     assert np.abs(imu - [bench.sample_ns(t) for t in ticks]).max() < a_quarter_of_a_sample
-    joint = bench.timebase.time_ns("joint", np.array([1500]))
+    joint = bench.timebase.time_ns("joint", at_ticks(1500))
     assert joint is not None
     twenty_microseconds = 20_000
     assert abs(int(joint[0]) - (bench.start_ns + (1500 + 37) * SYNC_NS + 110_000)) < twenty_microseconds
@@ -86,7 +96,7 @@ def test_the_latency_of_the_bus_shifts_nothing(rng: np.random.Generator, latency
     """A USB adapter with a 16 ms timer hands SYNCs over three periods late; the counter says which they were."""
     bench = Bench(rng, latency_ns=int(latency_ms * 1e6))
     bench.run(6.0)
-    joint = bench.timebase.time_ns("joint", np.array([900]))
+    joint = bench.timebase.time_ns("joint", at_ticks(900))
     assert joint is not None
     assert bench.timebase.trusted("joint")
     assert abs(int(joint[0]) - (bench.start_ns + (900 + 37) * SYNC_NS + 110_000)) < 20_000
@@ -98,8 +108,7 @@ def test_a_silent_line_flywheels_and_says_so(rng: np.random.Generator) -> None:
     states = [int(row["state"]) for rows in bench.clocks for row in rows if row["channel"] == b"imu"]
     assert 2 in states  # flywheel
     assert states[-1] == 1
-    ticks = np.array([24_000])
-    times = bench.timebase.time_ns("imu", ticks)
+    times = bench.timebase.time_ns("imu", at_ticks(24_000))
     assert times is not None
     assert abs(times[0] - bench.sample_ns(24_000)) < 250_000
 
@@ -107,16 +116,53 @@ def test_a_silent_line_flywheels_and_says_so(rng: np.random.Generator) -> None:
 def test_without_pulses_arrival_stamps_serve_and_are_not_called_trusted(rng: np.random.Generator) -> None:
     bench = Bench(rng)
     bench.run(5.0, silent=(0.0, 100.0))
-    times = bench.timebase.time_ns("imu", np.array([4000]))
+    times = bench.timebase.time_ns("imu", at_ticks(4000))
     assert times is not None
     three_milliseconds = 3e6
     assert abs(times[0] - bench.sample_ns(4000)) < three_milliseconds
     assert not bench.timebase.trusted("imu")
-    assert bench.timebase.sigma_ns("imu", 4000) > 50_000
+    assert bench.timebase.sigma_ns("imu", int(times[0])) > 50_000
 
 
 def test_before_anything_is_known_nothing_is_said(rng: np.random.Generator) -> None:
     bench = Bench(rng)
-    assert bench.timebase.time_ns("imu", np.array([0])) is None
-    assert bench.timebase.time_ns("joint", np.array([0])) is None
+    assert bench.timebase.time_ns("imu", at_ticks(0)) is None
+    assert bench.timebase.time_ns("joint", at_ticks(0)) is None
     assert np.isinf(bench.timebase.sigma_ns("imu", 0))
+
+
+@pytest.mark.parametrize("cycle", [0, 1, 2, 7, 14])
+def test_a_line_first_heard_hours_after_its_start_gives_the_same_clock(cycle: int) -> None:
+    """The code repeats after 2.07 h: which SYNC a pulse belongs to is told by which SYNC came about then."""
+    fleet = Fleet(11, 1000 + cycle * code.CODE_LENGTH)
+    fleet.run(120, lambda _: None)
+    assert fleet.states["sync"] is ClockState.LOCKED
+    assert abs(fleet.error_ns("sync")) < 20_000
+
+
+def test_a_pps_of_somebody_else_marks_what_needs_no_code(rng: np.random.Generator) -> None:
+    fleet = Fleet(12)
+    fleet.edges = fleet.start_ns + 123_456_789 + np.arange(40) * 1_000_000_000
+    fleet.timebase = Timebase(fleet.channels, PulseLine("pulse", 1e9, coded=False))
+    fleet.run(500, lambda _: None)
+    for name, bar_ns in (("imu", 500e3), ("node", 20e3), ("qsb", 60e3), ("sync", 400e3)):
+        assert fleet.states[name] is ClockState.LOCKED, name
+        assert abs(fleet.error_ns(name)) < bar_ns, name
+
+
+def test_without_a_line_everything_runs_on_arrival_stamps() -> None:
+    fleet = Fleet(13)
+    fleet.timebase = Timebase(fleet.channels, None)
+    fleet.run(200, lambda _: None)
+    for name in fleet.PERIOD_NS:
+        assert fleet.states[name] is ClockState.LOCKED
+        assert abs(fleet.error_ns(name)) < 5 * fleet.timebase.sigma_ns(name, fleet.start_ns + 200 * STEP_NS) + 1e6
+
+
+@pytest.mark.parametrize("sync_period_ms", [1.1, 2.2, 22.0])  # 20, 10 and 1 pulses a second
+def test_every_base_rate_of_the_code_is_good(sync_period_ms: float) -> None:
+    fleet = Fleet(14, sync_ns=round(sync_period_ms * 1e6))
+    fleet.run(max(120, round(6 * sync_period_ms)), lambda _: None)
+    for name in ("imu", "node", "qsb", "sync"):
+        assert fleet.states[name] is ClockState.LOCKED, name
+        assert abs(fleet.error_ns(name)) < 500e3, name

@@ -1,0 +1,1 @@
+"""What ``bench/acquisition.py`` measures: one pump of a driver each, and the naive loop beside it."""

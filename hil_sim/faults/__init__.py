@@ -1,0 +1,25 @@
+"""Faults as data: what breaks, where, from when to when; ``vocabulary`` says what there is."""
+
+from hil_sim.faults.inputs import FaultyImu, FaultyScalar, told_phases
+from hil_sim.faults.oscillator import FaultyClock
+from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, PowerCycle, Window, garbled
+from hil_sim.faults.vocabulary import CLOCK_KINDS, INPUT_KINDS, Fault, FaultError, FaultKind
+
+__all__ = [
+    "CLOCK_KINDS",
+    "INPUT_KINDS",
+    "NEVER",
+    "NO_FAULTS",
+    "DeviceFaults",
+    "Fault",
+    "FaultError",
+    "FaultKind",
+    "FaultPlan",
+    "FaultyClock",
+    "FaultyImu",
+    "FaultyScalar",
+    "PowerCycle",
+    "Window",
+    "garbled",
+    "told_phases",
+]

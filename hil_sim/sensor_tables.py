@@ -1,0 +1,117 @@
+"""Tables of a scenario: what every sensor makes of the world, ``[sensor.NAME]``, and how right every clock is.
+
+A sensor table is a kind of sensor, as a datasheet describes it; each device that ``measures`` it draws an example of
+its own. ``quantity`` says which of the world's quantities it turns into a signal.
+"""
+# ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+
+Vector = tuple[float, float, float]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+Quantity = Literal["inertial", "joint_angle", "joint_moment", "servo_torque", "phase"]
+
+
+class Table(BaseModel):
+    """Any table of a scenario: frozen, and keys that it does not know are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Axes(Table):
+    """Errors of one triad (accelerometer or gyro); ``sigma`` values are drawn once per seed and axis.
+
+    Bandwidth and delay are those of each code of the device's filter, or one of each where there is nothing to choose.
+    """
+
+    noise_density: NonNegative
+    bias_sigma: Vector
+    bias_per_kelvin_sigma: Vector
+    scale_sigma: NonNegative
+    cross_axis_sigma: NonNegative
+    bandwidth_Hz: tuple[PositiveFloat, ...]
+    delay_ms: tuple[NonNegative, ...]
+
+    @model_validator(mode="after")
+    def _one_or_eight(self) -> "Axes":
+        if len(self.bandwidth_Hz) not in (1, 8) or len(self.delay_ms) != len(self.bandwidth_Hz):
+            raise ValueError("bandwidth_Hz and delay_ms have one entry for each of the 8 filter codes, or one each")
+        return self
+
+    def filter(self, code: int) -> tuple[float, float]:
+        """Bandwidth in Hz and delay in s by filter code."""
+        place = code if len(self.bandwidth_Hz) > 1 else 0
+        return self.bandwidth_Hz[place], 1e-3 * self.delay_ms[place]
+
+
+class Imu(Table):
+    """Specific force and angular rate at the IMU's place."""
+
+    quantity: Literal["inertial"]
+    accel_g: Axes
+    gyro_deg_s: Axes
+    gyro_per_g_sigma_deg_s: NonNegative
+    mounting_sigma_deg: NonNegative
+    temperature_start_degC: float
+    temperature_rise_K: float
+    temperature_time_s: PositiveFloat
+    temperature_noise_counts: NonNegative
+
+
+class Encoder(Table):
+    """The joint's angle, in counts."""
+
+    quantity: Literal["joint_angle"]
+    counts_per_revolution: PositiveInt
+    gear_ratio: PositiveFloat
+    eccentricity_urad: NonNegative
+    transmission_error_urad: NonNegative
+
+
+class LoadCell(Table):
+    """The moment about the joint's axis beyond the actuator, as a force on a lever."""
+
+    quantity: Literal["joint_moment"]
+    lever_mm: PositiveFloat
+    lever_sigma_mm: NonNegative
+    capacity_N: PositiveFloat
+    scale_sigma: NonNegative
+    nonlinearity_of_rated_output: NonNegative
+    creep_fraction: NonNegative
+    creep_time_s: PositiveFloat
+    zero_sigma_N: NonNegative
+    zero_drift_sigma_N_s: NonNegative
+    zero_walk_N_sqrt_s: NonNegative
+    noise_rms_N: NonNegative
+    delay_ms: PositiveFloat
+    full_scale_readings_s: tuple[float, ...]
+    full_scale_window_ms: PositiveFloat
+
+
+class MotorTorque(Table):
+    """The servo's torque as its drive knows it, from the current: all of it, friction included."""
+
+    quantity: Literal["servo_torque"]
+    scale_sigma: NonNegative
+    offset_sigma_Nm: NonNegative
+    noise_rms_Nm: NonNegative
+
+
+class Phase(Table):
+    """The code of the sequence's phase."""
+
+    quantity: Literal["phase"]
+
+
+Sensor = Annotated[Imu | Encoder | LoadCell | MotorTorque | Phase, Field(discriminator="quantity")]
+
+
+class Clock(Table):
+    """``[clock.*]``: relative rate error and its drift, drawn once per seed; the rate is clipped at ``rate_limit``."""
+
+    rate_sigma: NonNegative
+    rate_limit: NonNegative
+    drift_sigma_per_s: NonNegative

@@ -1,0 +1,73 @@
+"""``heft replay`` and ``heft identify``."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from onboard.cli.common import DAMAGED, FAILED, OK, console, load_vehicle, progress, warn
+
+Commands = Any
+
+
+def add(commands: Commands) -> None:
+    """Make the commands known."""
+    replay = commands.add_parser("replay", help="estimate again from a log and compare bit for bit")
+    replay.add_argument("log", type=Path)
+    replay.add_argument(
+        "--with",
+        dest="settings",
+        type=Path,
+        metavar="TOML",
+        help="estimate with these settings put over the log's own, and show what differs",
+    )
+    replay.add_argument("--json", type=Path, metavar="FILE", help="with --with: write the result as JSON too")
+    replay.set_defaults(command=_replay)
+
+    identify = commands.add_parser("identify", help="identify from logs, with the estimator that flies")
+    identify.add_argument("logs", type=Path, nargs="+", metavar="LOG")
+    identify.add_argument("--vehicle", required=True, help="vehicle.toml, or the name of a packaged vehicle")
+    identify.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
+    identify.set_defaults(command=_identify)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    if arguments.settings is not None:
+        return _reestimate(arguments)
+    from onboard.offline.replay import replay
+
+    result = replay(arguments.log)
+    print(result.summary)
+    warn(result.damage)
+    if not result.identical:
+        return FAILED
+    return DAMAGED if result.damage else OK
+
+
+def _reestimate(arguments: argparse.Namespace) -> int:
+    from onboard.offline.reestimate import reestimate, render
+
+    found = reestimate(arguments.log, arguments.settings)
+    console().print(render(found))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    warn(found.damage)
+    if not any(row["supported"] for row in found.now.answers.values()):
+        return FAILED
+    return DAMAGED if found.damage else OK
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    from onboard.offline import identify
+
+    vehicle = load_vehicle(arguments.vehicle)
+    with progress() as bar:
+        task = bar.add_task("identify", total=len(arguments.logs))
+        found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
+    console().print(identify.render(found))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    warn(found.damage)
+    if not found.supported:
+        return FAILED
+    return DAMAGED if found.damage else OK

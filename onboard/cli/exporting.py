@@ -1,0 +1,89 @@
+"""``heft dump`` and ``heft import``: logs to other programs, and recordings from elsewhere to logs."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from onboard.cli.common import OK, progress, warn, worst
+
+Commands = Any
+
+
+def add(commands: Commands) -> None:
+    """Make the commands known."""
+    dump = commands.add_parser("dump", help="logs as tables for other programs: csv, parquet, npz, mat")
+    dump.add_argument(
+        "logs", type=Path, nargs="+", metavar="LOG", help="with several, each gets a directory of its own"
+    )
+    dump.add_argument(
+        "--to",
+        nargs=2,
+        metavar=("FORMAT", "DIR"),
+        required=True,
+        help="csv, parquet, npz or mat; DIR gets one file a channel; csv - writes one channel to stdout",
+    )
+    dump.add_argument("--channel", action="append", help="only this channel (may be repeated)")
+    dump.add_argument("--from", dest="start", type=float, metavar="S", help="from S seconds after the first record")
+    dump.add_argument("--until", type=float, metavar="S", help="up to S seconds after the first record")
+    dump.add_argument("--phase", action="append", default=[], help="only this phase: its code, or 'sweep 1'")
+    kinds = dump.add_mutually_exclusive_group()
+    kinds.add_argument("--raw", dest="values", action="store_const", const="raw", help="counts as recorded, no SI")
+    kinds.add_argument("--si", dest="values", action="store_const", const="si", help="SI, without counts and scales")
+    kinds.add_argument(
+        "--aligned", type=float, metavar="HZ", help="every signal at the same instants of vehicle time, in one table"
+    )
+    dump.set_defaults(command=_dump, values="both")
+
+    importer = commands.add_parser("import", help="bring recordings from elsewhere into logs")
+    importer.add_argument("mapping", help="mapping TOML, or the name of a packaged one: tudelft")
+    importer.add_argument("source", type=Path, help="a recording, or a directory of them")
+    importer.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    importer.set_defaults(command=_import)
+
+
+def _dump(arguments: argparse.Namespace) -> int:
+    from onboard.offline.dump import DumpResult, dump
+    from onboard.offline.export import opener
+    from onboard.offline.selection import Selection
+    from onboard.recording.reader import LogReader
+    from onboard.recording.segments import flights
+
+    kind, target = arguments.to
+    opener(kind)  # an unknown format is told before a log is missed
+    channels = tuple(arguments.channel) if arguments.channel else None
+    selection = Selection(channels, arguments.start, arguments.until, tuple(arguments.phase))
+    groups = flights(arguments.logs)
+    piped = target == "-"
+    if piped and len(groups) > 1:
+        raise ValueError(f"{len(groups)} logs into one pipe: dump them one by one")
+    if arguments.aligned is not None and (selection.start_s, selection.end_s, selection.phases) != (None, None, ()):
+        raise ValueError("--aligned takes the whole flight: cut the table afterwards, its first column is vehicle time")
+    codes: list[int] = []
+    with progress(to_stderr=piped) as bar:
+        for group in groups:
+            log = LogReader(group[0] if len(group) == 1 else group)
+            name = group[0].stem
+            where = sys.stdout.buffer if piped else Path(target) / name if len(groups) > 1 else Path(target)
+            result: DumpResult
+            if arguments.aligned is None:
+                result = dump(log, where, selection, kind=kind, values=arguments.values, progress=bar)
+            else:
+                from onboard.offline.aligned import dump_aligned
+
+                result = dump_aligned(log, where, arguments.aligned, channels, kind=kind, progress=bar)
+            for path in result.files:
+                print(path)
+            warn(result.damage)
+            codes.append(result.exit_code)
+    return worst(codes)
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    from onboard.offline.importer import import_recordings
+
+    with progress() as bar:
+        imported = import_recordings(arguments.mapping, arguments.source, arguments.output, progress=bar)
+    for one in imported:
+        print(f"{one.path}  {one.rows} rows")
+    return OK

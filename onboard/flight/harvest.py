@@ -1,0 +1,48 @@
+"""Before a flight: what earlier ones, whose processes all died, left in their rings goes into their logs."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from drivers.records import Severity
+from onboard.flight import manifest
+from onboard.flight.flight_log import open_recorder
+from onboard.recording.errors import RecordingError
+from onboard.ring import RingError
+
+
+class Harvest(NamedTuple):
+    """What came of one abandoned flight."""
+
+    log: Path  # the directory of its rings, where they do not say
+    rows: int
+    problem: str = ""  # why its rings are still there
+
+
+def harvest(now_ns: int) -> list[Harvest]:
+    """Bring in what abandoned flights of this user left; one that cannot be is left for the next time."""
+    with manifest.abandoned() as directories:
+        return [_one(directory, now_ns) for directory in directories]
+
+
+def _one(directory: Path, now_ns: int) -> Harvest:
+    log = directory
+    try:
+        flight = manifest.Manifest.load(directory)
+        log = flight.log
+        rows = _bring_in(flight, now_ns)
+    except (OSError, manifest.ManifestError, RecordingError, RingError) as error:
+        return Harvest(log, 0, f"{error}; {directory} keeps what is not in the log")
+    flight.remove()
+    return Harvest(log, rows)
+
+
+def _bring_in(flight: manifest.Manifest, now_ns: int) -> int:
+    recorder = open_recorder(flight)
+    rows = recorder.step(now_ns).rows
+    text = f"all processes of the flight were dead; {rows} rows that its rings held were brought in by the next start"
+    recorder.say(now_ns, Severity.WARNING, "harvested", text)
+    end = recorder.close(now_ns)
+    if end.failing:
+        recorder.abandon()
+        raise OSError(f"the disk refuses the end of {flight.log}")
+    return rows + end.rows

@@ -1,0 +1,329 @@
+"""Before the flight: is every device there, is it the right one, does it make what the vehicle file says?
+
+Every bus is opened as in flight, every device runs for a few seconds, and what it said is held against what it should
+have said. Nothing is recorded. The IMUs test themselves first, for which the vehicle must be at rest.
+"""
+
+import os
+import shutil
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from drivers.device import Device
+from drivers.errors import ConfigurationError, DriverError
+from drivers.mpu6050.device import Mpu6050
+from drivers.records import EVENT, PULSE, Batch, Rows, Severity
+from onboard import config
+from onboard.flight.devices import OpenDevices, open_devices
+
+SECONDS = 4.0
+LONGEST_SECONDS = 30.0
+PUMP_S = 1e-3
+FEWEST_ROWS = 5
+RATE_TOLERANCE, PULSE_TOLERANCE = 0.1, 0.5  # pulses come by a code, 150 to 305 ms apart
+LOSS_TOLERANCE = 0.05  # a QSB loses 2 % while it tells of pulses
+SILENT_S = 1.0
+FLIGHT_S = 3600.0
+OVERHEAD = 1.15  # of a log over its rows
+IDENTITY = (b"identified", b"described", b"scale", b"started")  # events that say who it is, the best first
+
+Clock = Callable[[], int]
+Wait = Callable[[float], object]
+Run = Callable[[OpenDevices, float], list[Batch]]
+
+
+class Check(NamedTuple):
+    """What was seen of a device.
+
+    Attributes:
+        device: its name.
+        kind: its kind.
+        bus: its bus.
+        identity: who it says it is.
+        rows: of its first channel.
+        nominal_hz: what its rate should be; None: it tells changes.
+        rate_hz: of its first channel, lost samples included; None: too few rows to tell.
+        marks: sync pulses seen in its own stream; None: it has no input for them.
+        self_test: how its own test came out; empty where it has none.
+        problems: why it is not ready, with the remedy.
+        warnings: what it said and can be flown with.
+    """
+
+    device: str
+    kind: str
+    bus: str
+    identity: str
+    rows: int
+    nominal_hz: float | None
+    rate_hz: float | None
+    marks: int | None
+    self_test: str
+    problems: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+class Preflight(NamedTuple):
+    """The vehicle as it was found.
+
+    Attributes:
+        checks: by device, in the order of the file.
+        problems: of buses and of the host, with the remedy.
+        free_bytes: room where flights are recorded.
+        bytes_per_s: what this vehicle records, about.
+    """
+
+    checks: tuple[Check, ...]
+    problems: tuple[str, ...]
+    free_bytes: int
+    bytes_per_s: float
+
+    @property
+    def ready(self) -> bool:
+        """Nothing stands against flying."""
+        return not self.problems and not any(check.problems for check in self.checks)
+
+
+def preflight(
+    vehicle: config.Vehicle, clock: Clock, wait: Wait, run: Run | None = None, seconds: float | None = None
+) -> Preflight:
+    """Look a vehicle over.
+
+    Args:
+        vehicle: its file.
+        clock: CLOCK_MONOTONIC, ns.
+        wait: lets that many seconds pass (``time.sleep``).
+        run: runs open devices for so many seconds and gives what they said (``workers.run_for``); in turn, on this
+            thread, where not given.
+        seconds: how long its devices run; by their rates where not given.
+    """
+    slowest_hz = min(vehicle.rate_hz(name) for name, _ in _on_buses(vehicle))
+    run_s = seconds or min(max(SECONDS, FEWEST_ROWS / slowest_hz), LONGEST_SECONDS)
+    self_tests = _self_tests(vehicle, clock, wait)
+    opened = open_devices(vehicle, clock)
+    try:
+        said_by_devices = run(opened, run_s) if run else _run_in_turn(opened.devices, clock, wait, run_s)
+        batches = [*opened.problems, *said_by_devices]
+    finally:
+        opened.close()
+    end_ns = clock()
+    rows = _rows(batches)
+    said = rows.get("event", np.zeros(0, EVENT))
+    checks = tuple(
+        _check(vehicle, name, device, rows, said, self_tests.get(name, ("", "")), device.bus in opened.by_bus, end_ns)
+        for name, device in _on_buses(vehicle)
+    )
+    others = ~np.isin(said["source"], [name.encode() for name in vehicle.file.device])
+    problems = [f"{e['source'].decode()}: {_text(e)}" for e in said[others & (said["severity"] >= Severity.ERROR)]]
+    bytes_per_s = OVERHEAD * sum(
+        records.itemsize * vehicle.rate_hz(name)
+        for name, device in _on_buses(vehicle)
+        for records in device.channels(name).values()
+    )
+    free_bytes, room = _room(Path(vehicle.file.recording.directory), bytes_per_s)
+    return Preflight(checks, (*dict.fromkeys(problems), *room), free_bytes, bytes_per_s)
+
+
+def _on_buses(vehicle: config.Vehicle) -> list[tuple[str, config.BusDevice]]:
+    return [(name, device) for name, device in vehicle.file.device.items() if isinstance(device, config.BusDevice)]
+
+
+def _self_tests(vehicle: config.Vehicle, clock: Clock, wait: Wait) -> dict[str, tuple[str, str]]:
+    """Of every device that has one: how it came out, and the problem if there is one.
+
+    The buses are opened for them alone, or what the others say in that time would wait and look late.
+    """
+    opened = open_devices(vehicle, clock)
+    try:
+        return {device.name: _self_test(device, wait) for device in opened.devices if isinstance(device, Mpu6050)}
+    finally:
+        opened.close()
+
+
+def _self_test(device: Mpu6050, wait: Wait) -> tuple[str, str]:
+    try:
+        result = device.self_test(wait)
+    except ConfigurationError as error:  # a clone, whose factory trim nobody knows
+        return f"not made: {error}", ""
+    except DriverError as error:
+        return "failed", str(error)
+    worst = max(map(abs, (*result.gyro_deviation, *result.accel_deviation)))
+    return f"passed, {100 * worst:.0f} % off", ""
+
+
+def _run_in_turn(devices: Iterable[Device], clock: Clock, wait: Wait, seconds: float) -> list[Batch]:
+    """What the devices say in so many seconds, but for what they say when stopped."""
+    running = list(devices)
+    batches = [batch for device in running for batch in device.start(clock())]
+    due_ns = dict.fromkeys((device.name for device in running), 0)
+    end_ns = clock() + round(seconds * 1e9)
+    while (now_ns := clock()) < end_ns:
+        for device in running:
+            if now_ns >= due_ns[device.name]:
+                batches += device.pump(clock())
+                due_ns[device.name] = now_ns + device.period_ns
+        wait(PUMP_S)
+    for device in running:
+        device.stop(clock())
+    return batches
+
+
+def _rows(batches: Iterable[Batch]) -> dict[str, Rows]:
+    by_channel: dict[str, list[Rows]] = defaultdict(list)
+    for channel, rows in batches:
+        by_channel[channel].append(rows)
+    return {channel: np.concatenate(parts) for channel, parts in by_channel.items()}
+
+
+def _check(
+    vehicle: config.Vehicle,
+    name: str,
+    device: config.BusDevice,
+    rows: dict[str, Rows],
+    said: Rows,
+    self_test: tuple[str, str],
+    is_open: bool,
+    end_ns: int,
+) -> Check:
+    mine = said[said["source"] == name.encode()]
+    nominal_hz = None if _on_change(device) else vehicle.rate_hz(name)
+    channel = next(iter(device.channels(name)))
+    stamps = _stamps(rows.get(channel))
+    span_s = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) > 1 else 0.0
+    made, lost = _made(rows, channel)
+    rate_hz = (made - 1) / span_s if span_s > 0.0 else None
+    outcome, failed = self_test
+    problems = [failed] if failed else []
+    problems += dict.fromkeys(_text(e) for e in mine[mine["severity"] >= Severity.ERROR])
+    if not is_open:
+        problems.append(f"bus {device.bus} could not be opened")
+    elif not len(stamps):
+        problems += [] if problems else ["it said nothing: check its power and wiring"]
+    elif nominal_hz is not None:
+        problems += _rate_problems(device, rate_hz, nominal_hz, (end_ns - int(stamps[-1])) * 1e-9)
+    if isinstance(device, config.NodeFrameDevice) and span_s > 0.0:
+        ticks = rows[channel]["tick"]
+        problems += _clock_problems(device, (float(ticks[-1]) - float(ticks[0])) / span_s)
+    warnings = list(dict.fromkeys(_text(e) for e in mine[mine["severity"] == Severity.WARNING]))
+    if lost > LOSS_TOLERANCE * made:
+        warnings.append(f"{lost} of {made} samples were lost: look whether this computer is busy, or the link too slow")
+    marks = _marks(vehicle, name, device, rows) if len(stamps) else None
+    if marks == 0:
+        if isinstance(device, config.QsbDevice):
+            warnings.append(
+                "no sync pulse in its stream: it tells of few while the joint rests; turn it and look again"
+            )
+        else:
+            problems.append("no sync pulse in its samples: check the sync line to it")
+    return Check(
+        *(name, device.kind, device.bus, _identity(mine), len(stamps), nominal_hz, rate_hz, marks, outcome),
+        *(tuple(problems), tuple(warnings)),
+    )
+
+
+def _made(rows: dict[str, Rows], channel: str) -> tuple[int, int]:
+    """Samples that a channel's device made from the first row to the last, and how many of them were lost."""
+    numbers = rows[channel]["sequence"] if channel in rows else np.zeros(0, np.uint64)
+    made = int(numbers[-1] - numbers[0]) + 1 if len(numbers) else 0
+    return made, made - len(numbers)
+
+
+def _stamps(rows: Rows | None) -> NDArray[np.int64]:
+    """When samples came in; edges by the kernel, for they may have waited to be read."""
+    if rows is None:
+        return np.zeros(0, np.int64)
+    stamps: NDArray[np.int64] = rows["edge_ns" if rows.dtype == PULSE else "host_ns"]
+    return stamps
+
+
+def _on_change(device: config.BusDevice) -> bool:
+    return isinstance(device, config.CanopenObjectDevice) and not device.synchronous
+
+
+def _rate_problems(device: config.BusDevice, rate_hz: float | None, nominal_hz: float, silent_s: float) -> list[str]:
+    if rate_hz is None:
+        return ["one row only: look again for longer"]
+    pulses = device.bus_type in (config.BusType.PULSE, config.BusType.PULSE_OUTPUT)
+    tolerance = PULSE_TOLERANCE if pulses else RATE_TOLERANCE
+    if silent_s > max(SILENT_S, 5.0 / nominal_hz):
+        return [f"it fell silent {silent_s:.1f} s before the end: check its power and wiring"]
+    if abs(rate_hz / nominal_hz - 1.0) > tolerance:
+        return [f"{rate_hz:.4g} Hz where the vehicle file has {nominal_hz:.4g} Hz: mend the file, or the device"]
+    return []
+
+
+def _clock_problems(device: config.NodeFrameDevice, tick_hz: float) -> list[str]:
+    if abs(tick_hz / device.tick_hz - 1.0) <= RATE_TOLERANCE:
+        return []
+    return [f"its clock makes {tick_hz:.4g} ticks/s, tick_hz is {device.tick_hz:.4g}: mend the file, or the node"]
+
+
+def _marks(vehicle: config.Vehicle, name: str, device: config.BusDevice, rows: dict[str, Rows]) -> int | None:
+    """Sync pulses in its own stream; None where it has no input for them, or where there is no sync line."""
+    kinds = Counter(each.kind for _, each in _on_buses(vehicle))
+    if not kinds["sync_pulse"]:
+        return None
+    if isinstance(device, config.Mpu6050Device):
+        return int(np.count_nonzero(rows[name]["sync"]))
+    marks = f"{name}_mark"
+    wired = not isinstance(device, config.QsbDevice) or device.sync_edge != "none"
+    return len(rows.get(marks, ())) if marks in device.channels(name) and wired else None
+
+
+def _identity(mine: Rows) -> str:
+    found = [_text(e) for code in IDENTITY for e in mine[mine["code"] == code]]
+    return found[0] if found else ""
+
+
+def _text(event: np.void) -> str:
+    return str(event["text"].decode("utf-8", "replace"))
+
+
+def _room(directory: Path, bytes_per_s: float) -> tuple[int, list[str]]:
+    """Free bytes where flights are recorded, and what is wrong there."""
+    there = next(path for path in (directory.absolute(), *directory.absolute().parents) if path.exists())
+    free_bytes = shutil.disk_usage(there).free
+    problems = []
+    if not os.access(there, os.W_OK | os.X_OK):
+        problems.append(f"{there} cannot be written: give this user the right to, or name another recording directory")
+    if bytes_per_s and free_bytes / bytes_per_s < FLIGHT_S:
+        minutes = free_bytes / bytes_per_s / 60.0
+        problems.append(f"{there} has room for {minutes:.0f} minutes of this vehicle: clear it, or name another")
+    return free_bytes, problems
+
+
+def render(found: Preflight) -> RenderableType:
+    """The vehicle as a table, what stands against flying under it."""
+    table = Table(box=SIMPLE_HEAD)
+    for heading in ("device", "kind", "is"):
+        table.add_column(heading)
+    for heading in ("rate, Hz", "nominal", "sync"):
+        table.add_column(heading, justify="right")
+    table.add_column()
+    for check in found.checks:
+        identity = "; ".join(filter(None, (check.identity, check.self_test and f"self test {check.self_test}")))
+        rate = "" if check.rate_hz is None or check.nominal_hz is None else f"{check.rate_hz:.1f}"
+        verdict = (
+            ("not ready", "red") if check.problems else ("look", "yellow") if check.warnings else ("ready", "green")
+        )
+        table.add_row(
+            *(check.device, check.kind, Text(identity), rate if check.nominal_hz else f"{check.rows} rows"),
+            "" if check.nominal_hz is None else f"{check.nominal_hz:.1f}",
+            "" if check.marks is None else str(check.marks),
+            Text(*verdict),
+        )
+    lines = [Text(f"{check.device}: {text}", "yellow") for check in found.checks for text in check.warnings]
+    lines += [Text(f"{check.device}: {text}", "red") for check in found.checks for text in check.problems]
+    lines += [Text(text, "red") for text in found.problems]
+    hours = found.free_bytes / found.bytes_per_s / 3600.0 if found.bytes_per_s else 0.0
+    room = f"room for {hours:.0f} hours of flight ({found.free_bytes / 1e9:.1f} GB)"
+    end = Text("ready", "bold green") if found.ready else Text("not ready", "bold red")
+    return Group(table, *lines, Text(room), end)

@@ -1,0 +1,131 @@
+"""Rings to Foxglove's WebSocket protocol, by the Foxglove SDK.
+
+Messages are those of the log: CDR behind ``ros2msg`` schemas, ``log_time`` the host's stamp. A viewer gets what is new
+while it is connected. What a client does not take waits in a queue of its own of ``BACKLOG`` messages, of which the
+oldest goes when it is full; the kernel ends the connection of one that has taken nothing for ``STALL_S``.
+"""
+
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import foxglove
+import numpy as np
+
+from drivers.records import Rows
+from onboard.recording.schema import CDR_HEADER, message_name, ros2msg
+from onboard.ring import RingReader
+
+DEFAULT_ADDRESS = "127.0.0.1:8765"
+BACKLOG = 2048  # messages for one client: nearly half a second of everything at 5 kHz
+STALL_S = 5.0
+_MOST_ROWS = 1024  # of one ring in one look: the others are not kept waiting
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """``HOST:PORT``, ``HOST`` or ``:PORT``; what is not given is that of :data:`DEFAULT_ADDRESS`.
+
+    Raises:
+        ValueError: no such address.
+    """
+    host, separator, port = text.rpartition(":") if ":" in text else (text, "", "")
+    default_host, _, default_port = DEFAULT_ADDRESS.rpartition(":")
+    if separator and not (port.isdigit() and int(port) < 65536):
+        raise ValueError(f"--live {text}: write HOST:PORT, e.g. {DEFAULT_ADDRESS}")
+    return host or default_host, int(port or default_port)
+
+
+class Server:
+    """Serves the rings in a directory.
+
+    Args:
+        name: shown to clients.
+        host: to bind to.
+        port: to listen on; 0 takes any.
+        backlog: messages that wait for a client before the oldest goes.
+        stall_s: a client that takes nothing for so long is cut off.
+
+    Raises:
+        RuntimeError: the address cannot be had.
+    """
+
+    def __init__(self, name: str, host: str, port: int, backlog: int = BACKLOG, stall_s: float = STALL_S) -> None:
+        self._context = foxglove.Context()
+        self._server = foxglove.start_server(
+            name=name, host=host, port=port, message_backlog_size=backlog, context=self._context
+        )
+        _cut_off_after(self._server.port, stall_s)
+        self._rings: dict[Path, tuple[RingReader, foxglove.Channel]] = {}
+        self.sent = self.lost = 0
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return self._server.port
+
+    def pump(self, directory: Path) -> int:
+        """Send what the rings in ``directory`` hold since the last call; returns how many messages.
+
+        Raises:
+            OSError: a ring cannot be read.
+        """
+        self._discover(directory)
+        count = 0
+        for reader, channel in self._rings.values():
+            rows, lost = reader.read(_MOST_ROWS)
+            self.lost += lost
+            for at_ns, message in messages(rows):
+                channel.log(message, log_time=at_ns)
+            count += len(rows)
+        self.sent += count
+        return count
+
+    def close(self) -> None:
+        """Stop listening and forget the rings."""
+        self._server.stop()
+        for reader, _ in self._rings.values():
+            reader.close()
+        self._rings = {}
+
+    def _discover(self, directory: Path) -> None:
+        for path in sorted(directory.glob("*.ring")):
+            if path in self._rings:
+                continue
+            try:
+                reader = RingReader(path)
+            except (OSError, ValueError):
+                continue  # it is just being made: next time
+            reader.position = reader.published
+            text = ros2msg(reader.dtype)
+            schema = foxglove.Schema(
+                name=message_name(reader.name, reader.dtype), encoding="ros2msg", data=text.encode()
+            )
+            channel = foxglove.Channel(f"/{reader.name}", schema=schema, message_encoding="cdr", context=self._context)
+            self._rings[path] = reader, channel
+
+
+def _cut_off_after(port: int, stall_s: float) -> None:
+    """Have the kernel end connections to ``port`` that acknowledge nothing for ``stall_s``, a closed window included.
+
+    The SDK offers no such limit and keeps its socket to itself; but the option is inherited by what is accepted, and
+    the listening socket is one of this process's files.
+    """
+    for entry in Path("/proc/self/fd").iterdir():
+        try:
+            listening = socket.socket(fileno=os.dup(int(entry.name)))
+        except OSError:
+            continue  # no socket, or the directory itself, closed by now
+        with listening:
+            if listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and listening.getsockname()[1] == port:
+                listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * stall_s))
+                return
+    raise RuntimeError(f"the socket that listens on port {port} was not found, so stalled clients cannot be cut off")
+
+
+def messages(rows: Rows) -> Iterator[tuple[int, bytes]]:
+    """Stamp and message of each row (n,), as the log has it."""
+    size = rows.dtype.itemsize
+    data = np.ascontiguousarray(rows).tobytes()
+    for number, at_ns in enumerate(rows["host_ns"].tolist()):
+        yield at_ns, CDR_HEADER + data[number * size : (number + 1) * size]

@@ -1,0 +1,133 @@
+"""What was grasped, as people say it: mass, centre of mass, inertia about it; with covariance, and always possible.
+
+The ten standard parameters of a body that can exist form a cone (its pseudo-inertia is positive definite). In the
+log-Cholesky parameters of Rucker and Wensing every vector of ten numbers is such a body, so an estimator that works on
+them cannot leave the cone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from onboard.estimation.maximum_likelihood import fit
+from onboard.model.composite import RigidBody, elements, parallel_axis, pseudo_inertia, symmetric
+from onboard.model.errors import SignalError
+
+FloatArray = NDArray[np.float64]
+
+
+class BodyEstimate(NamedTuple):
+    """A body and how sure of it: ten numbers m, c (3), and I about the centre of mass (XX XY YY XZ YZ ZZ)."""
+
+    body: RigidBody
+    covariance: FloatArray  # (10, 10) of mass, centre of mass, inertia, in this order
+
+
+def standard_of(body: RigidBody) -> FloatArray:
+    """Standard parameters about the frame's origin, (10,)."""
+    inertia = body.inertia_kg_m2 + parallel_axis(body.mass_kg, body.centre_of_mass_m)
+    return np.concatenate([[body.mass_kg], body.mass_kg * body.centre_of_mass_m, elements(inertia)])
+
+
+def body_of(chi: FloatArray) -> RigidBody:
+    """The body of ten standard parameters.
+
+    Raises:
+        SignalError: a mass that is not positive.
+    """
+    if not chi[0] > 0.0:
+        raise SignalError(f"a body of {chi[0]:.4g} kg has no centre of mass; the data do not determine this payload")
+    c = chi[1:4] / chi[0]
+    return RigidBody(float(chi[0]), c, symmetric(chi[4:]) - parallel_axis(float(chi[0]), c))
+
+
+def body_jacobian(chi: FloatArray) -> FloatArray:
+    """Derivative of mass, centre of mass and inertia about it with respect to the standard parameters, (10, 10)."""
+    m, h = chi[0], chi[1:4]
+    D = np.eye(10)
+    D[1:4, 0] = -h / m**2
+    D[1:4, 1:4] = np.eye(3) / m
+    # I_C = I_O - (h.h 1 - h h') / m
+    D[4:, 0] = elements(parallel_axis(1.0, h)) / m**2
+    for k, unit in enumerate(np.eye(3)):
+        change = 2.0 * (h @ unit) * np.eye(3) - np.outer(h, unit) - np.outer(unit, h)
+        D[4:, 1 + k] = -elements(change) / m
+    return D
+
+
+def body_estimate(chi: FloatArray, covariance: FloatArray) -> BodyEstimate:
+    """Mass, centre of mass and inertia with their covariance, from standard parameters with theirs."""
+    D = body_jacobian(chi)
+    return BodyEstimate(body_of(chi), D @ covariance @ D.T)
+
+
+def standard_covariance(chi: FloatArray, mass_relative: float, centre_m: float, inertia_relative: float) -> FloatArray:
+    """Covariance of standard parameters, (10, 10), of a part that was weighed, balanced and swung.
+
+    Args:
+        chi: its standard parameters, (10,).
+        mass_relative: standard deviation of its mass.
+        centre_m: of each coordinate of its centre of mass.
+        inertia_relative: of each element of its inertia about the centre of mass, of half that tensor's trace.
+    """
+    half_trace = 0.5 * float(np.trace(body_of(chi).inertia_kg_m2))
+    sigma = np.array([mass_relative * chi[0], *[centre_m] * 3, *[inertia_relative * half_trace] * 6])
+    half = np.linalg.solve(body_jacobian(chi), np.diag(sigma))
+    return np.asarray(half @ half.T, np.float64)
+
+
+def log_cholesky(body: RigidBody) -> FloatArray:
+    """Log-Cholesky parameters, (10,): ``[alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3]``.
+
+    The pseudo-inertia is ``e^{2 alpha} U U'`` with U upper triangular, its diagonal ``e^d`` and 1.
+
+    Raises:
+        SignalError: a body that cannot exist.
+    """
+    try:
+        U = np.linalg.cholesky(pseudo_inertia(standard_of(body))[::-1, ::-1])[::-1, ::-1]  # upper: P = U U'
+    except np.linalg.LinAlgError as error:
+        raise SignalError("no body has this mass and inertia: its pseudo-inertia is not positive definite") from error
+    scale = U[3, 3]
+    U = U / scale
+    return np.array([np.log(scale), *np.log(np.diag(U)[:3]), U[0, 1], U[1, 2], U[0, 2], *U[:3, 3]])
+
+
+def from_log_cholesky(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Standard parameters (10,) and their derivative (10, 10) with respect to log-Cholesky parameters."""
+    parameters = pin.LogCholeskyParameters(theta)
+    return np.asarray(parameters.toDynamicParameters()), np.asarray(parameters.calculateJacobian())
+
+
+def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
+    """The likeliest body that can exist: maximum likelihood on log-Cholesky parameters.
+
+    Where the estimate itself can exist, it is that. Else it lies on the border of what can, in the metric of the
+    covariance; a weak prior on the three lengths (1 cm to 1 m) says where on a border that is never reached.
+
+    Args:
+        chi: estimate of the standard parameters, (10,).
+        covariance: its covariance, (10, 10), positive definite.
+
+    Raises:
+        SignalError: a mass that is not positive.
+        ConvergenceError: see :func:`onboard.estimation.maximum_likelihood.fit`.
+    """
+    body = body_of(chi)
+    if np.linalg.eigvalsh(pseudo_inertia(chi))[0] > 0.0:
+        return body
+    factor = np.linalg.cholesky(covariance)
+
+    def predict(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        own, D = from_log_cholesky(theta)
+        return np.linalg.solve(factor, own - chi), np.linalg.solve(factor, D)
+
+    lengths = np.arange(1, 4)
+    centre, information = np.zeros(10), np.zeros((10, 10))
+    centre[lengths] = np.log(0.1)
+    information[lengths, lengths] = 1.0 / np.log(10.0) ** 2
+    start = log_cholesky(RigidBody(body.mass_kg, body.centre_of_mass_m, 2e-2 * body.mass_kg * np.eye(3)))
+    found = fit(predict, start, centre, information, iterations=200)
+    return body_of(from_log_cholesky(found.x)[0])

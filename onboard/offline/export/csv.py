@@ -1,0 +1,35 @@
+"""CSV: the unit of a column in its head."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+from drivers.records import Rows
+from onboard.offline.columns import Column
+from onboard.offline.csv_text import Encoder, header
+
+
+class CsvTable:
+    """A CSV file, or a stream that stays open.
+
+    Args:
+        target: path, or where to write.
+        columns: of the table.
+    """
+
+    def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
+        self._own = isinstance(target, Path)
+        self._file: BinaryIO = target.open("wb") if isinstance(target, Path) else target
+        self._encoder = Encoder(columns)
+        self._file.write(header(columns))
+
+    def write(self, rows: Rows) -> None:
+        """Take rows (n,)."""
+        self._file.write(self._encoder.block(rows))
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._own:
+            self._file.close()
+        else:
+            self._file.flush()

@@ -1,0 +1,56 @@
+"""Columns spooled to temporary files beside the target, for formats that need a column whole and its length first."""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from drivers.records import Rows
+from onboard.offline.columns import Column
+
+BLOCK_BYTES = 1 << 20
+
+
+class Spool:
+    """One temporary file a column; they are gone when it is closed.
+
+    Args:
+        directory: where the files go: a disk with room for the table once more.
+        columns: of the table.
+    """
+
+    def __init__(self, directory: Path, columns: Sequence[Column]) -> None:
+        self.columns, self.rows = columns, 0
+        self.dtypes: list[np.dtype[np.generic]] = [np.dtype(np.float64) for _ in columns]
+        self._stack = ExitStack()
+        self._files: list[IO[bytes]] = [
+            self._stack.enter_context(tempfile.TemporaryFile(dir=directory))  # noqa: SIM115
+            for _ in columns
+        ]
+
+    def write(self, rows: Rows) -> None:
+        """Take rows (n,)."""
+        for number, (column, file) in enumerate(zip(self.columns, self._files, strict=True)):
+            values = np.ascontiguousarray(column.values(rows))
+            self.dtypes[number] = values.dtype
+            file.write(values.data.cast("B"))
+        self.rows += len(rows)
+
+    def blocks(self, number: int) -> Iterator[bytes]:
+        """The bytes of column ``number`` from its first row on, a block at a time."""
+        file = self._files[number]
+        file.seek(0)
+        while block := file.read(BLOCK_BYTES):
+            yield block
+
+    def mapped(self, number: int) -> np.memmap[tuple[int], np.dtype[np.generic]]:
+        """Column ``number`` (n,), n > 0, mapped, not read."""
+        self._files[number].flush()
+        return np.memmap(self._files[number], self.dtypes[number], "r", shape=(self.rows,))
+
+    def close(self) -> None:
+        """Remove the files."""
+        self._stack.close()

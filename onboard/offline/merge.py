@@ -1,0 +1,154 @@
+"""The logs of several recorders of one flight as one log, in the order of time.
+
+Channels keep their names. Where several logs have a channel of one name, events and gap records are told apart by the
+name of their log; samples are only when that is asked for, because whoever reads them must know. What names a channel
+inside a row (a gap record, a clock) follows. Attachments and metadata of the later logs are put under their log's name.
+"""
+
+import heapq
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.progress import Progress
+
+from drivers.records import EVENT, GAP, Batch, Rows
+from onboard.recording.errors import ChannelError
+from onboard.recording.reader import LogReader
+from onboard.recording.scan import Damage
+from onboard.recording.segmented import RECORDED
+from onboard.recording.segments import METADATA
+from onboard.recording.writer import LogWriter
+
+
+class Part(NamedTuple):
+    """One recorder's log, and how its clock is put on that of the first: ``host_ns x rate + shift_ns``."""
+
+    segments: Sequence[Path]
+    shift_ns: int = 0
+    rate: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Of the log."""
+        return self.segments[0].stem
+
+
+class Merged(NamedTuple):
+    """Rows by channel of the new log, what could not be read of the old ones, and what somebody should know."""
+
+    rows: dict[str, int]
+    damage: tuple[Damage, ...]
+    warnings: tuple[str, ...]
+
+
+def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress: Progress | None = None) -> Merged:
+    """Write ``parts`` to a new log ``output``, in constant memory.
+
+    Args:
+        parts: the logs, at least two.
+        output: the file to create.
+        rename: whether a channel of samples that several logs have is told apart by the name of its log.
+        progress: gets a task that counts the bytes of the logs.
+
+    Raises:
+        ChannelError: a channel of samples that several logs have, and no ``rename``; or a name that gets too long.
+        ValueError: fewer than two logs, or two of one name.
+        FileExistsError: ``output`` is there already.
+        LogFormatError: a log is none of ours.
+        OSError: a log cannot be read, or the output not written.
+    """
+    stems = [part.name for part in parts]
+    if len(parts) < 2:
+        raise ValueError(f"{stems[0] if stems else 'nothing'}: give two logs or more to merge")
+    if twice := sorted({name for name in stems if stems.count(name) > 1}):
+        raise ValueError(f"two logs are called {twice[0]}: rename a file, its name tells the channels apart")
+    logs = [LogReader(part.segments) for part in parts]
+    names = _names(parts, logs, rename)
+    size = sum(log.size for log in logs)
+    task = None if progress is None else progress.add_task(f"merge {len(logs)} logs", total=size)
+    rows = {new: 0 for known in names for new in known.values()}
+    spans: list[tuple[int, int] | None] = [None] * len(logs)
+    streams = [_stream(n, part, log, names[n]) for n, (part, log) in enumerate(zip(parts, logs, strict=True))]
+    with LogWriter.create(output, durable=False) as writer:
+        _describe(writer, parts, logs)
+        for log, known in zip(logs, names, strict=True):
+            for old, new in known.items():
+                writer.register(new, log.channels[old], units=log.units[old])
+        for first_ns, number, batch in heapq.merge(*streams, key=lambda item: item[:2]):
+            writer.write(batch.channel, batch.rows)
+            rows[batch.channel] += len(batch.rows)
+            start_ns, end_ns = spans[number] or (first_ns, first_ns)
+            spans[number] = min(start_ns, first_ns), max(end_ns, int(batch.rows["host_ns"][-1]))
+            if progress is not None and task is not None:
+                progress.update(task, completed=sum(log.position for log in logs))
+    damage = tuple(one for log in logs for one in log.damage)
+    return Merged(rows, damage, tuple(_strangers(parts, spans)))
+
+
+def _names(parts: Sequence[Part], logs: Sequence[LogReader], rename: bool) -> list[dict[str, str]]:
+    """For each log: its channels, and what they are called in the new one."""
+    owners: dict[str, list[str]] = {}
+    for part, log in zip(parts, logs, strict=True):
+        for channel in log.channels:
+            owners.setdefault(channel, []).append(part.name)
+    clashes = [
+        channel
+        for channel, having in owners.items()
+        if len(having) > 1
+        and any(channel in log.channels and log.channels[channel] not in (EVENT, GAP) for log in logs)
+    ]
+    if clashes and not rename:
+        told = ", ".join(f"{channel} ({' and '.join(owners[channel])})" for channel in clashes)
+        raise ChannelError(f"several logs have the channels {told}; --rename puts the name of the log in front of each")
+    return [
+        {channel: f"{part.name}_{channel}" if len(owners[channel]) > 1 else channel for channel in log.channels}
+        for part, log in zip(parts, logs, strict=True)
+    ]
+
+
+def _stream(number: int, part: Part, log: LogReader, names: dict[str, str]) -> Iterator[tuple[int, int, Batch]]:
+    """First time, number of the log, rows; on the first log's clock and under the new names."""
+    encoded = {old.encode(): new.encode() for old, new in names.items() if old != new}
+    for channel, rows in log.batches():
+        moved = rows.copy()
+        if (part.shift_ns, part.rate) != (0, 1.0):
+            stretch = np.rint(moved["host_ns"] * (part.rate - 1.0)).astype(np.int64)
+            moved["host_ns"] += stretch + part.shift_ns
+        if encoded and "channel" in (moved.dtype.names or ()):
+            _rename(moved, encoded)
+        yield int(moved["host_ns"][0]), number, Batch(names[channel], moved)
+
+
+def _rename(rows: Rows, names: dict[bytes, bytes]) -> None:
+    field = rows["channel"]
+    for old in np.unique(field):
+        if bytes(old) in names:
+            field[field == old] = names[bytes(old)]
+
+
+def _describe(writer: LogWriter, parts: Sequence[Part], logs: Sequence[LogReader]) -> None:
+    """Attachments and metadata: the first log's as they are, the others' under the names of their logs."""
+    for number, (part, log) in enumerate(zip(parts, logs, strict=True)):
+        before = f"{part.name}." if number else ""
+        for attachment in log.attachments.values():
+            writer.attach(before + attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
+        for name, items in log.metadata.items():
+            if name not in (METADATA, RECORDED):
+                writer.add_metadata(before + name, items)
+    sources = {
+        part.name: f"host_ns x {part.rate!r} + {part.shift_ns} ns of {', '.join(path.name for path in part.segments)}"
+        for part in parts
+    }
+    writer.add_metadata("merged", sources)
+
+
+def _strangers(parts: Sequence[Part], spans: Sequence[tuple[int, int] | None]) -> Iterator[str]:
+    first = spans[0]
+    for part, span in zip(parts[1:], spans[1:], strict=True):
+        if first is not None and span is not None and (span[0] > first[1] or span[1] < first[0]):
+            yield (
+                f"{part.name} and {parts[0].name} have no time in common, so their clocks differ: find the shift with "
+                "heft resync, and merge with --align"
+            )

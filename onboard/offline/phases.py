@@ -1,0 +1,52 @@
+"""The phases of a flight, as its phase channel told them; stamped on arrival, good to some milliseconds."""
+
+from typing import NamedTuple
+
+from drivers.records import SCALAR
+from onboard import config
+from onboard.recording.reader import LogReader
+
+
+class Phase(NamedTuple):
+    """One phase: ``start_ns`` to ``end_ns`` (not included) of the recording host's clock.
+
+    ``name`` says what the vehicle file makes of the code: ``sweep 1``, ``sweep 2`` in the order flown for phases to
+    identify in, ``release``, ``end``, else ``phase CODE``.
+    """
+
+    start_ns: int
+    end_ns: int
+    code: int
+    name: str
+    sweep: bool
+
+
+def phases_of(log: LogReader, settings: config.Phases | None, end_ns: int) -> tuple[Phase, ...]:
+    """The phases in ``log``; none without a phase channel.
+
+    Args:
+        log: a flight's log.
+        settings: what the vehicle file says of phases.
+        end_ns: when the last one ends.
+    """
+    if settings is None or log.channels.get(settings.channel) != SCALAR:
+        return ()
+    changes: list[tuple[int, int]] = []
+    for _, rows in log.batches([settings.channel]):
+        for at_ns, code in zip(rows["host_ns"].tolist(), rows["value_raw"].tolist(), strict=True):
+            if not changes or changes[-1][1] != code:
+                changes.append((at_ns, code))
+    ends = [at_ns for at_ns, _ in changes[1:]] + [end_ns]
+    phases: list[Phase] = []
+    for (start_ns, code), stop_ns in zip(changes, ends, strict=True):
+        sweep = code in settings.identify
+        number = sum(phase.sweep for phase in phases) + 1
+        phases.append(Phase(start_ns, stop_ns, code, _name(settings, code, number), sweep))
+    return tuple(phases)
+
+
+def _name(settings: config.Phases, code: int, number: int) -> str:
+    if code in settings.identify:
+        return f"sweep {number}"
+    named = {settings.payload_gone: "release", settings.end: "end"}
+    return named.get(code, f"phase {code}")

@@ -1,0 +1,45 @@
+"""``heft report``: a flight as one self-contained page, for a screen in any light and for paper."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from rich.progress import Progress
+
+from drivers.records import Rows
+from onboard.offline.report import figures, theme
+from onboard.offline.report.sections import document
+from onboard.offline.report.story import gather
+from onboard.recording.scan import Damage
+
+
+def report(log: Path, output: Path, progress: Progress | None = None) -> tuple[Damage, ...]:
+    """Write the page of ``log`` to ``output``; returns what of the log could not be read.
+
+    Raises:
+        LogFormatError: it is no log of ours.
+        OSError: a file cannot be read or written.
+    """
+    story = gather(log, progress)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(document(story), encoding="utf-8")
+    return story.info.damage
+
+
+def clock_plot(said: Mapping[str, Rows], start_ns: int, duration_s: float, output: Path) -> None:
+    """Plot each clock's residuals, rate and state over the flight; the suffix of ``output`` says the format.
+
+    Args:
+        said: CLOCK rows by clock.
+        start_ns: host time that the axis counts from.
+        duration_s: of the flight.
+        output: the file to write.
+
+    Raises:
+        ValueError: there is no clock, or the suffix is of no known format.
+        OSError: the file cannot be written.
+    """
+    with theme.figures():
+        figure = figures.clocks(said, start_ns, duration_s)
+        if figure is None:
+            raise ValueError("the log has no clock: nothing of it runs on sync pulses, so there is nothing to plot")
+        figure.savefig(output, dpi=150, facecolor=theme.COLOUR["paper"])

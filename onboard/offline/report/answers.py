@@ -1,0 +1,180 @@
+"""The figures of the answer: torque and acceleration, masses by sweep, convergence."""
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from drivers.records import Rows
+from onboard.estimation.gates import GateReason
+from onboard.offline.report.alone import Alone
+from onboard.offline.report.figures import legend, second_axis, shade
+from onboard.offline.report.story import Story, Sweep
+from onboard.offline.report.theme import COLOUR, CYCLE, subplots
+from onboard.offline.thin import Floats
+
+_LINES = 4  # of sweeps in one axes
+GRAM = {"kg": ("g", 1e3), "kg m^2": ("g m²", 1e3), "kg m": ("g m", 1e3)}
+
+
+def shown_unit(unit: str, size: float) -> tuple[str, float]:
+    """Unit and factor in which a value of ``size`` reads well."""
+    if unit in GRAM and abs(size) < 1.0:
+        return GRAM[unit]
+    return unit.replace("^2", "²"), 1.0
+
+
+class Side(NamedTuple):
+    """The measured side of one row of the regression: its place in ROW, its unit, what a number in the log is in it."""
+
+    row: int
+    unit: str
+    factor: float
+
+
+def torque_and_acceleration(story: Story, side: Side) -> Figure | None:
+    """Measured side of a row and the joint's acceleration, sweep by sweep (figures 4.53 to 4.56 in kind)."""
+    shown = [sweep for sweep in story.sweeps if sweep.rows is not None and len(sweep.rows)]
+    if not shown:
+        return None
+    figure, every = subplots(len(shown), 2, width_ratios=[2.1, 1.0])
+    for sweep, over_time, against in zip(shown, every[::2], every[1::2], strict=True):
+        _over_time(over_time, story, sweep, side, first=sweep is shown[0])
+        _against(against, sweep, side, first=sweep is shown[0])
+    every[-2].set_xlabel("time, s")
+    every[-1].set_xlabel("joint acceleration, rad/s²")
+    return figure
+
+
+def _over_time(axes: Axes, story: Story, sweep: Sweep, side: Side, *, first: bool) -> None:
+    assert sweep.rows is not None
+    at_s = story.seconds(sweep.rows["vehicle_ns"])
+    other = second_axis(axes, "rad/s²")
+    measured, _ = _measured(sweep.rows, side)
+    [one] = axes.plot(at_s, measured, color=CYCLE[1])
+    [two] = other.plot(at_s, sweep.rows["joint_rad_s2"][:, -1], color=CYCLE[0])
+    axes.set_title(sweep.phase.name)
+    axes.set_ylabel(side.unit)
+    axes.set_xlim(at_s[0], at_s[-1])
+    if first:
+        legend(axes, [one, two], ["measured", "joint acceleration (right)"])
+
+
+def _measured(rows: Rows, side: Side) -> tuple[Floats, NDArray[np.bool_]]:
+    """The measured side, and which rows were used; nothing where a saturated sample was under the kernel."""
+    gate = rows["gate"][:, side.row]
+    measured: Floats = side.factor * rows["measured"][:, side.row]
+    return np.where(gate & GateReason.SATURATED, np.nan, measured), gate == 0
+
+
+def _against(axes: Axes, sweep: Sweep, side: Side, *, first: bool) -> None:
+    assert sweep.rows is not None
+    x = sweep.rows["joint_rad_s2"][:, -1]
+    y, used = _measured(sweep.rows, side)
+    axes.plot(x[~used], y[~used], ".", color=COLOUR["idle"], markersize=2, label="refused")
+    axes.plot(x[used], y[used], ".", color=CYCLE[1], markersize=2, label="used")
+    axes.set_ylabel(side.unit)
+    if used.sum() > 2:
+        slope, level = np.polyfit(x[used], y[used], 1)
+        ends = np.array([x[used].min(), x[used].max()])
+        axes.plot(ends, slope * ends + level, color=COLOUR["ink"], linewidth=0.8)
+        text = f"slope {slope:.3f} g m²" if side.unit == "mN m" else f"slope {slope:.4g} {side.unit} s²/rad"
+        axes.text(0.04, 0.95, text, transform=axes.transAxes, va="top", fontsize=8.5)
+    if first:
+        legend(axes, markerscale=4)
+
+
+def by_sweep(story: Story, found: dict[str, list[Alone]], truths: dict[str, float]) -> Figure | None:
+    """Each quantity as every sweep alone tells it, while it goes on and at its end (figures 4.57 to 4.60 in kind).
+
+    Args:
+        story: the flight.
+        found: by sweep's name.
+        truths: by quantity, SI; where known.
+    """
+    names = list(dict.fromkeys(one.name for answers in found.values() for one in answers if one.unit))
+    if not names:
+        return None
+    figure, every = subplots(-(-len(names) // 2), 2)
+    for axes, name in zip(every, names, strict=False):
+        mine = [(sweep, one) for sweep, answers in found.items() for one in answers if one.name == name]
+        unit, factor = shown_unit(mine[0][1].unit, mine[0][1].value[-1])
+        if len(mine) > _LINES:
+            _ends(axes, story, [one for _, one in mine], factor)
+        for sweep, one in mine if len(mine) <= _LINES else ():
+            at_s = story.seconds(one.at_ns)
+            [line] = axes.plot(at_s, factor * one.value, ".-", markersize=4, label=sweep)
+            low, high = factor * one.low, factor * one.high
+            axes.fill_between(at_s, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+        _frame(
+            axes,
+            [factor * one.value[-1] for _, one in mine],
+            [factor * e[-1] for _, o in mine for e in (o.low, o.high)],
+        )
+        _truth(axes, truths.get(name), factor)
+        axes.set_title(name)
+        axes.set_ylabel(unit)
+        axes.legend(loc="upper right", ncols=3)
+    for axes in every[len(names) :]:
+        axes.set_visible(False)
+    for axes in every[max(0, len(names) - 2) : len(names)]:
+        axes.set_xlabel("time, s")
+    return figure
+
+
+def _ends(axes: Axes, story: Story, found: list[Alone], factor: float) -> None:
+    """Of many sweeps, what each said at its end."""
+    at_s = [float(story.seconds(one.at_ns[-1])) for one in found]
+    value, low, high = (
+        factor * np.array([part[-1] for part in parts]) for parts in zip(*(one[3:] for one in found), strict=True)
+    )
+    axes.errorbar(at_s, value, [value - low, high - value], fmt=".", color=CYCLE[0], elinewidth=1.0, label="each sweep")
+
+
+def _frame(axes: Axes, values: list[float], ends: list[float]) -> None:
+    """A vertical range that the last intervals fill to a third, whatever the first ones were."""
+    middle, reach = float(np.mean(values)), max(abs(end - float(np.mean(values))) for end in ends)
+    if np.isfinite(reach) and reach > 0.0:
+        axes.set_ylim(middle - 3 * reach, middle + 3 * reach)
+
+
+def _truth(axes: Axes, value: float | None, factor: float) -> None:
+    if value is not None:
+        axes.axhline(factor * value, color=COLOUR["true"], linestyle="--", linewidth=1.0, label="truth")
+
+
+def convergence(story: Story, truths: dict[str, float], *, quantities: bool) -> Figure | None:
+    """What was said in flight, with its 95 % band; from when the data supported it.
+
+    Args:
+        story: the flight.
+        truths: by quantity, SI; where known.
+        quantities: the quantities; else the base parameters.
+    """
+    names = [
+        name
+        for name, rows in story.quantities.items()
+        if bool(rows[-1]["supported"]) and bool(rows[-1]["unit"]) is quantities
+    ]
+    if not names:
+        return None
+    figure, every = subplots(-(-len(names) // 2), 2, height_in=1.15)
+    for axes, name in zip(every, names, strict=False):
+        rows = story.quantities[name]
+        rows = rows[rows["supported"] != 0]
+        unit, factor = shown_unit(rows["unit"][-1].decode(), float(rows["value"][-1]))
+        at_s = story.seconds(rows["vehicle_ns"])
+        axes.fill_between(at_s, factor * rows["low"], factor * rows["high"], color=CYCLE[0], alpha=0.22, linewidth=0)
+        axes.plot(at_s, factor * rows["value"], color=CYCLE[0])
+        last = rows[-1]
+        _frame(axes, [factor * last["value"]], [factor * last["low"], factor * last["high"]])
+        _truth(axes, truths.get(name), factor)
+        shade(axes, story)
+        axes.set_title(f"{name}, {unit}" if unit else name)
+    for axes in every[len(names) :]:
+        axes.set_visible(False)
+    for axes in every[max(0, len(names) - 2) : len(names)]:
+        axes.set_xlabel("time, s")
+    return figure

@@ -1,0 +1,75 @@
+"""The answers beside the truth and beside what was published, where there are such."""
+
+import tomllib
+from typing import Any, NamedTuple
+
+from onboard import config
+from onboard.offline.report.story import Story
+
+
+class Compared(NamedTuple):
+    """A last answer of the flight; SI. ``None`` where something is not known."""
+
+    name: str
+    label: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    supported: bool
+    truth: float | None
+    published: float | None
+
+    @property
+    def error_percent(self) -> float | None:
+        """Of the truth."""
+        return None if self.truth is None or not self.truth else 100.0 * (self.value / self.truth - 1.0)
+
+    @property
+    def covered(self) -> bool | None:
+        """Whether the interval holds the truth."""
+        return None if self.truth is None else self.low <= self.truth <= self.high
+
+
+def compared(story: Story) -> list[Compared]:
+    """The last answer of every quantity with a unit, those with a published value first."""
+    rows = _published(story.name)
+    order = {row["quantity"]: number for number, row in enumerate(rows)}
+    labels = {row["quantity"]: row["label"] for row in rows}
+    published = {row["quantity"]: row["identified_g"] * 1e-3 for row in rows if "identified_g" in row}
+    truths = truths_of(story)
+    found = []
+    for name, said in story.quantities.items():
+        last = said[-1]
+        if last["unit"]:
+            value, low, high = (float(last[field]) for field in ("value", "low", "high"))
+            label, unit, supported = labels.get(name, name), last["unit"].decode(), bool(last["supported"])
+            known = truths.get(name), published.get(name)
+            found.append(Compared(name, label, unit, value, low, high, supported, *known))
+    return sorted(found, key=lambda one: order.get(one.name, len(order)))
+
+
+def truths_of(story: Story) -> dict[str, float]:
+    """True values by quantity, SI: as the truth names them, or by the names that the published table gives."""
+    if story.truth is None:
+        return {}
+    truths: dict[str, float] = dict(story.truth.get("quantities", {}))
+    for row in _published(story.name):
+        if row["truth"] in story.truth:
+            truths.setdefault(row["quantity"], float(story.truth[row["truth"]]))
+    for name in story.quantities:  # the same mass, from the rows with the payload held alone
+        if name.removesuffix("_held") in truths:
+            truths.setdefault(name, truths[name.removesuffix("_held")])
+    return truths
+
+
+def _published(vehicle: str) -> list[dict[str, Any]]:
+    """Rows of the packaged vehicle's published table; none where it has none."""
+    try:
+        path = config.packaged(vehicle).with_name("published.toml")
+    except config.ConfigError:
+        return []
+    if not path.exists():
+        return []
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    return [*tables.get("row", []), *tables.get("inertia", [])]

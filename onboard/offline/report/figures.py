@@ -1,0 +1,320 @@
+"""The figures of a flight: what happened when, what the sensors said."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from drivers.records import Rows, Severity
+from onboard.estimation.gates import GateReason
+from onboard.offline.report.story import Story, Sweep
+from onboard.offline.report.theme import COLOUR, CYCLE, subplots
+from onboard.offline.thin import Floats, Trace
+from onboard.timebase.clock import ClockState
+
+STATE_COLOUR = {
+    ClockState.ACQUIRING: COLOUR["idle"],
+    ClockState.LOCKED: COLOUR["good"],
+    ClockState.FLYWHEEL: COLOUR["warn"],
+    ClockState.INVALID: COLOUR["bad"],
+}
+_LABEL_WIDTH = 0.035  # of the time axis: a phase that is shorter gets no name
+
+
+def timeline(story: Story) -> Figure:
+    """Phases, use of rows, clocks, gaps, and whatever went wrong."""
+    lanes = _lanes(story)
+    longest = max((len(name) for name, _ in lanes), default=0)
+    figure, [axes] = subplots(height_in=0.25 * len(lanes), left_in=0.3 + 0.073 * longest)
+    duration_s = max(story.info.duration_s, 1e-9)
+    axes.set_xlim(0.0, duration_s)
+    axes.set_ylim(len(lanes), 0)
+    axes.set_yticks(np.arange(len(lanes)) + 0.5, [name for name, _ in lanes])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel("time since the first record, s")
+    for lane, (_, spans) in enumerate(lanes):
+        for start_s, end_s, colour, text in spans:
+            width = max(end_s - start_s, 0.0015 * duration_s)
+            axes.add_patch(Rectangle((start_s, lane + 0.14), width, 0.72, color=colour, linewidth=0))
+            if text and width > _LABEL_WIDTH * duration_s:
+                style: Any = {"ha": "center", "va": "center", "fontsize": 8, "color": COLOUR["paper"], "clip_on": True}
+                axes.text(start_s + 0.5 * width, lane + 0.5, text, **style)
+    return figure
+
+
+Span = tuple[float, float, str, str]  # start, end [s], colour, text
+
+
+def _lanes(story: Story) -> list[tuple[str, list[Span]]]:
+    lanes: list[tuple[str, list[Span]]] = []
+    if story.phases:
+        lanes.append(("phase", [_phase_span(story, number) for number in range(len(story.phases))]))
+    if story.gates is not None:
+        at_s = story.seconds(story.gates["vehicle_ns"])
+        used = (story.gates["gate"] == 0).any(axis=1)
+        lanes.append(("rows used", _runs(at_s, used, COLOUR["good"])))
+        for reason in (r for r in GateReason if story.gate_counts.get(int(r))):
+            refused = (story.gates["gate"] & int(reason) != 0).any(axis=1)
+            name = (reason.name or "").lower().replace("_", " ")
+            lanes.append((f"refused: {name}", _runs(at_s, refused, COLOUR["idle"])))
+    for name, rows in sorted(story.clocks.items()):
+        at_s = np.append(story.seconds(rows["host_ns"]), story.info.duration_s)
+        states = [ClockState(int(state)) for state in rows["state"]]
+        spans = [
+            (start, end, STATE_COLOUR[state], "") for start, end, state in zip(at_s, at_s[1:], states, strict=False)
+        ]
+        lanes.append((f"clock {name}", _joined(spans)))
+    troubles: dict[str, list[Span]] = {}
+    for rows in story.gaps:
+        for row in rows:
+            end_s = float(story.seconds(row["host_ns"]))
+            span = (end_s - float(row["duration_ns"]) * 1e-9, end_s, COLOUR["bad"], "")
+            troubles.setdefault(f"gap {row['channel'].decode(errors='replace')}", []).append(span)
+    for rows in story.events:
+        for row in rows:
+            at = float(story.seconds(row["host_ns"]))
+            colour = COLOUR["bad"] if row["severity"] >= Severity.ERROR else COLOUR["warn"]
+            troubles.setdefault(f"fault {row['source'].decode(errors='replace')}", []).append((at, at, colour, ""))
+    lanes += sorted(troubles.items())
+    if story.truth and story.truth.get("faults"):
+        end_s = story.info.duration_s
+        injected = [
+            (f["start_s"], end_s if f.get("end_s") is None else f["end_s"], COLOUR["warn"], str(f["kind"]))
+            for f in story.truth["faults"]
+        ]
+        lanes.append(("injected", injected))
+    return lanes
+
+
+def _phase_span(story: Story, number: int) -> Span:
+    phase = story.phases[number]
+    start_s, end_s = (float(story.seconds(t)) for t in (phase.start_ns, phase.end_ns))
+    colour = COLOUR["a"] if phase.sweep else COLOUR["d"] if phase.name == "release" else COLOUR["idle"]
+    return start_s, end_s, colour, phase.name.replace("phase ", "")
+
+
+def _runs(at_s: np.ndarray, flags: np.ndarray, colour: str) -> list[Span]:
+    """Stretches of time in which ``flags`` (n,) are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    last = len(at_s) - 1
+    return [(at_s[a], at_s[min(b, last)], colour, "") for a, b in edges.reshape(-1, 2)]
+
+
+def _joined(spans: Sequence[Span]) -> list[Span]:
+    joined: list[Span] = []
+    for span in spans:
+        if joined and joined[-1][2:] == span[2:]:
+            joined[-1] = (joined[-1][0], span[1], *span[2:])
+        else:
+            joined.append(span)
+    return joined
+
+
+def shade(axes: Axes, story: Story) -> None:
+    """Sweeps as a tint behind a plot over the whole flight."""
+    for phase in story.phases:
+        if phase.sweep or phase.name == "release":
+            colour = COLOUR["a"] if phase.sweep else COLOUR["d"]
+            start_s, end_s = story.seconds(np.array([phase.start_ns, phase.end_ns]))
+            axes.axvspan(start_s, end_s, color=colour, alpha=0.08, linewidth=0)
+    axes.set_xlim(0.0, max(story.info.duration_s, 1e-9))
+
+
+def draw(axes: Axes, trace: Trace, column: int, label: str, colour: str, factor: float = 1.0) -> None:
+    """The mean of each bin as a line; where a bin spans more, its extent as a band."""
+    low, mean, high = (factor * part[:, column] for part in (trace.low, trace.mean, trace.high))
+    axes.plot(trace.time_s, mean, color=colour, label=label, linewidth=1.0)
+    if np.nanmax(high - low, initial=0.0) > 0.0:
+        axes.fill_between(trace.time_s, low, high, color=colour, alpha=0.22, linewidth=0)
+
+
+def joints_and_cells(story: Story) -> Figure | None:
+    """Every joint and every load cell over the whole flight (figure 4.39 in kind)."""
+    panels = _joint_and_cell_channels(story)
+    if not panels:
+        return None
+    figure, every = subplots(len(panels), height_in=1.2, sharex=True)
+    for number, (axes, (channel, name, unit, factor)) in enumerate(zip(every, panels, strict=True)):
+        draw(axes, story.traces[channel], 0, name, CYCLE[number % len(CYCLE)], factor)
+        axes.set_title(name)
+        axes.set_ylabel(unit)
+        _mark_flagged(axes, story, channel)
+        shade(axes, story)
+    every[-1].set_xlabel("time, s")
+    return figure
+
+
+def _joint_and_cell_channels(story: Story) -> list[tuple[str, str, str, float]]:
+    """Channel, what it is, unit as shown, factor to it."""
+    if story.roles is None:
+        return []
+    found = []
+    for joint in story.roles.joints:
+        shown = ("rad/s", 1.0) if joint.is_rate else ("deg", np.degrees(1.0))
+        found.append((joint.channel, f"{joint.joint}: {joint.channel}", *shown))
+    found += [(cell.channel, f"load cell: {cell.channel}", "N", 1.0) for cell in story.roles.cells]
+    return [one for one in found if one[0] in story.traces]
+
+
+def _mark_flagged(axes: Axes, story: Story, channel: str) -> None:
+    at_s = story.flagged.get(channel)
+    if at_s is not None:
+        top = axes.get_xaxis_transform()
+        [marks] = axes.plot(at_s, np.full(len(at_s), 0.97), "x", color=COLOUR["bad"], transform=top)
+        legend(axes, [marks], ["not usable"])
+
+
+def sweeps(story: Story) -> Figure | None:
+    """Joint and load cell over each sweep, in one axes (figures 4.50, 4.51 in kind)."""
+    channels = _joint_and_cell_channels(story)
+    shown = [sweep for sweep in story.sweeps if sweep.traces]
+    if not channels or not shown:
+        return None
+    rows = -(-len(shown) // 2)
+    figure, every = subplots(rows, 2)
+    for axes, sweep in zip(every, shown, strict=False):
+        _sweep(axes, story, sweep, channels, first=axes is every[0])
+    for axes in every[len(shown) :]:
+        axes.set_visible(False)
+    return figure
+
+
+def _sweep(
+    axes: Axes, story: Story, sweep: Sweep, channels: Iterable[tuple[str, str, str, float]], *, first: bool
+) -> None:
+    axes.set_title(sweep.phase.name)
+    other: Axes | None = None
+    for number, (channel, _, unit, factor) in enumerate(channels):
+        if channel not in sweep.traces:
+            continue
+        target, colour = axes, CYCLE[number % len(CYCLE)]
+        if unit == "N":
+            target = other = other or second_axis(axes, unit)
+        else:
+            axes.set_ylabel(unit)
+        draw(target, sweep.traces[channel], 0, channel, colour, factor)
+    start_s, end_s = story.seconds(np.array([sweep.phase.start_ns, sweep.phase.end_ns]))
+    axes.set_xlim(start_s, end_s)
+    if first:
+        lines = [line for one in (axes, other) if one is not None for line in one.get_lines()]
+        legend(axes, lines, [str(line.get_label()) for line in lines])
+
+
+def second_axis(axes: Axes, label: str) -> Axes:
+    """An axes over the same time with a scale of its own at the right."""
+    other = axes.twinx()
+    other.grid(visible=False)
+    other.spines["right"].set_visible(True)
+    other.set_ylabel(label)
+    return other
+
+
+def legend(axes: Axes, *entries: Any, **style: Any) -> None:
+    """The legend above the axes, right of the title, where it hides nothing."""
+    axes.legend(*entries, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4, borderaxespad=0.0, **style)
+
+
+def imu(story: Story, name: str, rotation: np.ndarray | None) -> Figure:
+    """Specific force and angular rate of an IMU, in base axes where ``rotation`` is known (figures 4.46, 4.52 in kind).
+
+    The band is the extent of the samples in a bin; turned as a whole it is that of the axis nearest to each base axis.
+    """
+    trace = story.traces[name]
+    figure, [force, rate] = subplots(2, sharex=True)
+    for axes, columns, unit, what in (
+        (force, slice(3, 6), "m/s²", "specific force (a − g)"),
+        (rate, slice(0, 3), "deg/s", "angular rate"),
+    ):
+        factor = 1.0 if columns.start else np.degrees(1.0)
+        shown = turned(trace, columns, rotation)
+        for axis, colour in zip(range(3), CYCLE, strict=False):
+            draw(axes, shown, axis, "xyz"[axis], colour, factor)
+        axes.set_title(f"{name}: {what}, {'base' if rotation is not None else 'sensor'} axes")
+        axes.set_ylabel(unit)
+        legend(axes)
+        shade(axes, story)
+    rate.set_xlabel("time, s")
+    return figure
+
+
+def turned(trace: Trace, columns: slice, rotation: np.ndarray | None) -> Trace:
+    """Three columns in other axes: the means exactly, the extents about them as intervals are turned."""
+    low, mean, high = (part[:, columns] for part in (trace.low, trace.mean, trace.high))
+    if rotation is None:
+        return Trace(trace.time_s, low, mean, high)
+    centre = mean @ rotation.T
+    half = 0.5 * (high - low) @ np.abs(rotation).T
+    middle = 0.5 * (high + low) @ rotation.T
+    return Trace(trace.time_s, middle - half, centre, middle + half)
+
+
+def magnitudes(story: Story, names: Sequence[str]) -> Figure:
+    """Magnitude of the specific force of several IMUs, which needs no common axes (figures 4.27, 4.29 in kind)."""
+    figure, [axes] = subplots()
+    for name, colour in zip(names, CYCLE, strict=False):
+        trace = story.traces[name]
+        axes.plot(trace.time_s, np.linalg.norm(trace.mean[:, 3:6], axis=1), color=colour, label=name)
+    axes.set_ylabel("m/s²")
+    axes.set_xlabel("time, s")
+    legend(axes)
+    shade(axes, story)
+    return figure
+
+
+def clocks(said: Mapping[str, Rows], start_ns: int, duration_s: float) -> Figure | None:
+    """Each clock's residuals and sigma, its rate, and its state over the flight.
+
+    Args:
+        said: CLOCK rows by clock.
+        start_ns: host time that the axis counts from.
+        duration_s: of the flight.
+    """
+    if not said:
+        return None
+    figure, every = subplots(len(said), 2, sharex=True)
+    for pair, (name, rows) in zip(zip(every[::2], every[1::2], strict=True), sorted(said.items()), strict=True):
+        _clock(pair, name, rows, (rows["host_ns"] - start_ns) * 1e-9, duration_s)
+    for axes in every[-2:]:
+        axes.set_xlabel("time, s")
+    return figure
+
+
+def _clock(pair: tuple[Axes, Axes], name: str, rows: Rows, at_s: Floats, duration_s: float) -> None:
+    error, rate = pair
+    known = np.isin(rows["state"], [ClockState.LOCKED, ClockState.FLYWHEEL])
+    if "residual_ns" in (rows.dtype.names or ()):
+        marks = rows["residual_ns"][known] * 1e-3
+        error.plot(at_s[known], marks, ".", color=COLOUR["idle"], markersize=2.5, label="residual")
+        error.axhline(0.0, color=COLOUR["faint"], linewidth=0.6)
+    else:
+        error.set_ylim(bottom=0.0)
+    error.plot(at_s[known], rows["residual_rms_ns"][known] * 1e-3, color=CYCLE[0], label="rms")
+    error.plot(at_s[known], rows["sigma_ns"][known] * 1e-3, color=CYCLE[1], label="sigma")
+    error.set_title(name)
+    error.set_ylabel("µs")
+    legend(error)
+    period = rows["period_ns"][known]
+    if len(period):
+        last = float(period[-1])
+        ppm = (period / last - 1) * 1e6
+        sigma = rows["sigma_period_ns"][known] / last * 1e6
+        rate.plot(at_s[known], ppm, color=CYCLE[0])
+        rate.fill_between(at_s[known], ppm - 2 * sigma, ppm + 2 * sigma, color=CYCLE[0], alpha=0.22, linewidth=0)
+        settled = len(ppm) // 3
+        reach = max(2.5 * float(np.abs(ppm[settled:]).max(initial=0.0)), 4 * float(sigma[-1]), 1e-3)
+        rate.set_ylim(-reach, reach)
+        rate.set_title(f"{name}: tick, about {last * 1e-3:.4f} µs")
+    rate.set_ylabel("ppm")
+    states = [ClockState(int(state)) for state in rows["state"]]
+    ends = np.append(at_s[1:], duration_s)
+    for start_s, end_s, colour, _ in _joined(
+        [(a, b, STATE_COLOUR[s], "") for a, b, s in zip(at_s, ends, states, strict=True)]
+    ):
+        for axes in pair:
+            axes.axvspan(start_s, end_s, ymin=0.0, ymax=0.03, color=colour, linewidth=0)
+    for axes in pair:
+        axes.set_xlim(0.0, max(duration_s, 1e-9))

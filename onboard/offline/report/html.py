@@ -1,0 +1,75 @@
+"""Small pieces of HTML: everything that comes out of a log is escaped here."""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib.resources import files
+
+
+class Cell(str):
+    """A table cell with a class: ``n`` a number, ``good``, ``warn``, ``bad``."""
+
+    kind: str
+
+    def __new__(cls, text: object, kind: str = "n") -> "Cell":
+        """``text`` as a cell of ``kind``."""
+        cell = super().__new__(cls, text)
+        cell.kind = kind
+        return cell
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table; cells are escaped, and of the class that a :class:`Cell` names. Empty without rows."""
+    body = ""
+    kinds = ["" for _ in headings]
+    for row in rows:
+        cells = [(cell, cell.kind if isinstance(cell, Cell) else "") for cell in row]
+        kinds = [kind or old for (_, kind), old in zip(cells, kinds, strict=True)]
+        body += "<tr>" + "".join(f"<td{_class(kind)}>{escape(str(cell))}</td>" for cell, kind in cells) + "</tr>\n"
+    if not body:
+        return ""
+    numeric = ["n" if kind.startswith("n") else "" for kind in kinds]
+    head = "".join(f"<th{_class(kind)}>{escape(text)}</th>" for text, kind in zip(headings, numeric, strict=True))
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>\n'
+
+
+def _class(kind: str) -> str:
+    return f' class="{kind}"' if kind else ""
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """A paragraph of text."""
+    return f"<p{_class(kind)}>{escape(text)}</p>\n"
+
+
+def figure(svg: str, caption: str) -> str:
+    """A figure and what it shows."""
+    return f"<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
+def card(what: str, value: str, unit: str, more: Iterable[str]) -> str:
+    """A number to be seen first."""
+    lines = "".join(f'<div class="more">{escape(line)}</div>' for line in more)
+    number = f"{escape(value)} <small>{escape(unit)}</small>"
+    return f'<div class="card"><div class="what">{escape(what)}</div><div class="value">{number}</div>{lines}</div>\n'
+
+
+def verdicts(lines: Iterable[tuple[str, str]]) -> str:
+    """``(kind, sentence)`` each: good, warn or bad."""
+    items = "".join(f'<li class="{kind}">{escape(text)}</li>\n' for kind, text in lines)
+    return f'<ul class="verdicts">\n{items}</ul>\n'
+
+
+def page(title: str, head: str, sections: Sequence[tuple[str, str]]) -> str:
+    """The whole document; a section without content is left out."""
+    style = files("onboard.offline.report").joinpath("page.css").read_text(encoding="utf-8")
+    shown = [(f"s{number}", name, body) for number, (name, body) in enumerate(sections) if body]
+    links = "".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, _ in shown)
+    body = "".join(
+        f'<section id="{key}"><h2>{escape(name)}</h2>\n{content}</section>\n' for key, name, content in shown
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f"{head}<nav>{links}</nav>\n{body}</body>\n</html>\n"
+    )

@@ -1,0 +1,312 @@
+"""The sections of a report, in the order of the questions: did it work, what is held, can it be trusted."""
+
+import math
+from collections.abc import Iterator
+from html import escape
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from drivers.records import Severity
+from onboard.estimation.gates import GateReason
+from onboard.model.errors import ModelError
+from onboard.offline.report import answers, figures, html, theme
+from onboard.offline.report.alone import Alone, alone
+from onboard.offline.report.compared import Compared, compared, truths_of
+from onboard.offline.report.html import Cell
+from onboard.offline.report.story import Story
+from onboard.timebase.clock import ClockState
+
+_EVENTS_SHOWN = 40
+_ROWS_SHOWN = 24
+
+
+def document(story: Story) -> str:
+    """The whole page."""
+    with theme.figures():
+        return html.page(f"{story.name}: {story.info.path.name}", _head(story), list(_sections(story)))
+
+
+def _sections(story: Story) -> Iterator[tuple[str, str]]:
+    draw = _Gallery()
+    truths = truths_of(story)
+    found = compared(story)
+    yield "Answers", _answers(found)
+    yield "Timeline", _timeline(story, draw)
+    yield (
+        "Encoder and load cell",
+        draw(
+            figures.joints_and_cells(story),
+            "Joint angles and load cells over the whole flight; sweeps are tinted. Times are of arrival, which is some "
+            "milliseconds after the sample. Red crosses: samples that their device or a range limit calls not usable.",
+        )
+        + draw(figures.sweeps(story), "The same, sweep by sweep."),
+    )
+    yield "Accelerations and rates", _imus(story, draw)
+    yield "Torque and acceleration", _torques(story, draw)
+    yield "Sweep by sweep", _by_sweep(story, draw, truths)
+    yield (
+        "Convergence",
+        draw(
+            answers.convergence(story, truths, quantities=True),
+            "What the onboard estimator said, with its 95 % interval, from when the data supported it. Dashed: truth.",
+        )
+        + draw(answers.convergence(story, truths, quantities=False), "Supported base parameters, SI units."),
+    )
+    yield "Clocks", _clocks(story, draw)
+    yield "Channels", _channels(story)
+    yield "Events", _events(story)
+    yield "Provenance", _provenance(story)
+
+
+class _Gallery:
+    """Figures to HTML, each with ids of its own."""
+
+    def __init__(self) -> None:
+        self._number = 0
+
+    def __call__(self, figure: Figure | None, caption: str) -> str:
+        if figure is None:
+            return ""
+        self._number += 1
+        return html.figure(theme.svg(figure, escape(caption), f"f{self._number}"), caption)
+
+
+def _head(story: Story) -> str:
+    about = story.info
+    when = about.metadata.get("flight", {}).get("wall_clock_ns")
+    facts = [
+        about.path.name,
+        f"{about.duration_s:.1f} s",
+        f"{about.rows:,} records",
+        f"{about.size_bytes / 1e6:.1f} MB",
+    ]
+    if when:
+        facts.insert(1, f"{np.datetime64(int(when), 'ns').astype('datetime64[s]')} UTC")
+    head = f"<h1>{escape(story.name)}</h1>\n" + html.paragraph(" · ".join(facts), "sub")
+    masses = [one for one in compared(story) if one.supported and one.unit == "kg"]
+    cards = [_card(one) for one in [one for one in masses if one.published] or masses][:6]
+    if cards:
+        head += f'<div class="cards">\n{"".join(cards)}</div>\n'
+    return head + html.verdicts(_verdicts(story)) + "".join(html.paragraph(note, "note") for note in story.notes)
+
+
+def _card(one: Compared) -> str:
+    unit, factor = answers.shown_unit(one.unit, one.value)
+    value, low, high = (_digits(factor * x, factor * (one.high - one.low)) for x in (one.value, one.low, one.high))
+    more = [f"95 %: {low} … {high} {unit}"]
+    if one.truth is not None and one.error_percent is not None:
+        more.append(f"truth {factor * one.truth:.1f} {unit}, error {one.error_percent:+.2f} %")
+    return html.card(one.label, value, unit, more)
+
+
+def _digits(value: float, width: float) -> str:
+    """``value`` with two digits of an interval ``width`` wide."""
+    decimals = 0 if width <= 0 or not math.isfinite(width) else max(0, 1 - math.floor(math.log10(width)))
+    return f"{value:.{decimals}f}"
+
+
+def _verdicts(story: Story) -> Iterator[tuple[str, str]]:
+    about = story.info
+    asked = compared(story)
+    answered = [one for one in asked if one.supported]
+    if asked:
+        kind = "good" if len(answered) == len(asked) else "warn" if answered else "bad"
+        yield kind, f"{len(answered)} of {len(asked)} quantities are determined by the data."
+    inside = [one.covered for one in answered if one.covered is not None]
+    if inside:
+        kind = "good" if all(inside) else "warn"
+        yield kind, f"{sum(inside)} of {len(inside)} intervals hold the truth."
+    missing = sum(channel.missing for channel in about.channels)
+    if about.unexplained:
+        yield "bad", f"{about.unexplained:,} records are missing and no gap record says why."
+    elif missing:
+        yield "warn", f"{missing:,} records are missing, and gap records name every one of them."
+    else:
+        yield "good", "No record is missing between the first and the last of any channel."
+    loud = {Severity.ERROR: ("bad", "errors"), Severity.WARNING: ("warn", "warnings")}
+    for severity, (kind, word) in loud.items():
+        if count := about.event_counts.get(severity, 0):
+            yield kind, f"{count} {word}; see Events."
+    if about.damage:
+        lost = sum(one.end - one.start for one in about.damage)
+        yield "bad", f"The log is damaged in {len(about.damage)} places ({lost:,} bytes); what could be read is here."
+    else:
+        yield "good", "The log is whole: every byte is as it was written."
+    for name, rows in sorted(story.clocks.items()):
+        state = ClockState(int(rows[-1]["state"]))
+        if state is not ClockState.LOCKED:
+            yield "warn", f"The clock of {name} ended {state.name.lower()}."
+
+
+def _answers(found: list[Compared]) -> str:
+    rows = []
+    for one in found:
+        unit, factor = answers.shown_unit(one.unit, one.value if one.supported else 0.0)
+        width = factor * (one.high - one.low)
+        known = one.truth is not None
+        line: list[object] = [one.label, Cell(_digits(factor * one.truth, width) if known and one.truth else "")]
+        if one.supported:
+            span = f"{_digits(factor * one.low, width)} … {_digits(factor * one.high, width)}"
+            line += [Cell(_digits(factor * one.value, width)), Cell(span), unit]
+            error = one.error_percent
+            line += [Cell("" if error is None else f"{error:+.2f}")]
+            line += ["" if one.covered is None else Cell(*(("yes", "good") if one.covered else ("no", "bad")))]
+        else:
+            line += ["", "not determined by these data", unit, "", ""]
+        rows.append([*line, Cell("" if one.published is None else f"{factor * one.published:.1f}")])
+    headings = ["quantity", "truth", "heft", "95 % interval", "unit", "error %", "holds truth", "published"]
+    keep = [0, *(n for n in range(1, len(headings)) if any(str(row[n]) for row in rows))]
+    return html.table([headings[n] for n in keep], ([row[n] for n in keep] for row in rows))
+
+
+def _timeline(story: Story, draw: _Gallery) -> str:
+    keys = [
+        ("a", "sweep"), ("idle", "other phase, or refused"), ("good", "used, or locked"),
+        ("warn", "flywheel, or warning"), ("bad", "lost, or error"),
+    ]  # fmt: skip
+    legend = "".join(f'<span class="key" style="background: var(--{c})"></span>{escape(t)}' for c, t in keys)
+    body = draw(figures.timeline(story), "What happened when.") + f'<p class="note">{legend}</p>\n'
+    if story.rows_total:
+        refused = ", ".join(
+            f"{(reason.name or '').lower().replace('_', ' ')} {story.gate_counts[int(reason)]:,}"
+            for reason in GateReason
+            if story.gate_counts.get(int(reason))
+        )
+        used = f"{story.rows_used:,} of {story.rows_total:,} rows went into the estimate."
+        body += html.paragraph(f"{used} Refused, a row perhaps for several reasons: {refused or 'none'}.")
+    return body
+
+
+def _imus(story: Story, draw: _Gallery) -> str:
+    names = [name for name, trace in story.traces.items() if trace.mean.shape[1] == 6]
+    frames = {one.channels[0]: one.frame for one in (story.roles.imus if story.roles else ()) if len(one.channels) == 1}
+    body = ""
+    for name in names:
+        rotation = None
+        if story.model is not None and name in frames:
+            try:
+                rotation, _ = story.model.pose_in_base(frames[name])
+            except ModelError:
+                rotation = None  # on a moving link: its axes turn against the base
+        body += draw(
+            figures.imu(story, name, rotation),
+            "Unfiltered. Line: mean of each bin of time, band: extent of its samples. An accelerometer measures "
+            "specific force: free fall reads zero, and its own offset is still in.",
+        )
+    if len(names) > 1:
+        body += draw(figures.magnitudes(story, names), "Magnitude of the specific force of every IMU.")
+    return body
+
+
+def _torques(story: Story, draw: _Gallery) -> str:
+    if story.identifier is None or story.roles is None:
+        return ""
+    rows = [row.name for row in story.identifier.model.rows]
+    body = ""
+    for cell in story.roles.cells:
+        if cell.name in rows:
+            moment = cell.keys.measures == "moment"
+            unit, factor = ("mN m", 1e3 * cell.keys.lever_m) if moment else ("N", 1.0)
+            body += draw(
+                answers.torque_and_acceleration(story, answers.Side(rows.index(cell.name), unit, factor)),
+                f"{cell.name}: both sides of the rows, through the same smoothing kernel, on vehicle time. The line is "
+                "a straight fit to the rows used; the estimator's rows also carry the base's motion and the offset. "
+                "Ticks with a saturated sample are left out.",
+            )
+    return body
+
+
+def _by_sweep(story: Story, draw: _Gallery, truths: dict[str, float]) -> str:
+    if story.identifier is None:
+        return ""
+    found = {sweep.phase.name: alone(sweep, story.identifier) for sweep in story.sweeps}
+    body = draw(
+        answers.by_sweep(story, found, truths),
+        "Each sweep identified by itself, from the prior and its own rows, as it goes on. Bands: 95 %. Dashed: truth.",
+    )
+    rows = [_alone_row(sweep, one, truths.get(one.name)) for sweep, every in found.items() for one in every]
+    if not rows:
+        return ""
+    silent = [sweep for sweep, every in found.items() if not every]
+    if len(rows) > _ROWS_SHOWN:
+        rows = []  # the figure says it
+    more = html.paragraph(f"By themselves these determine nothing: {', '.join(silent)}.") if silent else ""
+    return body + html.table(["sweep", "quantity", "value", "95 % interval", "unit", "truth", "error %"], rows) + more
+
+
+def _alone_row(sweep: str, one: Alone, truth: float | None) -> list[object]:
+    value, low, high = float(one.value[-1]), float(one.low[-1]), float(one.high[-1])
+    unit, factor = answers.shown_unit(one.unit, value)
+    width = factor * (high - low)
+    span = f"{_digits(factor * low, width)} … {_digits(factor * high, width)}"
+    known = "" if truth is None else _digits(factor * truth, width)
+    error = "" if not truth else f"{100 * (value / truth - 1):+.2f}"
+    return [sweep, one.name, Cell(_digits(factor * value, width)), Cell(span), unit, Cell(known), Cell(error)]
+
+
+def _clocks(story: Story, draw: _Gallery) -> str:
+    rows = []
+    for name, said in sorted(story.clocks.items()):
+        last = said[-1]
+        state = ClockState(int(last["state"]))
+        kind = {ClockState.LOCKED: "good", ClockState.FLYWHEEL: "warn"}.get(state, "bad")
+        numbers = [
+            f"{last['period_ns'] * 1e-3:.4f}",
+            f"{last['sigma_ns'] * 1e-3:.1f}",
+            f"{last['residual_rms_ns'] * 1e-3:.1f}",
+        ]
+        counts = [f"{last['marks']:,}", f"{last['rejected']:,}"]
+        rows.append([name, Cell(state.name.lower(), kind), *map(Cell, numbers + counts)])
+    caption = (
+        "Left: how far pulse marks lie from the fitted line, and what the fit says of itself. Right: the fitted length "
+        "of a tick against its last value, with two sigma. The strip below: green locked, amber flywheel, red invalid."
+    )
+    table = html.table(["clock", "state", "tick µs", "sigma µs", "residual µs", "marks", "rejected"], rows)
+    return (
+        table + draw(figures.clocks(story.clocks, story.info.start_ns, story.info.duration_s), caption) if rows else ""
+    )
+
+
+def _channels(story: Story) -> str:
+    rows = []
+    for channel in story.info.channels:
+        rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
+        lost = Cell(f"{channel.unexplained:,}", "n bad" if channel.unexplained else "n")
+        counts = [Cell(f"{count:,}") for count in (channel.missing, channel.gaps)]
+        rows.append(
+            [
+                channel.name,
+                channel.record,
+                Cell(f"{channel.rows:,}"),
+                Cell(rate),
+                *counts,
+                lost,
+                Cell(f"{channel.flagged:,}"),
+            ]
+        )
+    return html.table(["channel", "record", "rows", "Hz", "missing", "in gaps", "unexplained", "flagged"], rows)
+
+
+def _events(story: Story) -> str:
+    rows = [row for rows in story.events for row in rows]
+    shown = []
+    for row in rows[:_EVENTS_SHOWN]:
+        severity = int(row["severity"])
+        kind, word = ("bad", "error") if severity >= Severity.ERROR else ("warn", "warning")
+        texts = [row[field].decode(errors="replace") for field in ("source", "code", "text")]
+        shown.append([Cell(f"{float(story.seconds(row['host_ns'])):.3f}"), Cell(word, kind), *texts])
+    more = html.paragraph(f"And {len(rows) - _EVENTS_SHOWN} more: heft info.") if len(rows) > _EVENTS_SHOWN else ""
+    table = html.table(["time s", "", "source", "code", "what"], shown)
+    return table + more if shown else html.paragraph("No warning and no error.")
+
+
+def _provenance(story: Story) -> str:
+    rows = [[name, key, value] for name, items in story.info.metadata.items() for key, value in items.items()] + [
+        ["file", name, f"{size:,} bytes"] for name, size in story.info.attachments.items()
+    ]
+    body = html.table(["", "", ""], rows)
+    if story.vehicle is not None:
+        text = escape(story.vehicle.text)
+        body += f"<details><summary>{escape(story.vehicle.path.name)}</summary><pre>{text}</pre></details>\n"
+    return body

@@ -1,0 +1,163 @@
+"""What can be read of a log, in a new and whole one, and an account of what cannot.
+
+Every chunk that proves itself by its CRC is taken; damage between them is skipped. Numbers that are missing and that no
+gap record of the flight names are told by gap records of the recovered log's own, so that it adds up again.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers import records
+from drivers.records import Rows
+from onboard.recording.errors import LogFormatError
+from onboard.recording.reader import LogReader
+from onboard.recording.scan import Damage
+from onboard.recording.segmented import RECORDED
+from onboard.recording.segments import METADATA
+from onboard.recording.writer import LogWriter
+
+GAP_CHANNEL = "recover_gap"
+LOST = "lost_from_log"
+EXIT_LOSSLESS, EXIT_NOTHING, EXIT_LOSSY = 0, 1, 3
+
+
+class Gap(NamedTuple):
+    """Sequence numbers ``first`` to ``last`` (included) of a channel that the log does not hold."""
+
+    channel: str
+    first: int
+    last: int
+    duration_ns: int  # host time from the row before to the row after
+    cause: str  # as the flight told it; LOST: it told nothing, so the log has lost them
+    host_ns: int  # when it was told; of the row after it where it was not
+
+    def __str__(self) -> str:
+        numbers = f"{self.first}" if self.first == self.last else f"{self.first} to {self.last}"
+        return f"{self.channel}: {numbers} missing, {self.duration_ns * 1e-9:.3f} s, {self.cause}"
+
+
+class Recovery(NamedTuple):
+    """What was recovered. ``problem``: why nothing was."""
+
+    rows: dict[str, int]
+    gaps: tuple[Gap, ...]
+    damage: tuple[Damage, ...]
+    problem: str = ""
+
+    @property
+    def exit_code(self) -> int:
+        """0: all that the flight recorded is there; 3: some of it is lost; 1: nothing could be read."""
+        if self.problem or (self.damage and not any(self.rows.values())):
+            return EXIT_NOTHING
+        return EXIT_LOSSY if self.damage or any(gap.cause == LOST for gap in self.gaps) else EXIT_LOSSLESS
+
+
+class _Jump(NamedTuple):
+    """Numbers that the rows of a channel skip, and the host times on both sides."""
+
+    first: int
+    last: int
+    from_ns: int
+    to_ns: int
+
+
+class _Track:
+    """Follows a channel's numbers; ``next`` is the one that its first row should have."""
+
+    def __init__(self, expected: int) -> None:
+        self._next = expected
+        self._last_ns: int | None = None
+        self.rows = 0
+        self.jumps: list[_Jump] = []
+
+    def add(self, rows: Rows) -> None:
+        sequence, host_ns = rows["sequence"].astype(np.int64), rows["host_ns"].astype(np.int64)
+        before = np.concatenate([[self._next - 1], sequence[:-1]])
+        before_ns = np.concatenate([[host_ns[0] if self._last_ns is None else self._last_ns], host_ns[:-1]])
+        for at in np.flatnonzero(sequence - before > 1):
+            self.jumps.append(_Jump(int(before[at]) + 1, int(sequence[at]) - 1, int(before_ns[at]), int(host_ns[at])))
+        self._next, self._last_ns = int(sequence[-1]) + 1, int(host_ns[-1])
+        self.rows += len(rows)
+
+
+def recover(
+    log: Path | Sequence[Path], output: Path, progress: Callable[[int, int], None] = lambda done, size: None
+) -> Recovery:
+    """Write all that can be read of ``log`` to a new file ``output``, in constant memory.
+
+    Args:
+        log: as ``LogReader`` takes it.
+        output: the file to create; with nothing to recover it is not made.
+        progress: told bytes read and bytes in all.
+
+    Raises:
+        FileExistsError: ``output`` is there already.
+        OSError: the log cannot be read, or the output not written.
+    """
+    try:
+        reader = LogReader(log)
+        damage = reader.damage
+    except LogFormatError as error:
+        return Recovery({}, (), (), str(error))
+    if not reader.channels and damage:
+        return Recovery({}, (), damage, "not one chunk of the log can be read")
+    before = LogReader(reader.segments[:1]).metadata.get(RECORDED, {})
+    tracks = {name: _Track(_after(before.get(name))) for name in reader.channels}
+    told: list[Gap] = []
+    with LogWriter.create(output) as writer:
+        for attachment in reader.attachments.values():
+            writer.attach(attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
+        for name, items in reader.metadata.items():
+            if name not in (METADATA, RECORDED):
+                writer.add_metadata(name, items)
+        for name, dtype in reader.channels.items():
+            writer.register(name, dtype, units=reader.units[name])
+        writer.register(GAP_CHANNEL, records.GAP)
+        for name, rows in reader.batches():
+            writer.write(name, rows)
+            tracks[name].add(rows)
+            if rows.dtype == records.GAP:
+                told += _told(rows)
+            progress(reader.position, reader.size)
+        untold = [gap for name, track in tracks.items() for gap in _untold(name, track.jumps, told)]
+        known = tracks[GAP_CHANNEL].rows if GAP_CHANNEL in tracks else 0
+        for number, gap in enumerate(untold, known):
+            row = records.gap(gap.host_ns, *gap[:5]).rows
+            row["sequence"] = number
+            writer.write(GAP_CHANNEL, row)
+        writer.add_metadata("recovered", _account(reader, untold))
+    return Recovery({name: track.rows for name, track in tracks.items()}, (*told, *untold), damage)
+
+
+def _after(mark: str | None) -> int:
+    """The number after the one that metadata ``recorded`` gives."""
+    return 0 if mark is None else int(mark.split()[0]) + 1
+
+
+def _told(rows: Rows) -> Iterator[Gap]:
+    for row in rows:
+        first, last, duration_ns = (int(row[name]) for name in ("first_missing", "last_missing", "duration_ns"))
+        yield Gap(row["channel"].decode(), first, last, duration_ns, row["cause"].decode(), int(row["host_ns"]))
+
+
+def _untold(channel: str, jumps: list[_Jump], told: list[Gap]) -> Iterator[Gap]:
+    """What of ``jumps`` no gap in ``told`` names."""
+    named = sorted((gap.first, gap.last) for gap in told if gap.channel == channel)
+    for jump in jumps:
+        following = jump.first
+        for first, last in [(a, b) for a, b in named if b >= jump.first and a <= jump.last] + [(jump.last + 1,) * 2]:
+            if following < first:
+                duration_ns = jump.to_ns - jump.from_ns
+                yield Gap(channel, following, first - 1, duration_ns, LOST, jump.to_ns)
+            following = max(following, last + 1)
+
+
+def _account(reader: LogReader, untold: list[Gap]) -> Mapping[str, str]:
+    return {
+        "from": ", ".join(segment.name for segment in reader.segments),
+        "damaged_places": str(len(reader.damage)),
+        "rows_lost_to_damage": str(sum(gap.last - gap.first + 1 for gap in untold)),
+    }

@@ -1,0 +1,271 @@
+"""A flight's log in segments: the next is open before it is needed, and each carries all that a flight's log must say.
+
+A segment that is full is ended, with its summary, after the last row of it is on the medium; rows go to the next one
+meanwhile. Metadata ``recorded`` at a segment's head says how far each channel had come, so that a recorder that takes
+over a log of any length has one segment to read.
+"""
+
+import contextlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from drivers import records
+from drivers.records import Rows
+from onboard.recording.mcap_format import Attachment
+from onboard.recording.reader import LogReader
+from onboard.recording.scan import Scan
+from onboard.recording.seal import seal
+from onboard.recording.segments import METADATA, number_of, segment_path, segments
+from onboard.recording.sink import FileSink, Sink, sync_directory
+from onboard.recording.writer import HEADER_BYTES, SYNC_INTERVAL_NS, LogWriter
+
+RECORDED = "recorded"
+GAP_CHANNEL = "recorder_gap"
+_UNSEALED_AT_MOST = 3  # one that was being ended, one in use, one opened ahead
+_OPEN_AGAIN_NS = 1_000_000_000
+
+
+class Mark(NamedTuple):
+    """How far a channel has come: sequence and host time of its newest row that is in the log, or told as missing."""
+
+    sequence: int
+    host_ns: int
+
+
+class Preamble(NamedTuple):
+    """What every segment begins with."""
+
+    flight: str  # tells this flight from every other
+    attachments: tuple[Attachment, ...] = ()
+    metadata: Mapping[str, Mapping[str, str]] = {}
+
+
+class Limits(NamedTuple):
+    """When a segment is full."""
+
+    span_ns: int = 60_000_000_000
+    size: int = 64 << 20
+
+
+LIMITS = Limits()
+
+
+class SegmentedLog:
+    """Writes one flight. Takes the calls of a ``LogWriter``, with the same meaning.
+
+    Args:
+        log: as ``onboard.recording.segments`` reads it.
+        preamble: what every segment begins with.
+        limits: when a segment is full.
+        sync_interval_ns: least time between two fsyncs, on the clock given to ``sync``.
+        open_sink: opens a segment.
+        number: of the first segment to write.
+        recorded: how far each channel is in the segments before.
+
+    Raises:
+        FileExistsError: there is such a log already.
+        OSError: it cannot be created.
+    """
+
+    def __init__(
+        self,
+        log: Path,
+        preamble: Preamble,
+        *,
+        limits: Limits = LIMITS,
+        sync_interval_ns: int = SYNC_INTERVAL_NS,
+        open_sink: Callable[[Path], Sink] = FileSink,
+        number: int = 0,
+        recorded: Mapping[str, Mark] | None = None,
+    ) -> None:
+        self._log, self._preamble, self._limits = log, preamble, limits
+        self._sync_interval_ns, self._open_sink = sync_interval_ns, open_sink
+        self.recorded: dict[str, Mark] = dict(recorded or {})
+        self._channels: dict[str, tuple[np.dtype[np.void], Mapping[str, str] | None]] = {}
+        self._number = number
+        self._opened_ns: int | None = None
+        self._open_again_ns = 0
+        segment_path(log, number).parent.mkdir(parents=True, exist_ok=True)
+        self._writer = self._open(number)
+        self._ending: LogWriter | None = None
+        self._next: LogWriter | None = None
+        self._say_recorded()
+
+    @classmethod
+    def resume(
+        cls,
+        log: Path,
+        preamble: Preamble,
+        *,
+        limits: Limits = LIMITS,
+        sync_interval_ns: int = SYNC_INTERVAL_NS,
+        open_sink: Callable[[Path], Sink] = FileSink,
+    ) -> Self:
+        """Go on with a log whose writer died; with none there it is a new one. Segments that were left open are ended.
+
+        Raises:
+            OSError: a segment cannot be read, or the next not created.
+        """
+        found = list(segments(log)) if segment_path(log, 0).exists() or log.is_dir() else []
+        for path in found[-_UNSEALED_AT_MOST:]:
+            if Scan(path).truncated:
+                if path == found[0] or _has_messages(path):
+                    seal(path)
+                else:
+                    path.unlink()  # opened ahead
+                    found.remove(path)
+        number = number_of(found[-1]) + 1 if found else 0
+        if (torn := segment_path(log, number)).exists() and torn.stat().st_size <= HEADER_BYTES:
+            torn.unlink()  # opened ahead, and nothing written yet that says whose it is
+        recorded = _recorded(found)
+        return cls(
+            log,
+            preamble,
+            limits=limits,
+            sync_interval_ns=sync_interval_ns,
+            open_sink=open_sink,
+            number=number,
+            recorded=recorded,
+        )
+
+    @property
+    def path(self) -> Path:
+        """The segment that rows go to."""
+        return segment_path(self._log, self._number)
+
+    @property
+    def failing(self) -> bool:
+        """The disk has refused, and no ``sync`` has succeeded since."""
+        return self._writer.failing
+
+    @property
+    def ended(self) -> bool:
+        """Nothing more can be written; ``close`` was called."""
+        return self._writer.ended
+
+    def register(self, channel: str, dtype: np.dtype[np.void], *, units: Mapping[str, str] | None = None) -> None:
+        """See ``LogWriter.register``."""
+        for writer in (self._writer, self._next):
+            if writer is not None:
+                writer.register(channel, dtype, units=units)
+        self._channels[channel] = dtype, units
+
+    def write(self, channel: str, rows: Rows) -> None:
+        """See ``LogWriter.write``."""
+        note(self.recorded, channel, rows)
+        self._writer.write(channel, rows)
+
+    def sync(self, now_ns: int) -> bool:
+        """See ``LogWriter.sync``; a segment that is full is ended here."""
+        synced = self._writer.sync(now_ns)
+        if self._opened_ns is None:
+            self._opened_ns = now_ns
+        if synced:
+            self._end_segment()
+            if self._next is None:
+                self._open_ahead(now_ns)
+            if self._full(now_ns):
+                self._change(now_ns)
+        return synced
+
+    def close(self) -> None:
+        """See ``LogWriter.close``."""
+        self._end_segment()
+        self._writer.close()
+        if self._next is not None:
+            self._next.abandon()
+            self._next = None
+            unused = segment_path(self._log, self._number + 1)
+            unused.unlink()
+            sync_directory(unused.parent)
+
+    def abandon(self) -> None:
+        """See ``LogWriter.abandon``."""
+        for writer in (self._ending, self._writer, self._next):
+            if writer is not None:
+                writer.abandon()
+
+    def _full(self, now_ns: int) -> bool:
+        opened_ns = now_ns if self._opened_ns is None else self._opened_ns
+        return now_ns - opened_ns >= self._limits.span_ns or self._writer.bytes_written >= self._limits.size
+
+    def _open(self, number: int) -> LogWriter:
+        path = segment_path(self._log, number)
+        writer = LogWriter(self._open_sink(path), sync_interval_ns=self._sync_interval_ns)
+        try:
+            writer.add_metadata(METADATA, {"flight": self._preamble.flight, "number": str(number)})
+            for attachment in self._preamble.attachments:
+                writer.attach(attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
+            for name, items in self._preamble.metadata.items():
+                writer.add_metadata(name, items)
+            for channel, (dtype, units) in self._channels.items():
+                writer.register(channel, dtype, units=units)
+            writer.flush()
+        except OSError:
+            writer.abandon()
+            path.unlink()
+            raise
+        return writer
+
+    def _open_ahead(self, now_ns: int) -> None:
+        """Open the next segment and bring its head to the medium; where the disk refuses, try again later."""
+        if now_ns < self._open_again_ns:
+            return
+        self._open_again_ns = now_ns + _OPEN_AGAIN_NS
+        with contextlib.suppress(OSError):  # the present segment takes more than it should meanwhile
+            self._next = self._open(self._number + 1)
+
+    def _change(self, now_ns: int) -> None:
+        """Rows go to the next segment from here on. Everything so far is on the medium."""
+        if self._next is None or self._ending is not None:
+            return
+        self._ending, self._writer, self._next = self._writer, self._next, None
+        self._number, self._opened_ns = self._number + 1, now_ns
+        self._open_again_ns = 0
+        self._say_recorded()
+        self._end_segment()
+
+    def _end_segment(self) -> None:
+        if self._ending is not None:
+            self._ending.close()
+            self._ending = None
+
+    def _say_recorded(self) -> None:
+        if self.recorded:
+            self._writer.add_metadata(
+                RECORDED, {name: f"{m.sequence} {m.host_ns}" for name, m in self.recorded.items()}
+            )
+
+
+def note(recorded: dict[str, Mark], channel: str, rows: Rows) -> None:
+    """Bring ``recorded`` up to date with ``rows`` (n,) of ``channel``; what a gap of ours tells counts too."""
+    if not len(rows):
+        return
+    recorded[channel] = Mark(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
+    if channel == GAP_CHANNEL and rows.dtype == records.GAP:
+        for row in rows:
+            name, last = row["channel"].decode(), int(row["last_missing"])
+            if name not in recorded or recorded[name].sequence < last:
+                recorded[name] = Mark(last, int(row["host_ns"]))
+
+
+def _recorded(found: list[Path]) -> dict[str, Mark]:
+    """How far each channel is at the end of segments ``found``: the last that says how far it was at its head tells."""
+    rows: dict[str, Mark] = {}
+    for segment in reversed(found):
+        log = LogReader([segment])
+        here: dict[str, Mark] = {}
+        for channel, batch in log.batches():
+            note(here, channel, batch)
+        rows = here | rows
+        if RECORDED in log.metadata:
+            marks = {name: mark.split() for name, mark in log.metadata[RECORDED].items()}
+            return {name: Mark(int(sequence), int(host_ns)) for name, (sequence, host_ns) in marks.items()} | rows
+    return rows
+
+
+def _has_messages(segment: Path) -> bool:
+    return any(True for _ in LogReader([segment]).batches())

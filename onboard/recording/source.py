@@ -1,0 +1,110 @@
+"""One ring as the recorder sees it: what of it is in the log, and which sequence numbers will never be."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from drivers.records import Rows
+from onboard.recording.segmented import Mark
+
+OVERRUN = "ring_overrun"
+
+
+class Ring(Protocol):
+    """What the recorder needs of a reading end of a ring."""
+
+    name: str
+    dtype: np.dtype[np.void]
+    capacity: int
+
+    @property
+    def backlog(self) -> int:
+        """Rows that ``read`` would give or count as lost."""
+
+    def read(self, limit: int | None = None) -> tuple[Rows, int]:
+        """Rows not read yet, oldest first, at most ``limit``, and how many were lost since the last call."""
+
+    def seek_after(self, sequence: int) -> bool:
+        """Go on after the row of this number; whether nothing between it and the next row read is lost."""
+
+
+class Missing(NamedTuple):
+    """Sequence numbers that the log will never hold; ``first`` to ``last``, both included."""
+
+    first: int
+    last: int
+    from_ns: int  # host time of the row before
+    to_ns: int  # and of the row after; of the last that is missing, while there is none after
+    cause: str
+
+
+class Source:
+    """Takes the rows of a ring, or drops them, and accounts for each.
+
+    Args:
+        ring: its reading end.
+        recorded: how far the log has it; None when it has nothing.
+    """
+
+    def __init__(self, ring: Ring, recorded: Mark | None = None) -> None:
+        self.ring, self.name = ring, ring.name
+        self.missing: list[Missing] = []  # to be told
+        self.unplaced = 0  # rows lost that no jump of the numbers shows
+        self._last = recorded
+        self._waiting = 0  # lost rows of which no later row has come yet
+        self._rejoining = recorded is not None and not ring.seek_after(recorded.sequence)
+
+    def take(self) -> tuple[Rows, int]:
+        """Rows to record, and how many the ring had lost meanwhile."""
+        rows, lost = self.ring.read()
+        self._account(rows, lost)
+        return rows, lost
+
+    def drop(self, keep: int, cause: str) -> int:
+        """Give up the oldest rows until at most ``keep`` wait in the ring; how many, those it had lost included."""
+        excess = self.ring.backlog - keep
+        if excess <= 0:
+            return 0
+        rows, lost = self.ring.read(excess)
+        before = self._last
+        self._account(rows, lost)
+        if len(rows):
+            sequence = rows["sequence"].astype(np.int64)
+            host_ns = rows["host_ns"].astype(np.int64)
+            starts = np.flatnonzero(np.concatenate([[True], np.diff(sequence) != 1]))
+            ends = np.concatenate([starts[1:], [len(rows)]]) - 1
+            before_ns = np.concatenate([[before.host_ns if before else host_ns[0]], host_ns[:-1]])
+            for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+                span_ns = int(before_ns[start]), int(host_ns[end])
+                self._miss(Missing(int(sequence[start]), int(sequence[end]), *span_ns, cause))
+        return len(rows) + lost
+
+    def _miss(self, missing: Missing) -> None:
+        if self.missing and self.missing[-1].cause == missing.cause and self.missing[-1].last + 1 == missing.first:
+            missing = missing._replace(first=self.missing[-1].first, from_ns=self.missing.pop().from_ns)
+        self.missing.append(missing)
+
+    def _account(self, rows: Rows, lost: int) -> None:
+        """Place ``lost`` rows: they lie before ``rows`` or among them, where the sequence numbers jump."""
+        self._waiting += lost
+        if not len(rows):
+            return
+        sequence, host_ns = rows["sequence"].astype(np.int64), rows["host_ns"].astype(np.int64)
+        first_ns = int(host_ns[0])
+        if self.missing and self.missing[-1].last + 1 == sequence[0]:
+            self.missing[-1] = self.missing[-1]._replace(to_ns=first_ns)
+        last = self._last or Mark(-1, first_ns)
+        if self._rejoining:  # what lies between the log and the ring is lost, however many the ring has counted
+            self._waiting, self._rejoining = max(0, int(sequence[0]) - last.sequence - 1), False
+        if self._waiting:
+            before = np.concatenate([[last.sequence], sequence[:-1]])
+            before_ns = np.concatenate([[last.host_ns], host_ns[:-1]])
+            for jump in np.flatnonzero(sequence - before > 1):
+                first, end = int(before[jump]) + 1, int(sequence[jump])
+                self._miss(Missing(first, end - 1, int(before_ns[jump]), int(host_ns[jump]), OVERRUN))
+                self._waiting -= end - first
+                if self._waiting <= 0:  # further jumps are losses that the device's own worker has told
+                    break
+            self.unplaced += max(0, self._waiting)
+            self._waiting = 0
+        self._last = Mark(int(sequence[-1]), int(host_ns[-1]))

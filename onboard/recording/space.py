@@ -1,0 +1,143 @@
+"""Room on the disk: what may be removed to make some, and what is kept back for events.
+
+Only segments of earlier flights are ever removed, the oldest first, and only while less than ``min_free`` is free: logs
+that were imported, merged or flown in a simulator are not segments of a flight, the present flight is not an earlier
+one, and files of others are none of ours. What is removed is told by an event.
+
+A ballast file keeps ``reserve`` bytes back. When all else is full it is given up, and from then on only events and gaps
+are recorded until there is room again.
+"""
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from onboard.recording.errors import LogFormatError
+from onboard.recording.segments import SUFFIX, read_head, segments
+from onboard.recording.sink import is_locked
+
+BALLAST_SUFFIX = ".heft-reserve"
+MARGIN = 4_000_000  # free space at which the ballast is given up: some seconds of any vehicle, and a segment's head
+
+
+class Room(NamedTuple):
+    """What a look at the disk gave."""
+
+    for_all: bool  # False: for events and gaps only
+    removed: tuple[Path, ...] = ()
+
+
+def free_bytes(directory: Path) -> int:
+    """Bytes free to us where ``directory`` is.
+
+    Raises:
+        OSError: it cannot be asked.
+    """
+    disk = os.statvfs(directory)
+    return disk.f_bavail * disk.f_frsize
+
+
+class SpaceGuard:
+    """Keeps room for one flight.
+
+    Args:
+        flights: directory in which flights lie.
+        log: the present one, never touched.
+        flight: its id, as its segments say it.
+        min_free: bytes that are to be free; earlier flights make way for them. 0 removes nothing.
+        reserve: bytes kept back for events. 0 keeps none.
+        free: asks the disk.
+    """
+
+    def __init__(
+        self,
+        flights: Path,
+        log: Path,
+        flight: str,
+        *,
+        min_free: int,
+        reserve: int,
+        free: Callable[[Path], int] = free_bytes,
+    ) -> None:
+        self._flights, self._flight = flights, flight
+        self._min_free, self._reserve, self._free = min_free, reserve, free
+        self._ballast = log.with_name(f"{log.name}{BALLAST_SUFFIX}")
+        self._descriptor: int | None = None  # of the ballast: locked while it is held
+        self._kept: set[Path] = set()  # files that may not go
+        for stale in flights.glob(f"*{BALLAST_SUFFIX}"):
+            if not is_locked(stale):
+                stale.unlink()
+
+    def look(self, *, refused: bool = False) -> Room:
+        """Ask the disk, and make room if there is too little.
+
+        Args:
+            refused: the disk has just said that it is full.
+
+        Raises:
+            OSError: the disk cannot be asked.
+        """
+        removed = self._remove_oldest() if self._min_free else ()
+        free = self._free(self._flights)
+        if refused or free < MARGIN:
+            self.close()
+        elif self._descriptor is None and free >= self._reserve + 2 * MARGIN:
+            self._hold()
+        enough = not refused and free >= self._reserve + 2 * MARGIN
+        return Room(self._descriptor is not None or enough, removed)
+
+    def close(self) -> None:
+        """Give the ballast up."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+            self._ballast.unlink(missing_ok=True)
+
+    def _hold(self) -> None:
+        """Fill the ballast; where the disk refuses there is none, and what is free must do."""
+        if not self._reserve:
+            return
+        with contextlib.suppress(OSError):
+            self._descriptor = os.open(self._ballast, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.posix_fallocate(self._descriptor, 0, self._reserve)
+            return
+        self.close()
+
+    def _remove_oldest(self) -> tuple[Path, ...]:
+        removed: list[Path] = []
+        if self._free(self._flights) >= self._min_free:
+            return ()
+        for path in self._earlier():
+            if self._free(self._flights) >= self._min_free:
+                break
+            path.unlink(missing_ok=True)
+            removed.append(path)
+            if path.parent != self._flights and not any(path.parent.iterdir()):
+                path.parent.rmdir()
+        return tuple(removed)
+
+    def _earlier(self) -> list[Path]:
+        """Segments of earlier flights, the oldest first."""
+        files = [path for path in self._flights.glob(f"*{SUFFIX}") if path.is_file()]
+        for directory in self._flights.iterdir():
+            if directory.is_dir() and not directory.is_symlink():
+                try:
+                    files += segments(directory)
+                except LogFormatError:
+                    continue  # no flight
+        flight_of = {path: _flight(path) for path in files if path not in self._kept}
+        self._kept |= {path for path, flight in flight_of.items() if flight in ("", self._flight)}
+        flying = {flight for path, flight in flight_of.items() if is_locked(path)}
+        may_go = [path for path, flight in flight_of.items() if path not in self._kept and flight not in flying]
+        return sorted(may_go, key=lambda path: (path.stat().st_mtime_ns, path))
+
+
+def _flight(path: Path) -> str:
+    try:
+        return read_head(path).flight
+    except LogFormatError:
+        return ""

@@ -1,0 +1,182 @@
+"""A clock from arrival stamps alone: no sample arrives before it was taken, and now and then one is hardly late.
+
+Of each stretch of time only the least late arrival counts; a line through the last of these, less the scatter of
+those about it (which, for lateness with an exponential tail, is what the least late one is late by on average), gives
+offset and rate. What every arrival is late by, and nobody told, stays in it.
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.timebase.clock import DRIFT_PER_S, ClockSolution, ClockState
+
+Floats = NDArray[np.float64]
+
+
+class ArrivalClock:
+    """Fits one device's clock to when its samples arrived.
+
+    Args:
+        nominal_period_ns: data-sheet length of a tick.
+        tolerance: largest believable relative error of it.
+        delay_ns: known time from the sample to its arrival, at the least.
+        delay_sigma_ns: how well that is known.
+        drift_per_s: largest believable change of the relative rate in a second.
+        silent_after_s: without arrivals for so long it flywheels.
+    """
+
+    BLOCK_S = (0.05, 1.0)  # the first blocks are short: an answer is wanted early
+    BLOCKS = 16
+    BLOCKS_TO_LOCK = 4
+    GATE_NS, GATE_SCATTERS = 3e6, 8.0  # off the line by more: the host stalled, or the device's clock jumped
+    FIRST_SCATTER_NS = 1e6  # the data sheet's rate weighs against arrivals that scatter so
+    STRANGERS_TO_RESTART = 3
+    INVALID_SIGMA_NS = 20e6
+
+    def __init__(
+        self,
+        nominal_period_ns: float,
+        tolerance: float = 0.06,
+        delay_ns: float = 0.0,
+        delay_sigma_ns: float = 0.0,
+        drift_per_s: float = DRIFT_PER_S,
+        silent_after_s: float = 2.0,
+    ) -> None:
+        self.nominal_period_ns, self.tolerance = nominal_period_ns, tolerance
+        self.delay_ns, self.delay_sigma_ns, self.drift_per_s = delay_ns, delay_sigma_ns, drift_per_s
+        self.silent_after_ns = silent_after_s * 1e9
+        self.rejected = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything but the data sheet."""
+        self.state = ClockState.ACQUIRING
+        self.marks = 0
+        self.residual_ns = 0.0
+        self._blocks: deque[tuple[int, int]] = deque(maxlen=self.BLOCKS)  # (tick, host_ns) of the least late arrivals
+        self._block: tuple[float, int, int] | None = None  # lateness, tick, host_ns
+        self._block_ns = 0  # when the current one began
+        self._strangers = 0
+        self._tick, self._time_ns, self._period_ns = 0, 0.0, self.nominal_period_ns
+        self._scatter_ns, self._span_s = math.inf, 0.0
+
+    def arrived(self, tick: int, host_ns: int) -> bool:
+        """Sample ``tick`` was there at ``host_ns``; returns whether the solution moved."""
+        gate_ns = self.GATE_NS + self.GATE_SCATTERS * self._scatter_ns
+        if self.trusted and host_ns - self._due_ns(tick) < -gate_ns:
+            self.restart()  # before it was taken: the ticks are not what they were
+        if not self._block_ns:
+            self._block_ns, self._tick, self._time_ns = host_ns, tick, float(host_ns)
+        lateness = host_ns - self._due_ns(tick)
+        if self._block is None or lateness < self._block[0]:
+            self._block = (lateness, tick, host_ns)
+        shortest, longest = self.BLOCK_S
+        if host_ns - self._block_ns < 1e9 * (longest if self.marks >= self.BLOCKS else shortest):
+            return False
+        (lateness, *least), self._block, self._block_ns = self._block, None, host_ns
+        if self.trusted and lateness > gate_ns:
+            self.rejected += 1
+            self._strangers += 1
+            self.state = ClockState.FLYWHEEL
+            if self._strangers >= self.STRANGERS_TO_RESTART:
+                self.restart()
+            return False
+        self._strangers = 0
+        self._blocks.append((least[0], least[1]))
+        self.marks += 1
+        self.residual_ns = lateness
+        self._fit()
+        return self.trusted
+
+    def _due_ns(self, tick: int) -> float:
+        return self._time_ns + (tick - self._tick) * self._period_ns
+
+    def _fit(self) -> None:
+        tick, host_ns = self._blocks[-1]
+        ticks = np.array([float(t - tick) for t, _ in self._blocks])
+        times = np.array([float(h - host_ns) for _, h in self._blocks]) - ticks * self.nominal_period_ns
+        mean_tick, mean_time = ticks.mean(), times.mean()
+        limit = self.tolerance * self.nominal_period_ns
+        square = float(np.sum((ticks - mean_tick) ** 2)) + (2.0 * self.FIRST_SCATTER_NS / limit) ** 2
+        slope = float(np.sum((ticks - mean_tick) * (times - mean_time))) / square
+        slope = min(max(slope, -limit), limit)
+        residuals = times - mean_time - slope * (ticks - mean_tick)
+        self._scatter_ns = float(np.sqrt(np.sum(residuals**2) / max(len(ticks) - 2, 1)))
+        self._span_s = float(np.ptp(ticks)) * self.nominal_period_ns * 1e-9
+        self._period_ns = self.nominal_period_ns + slope
+        self._tick = tick
+        self._time_ns = host_ns + mean_time - slope * mean_tick - self._scatter_ns
+        if len(self._blocks) >= self.BLOCKS_TO_LOCK:
+            self.state = ClockState.LOCKED
+
+    def at(self, now_ns: int) -> ClockState:
+        """The state at ``now_ns``."""
+        if self.trusted and now_ns - self._time_ns > self.silent_after_ns:
+            self.state = ClockState.FLYWHEEL
+            if self.sigma_ns(self.tick_at(now_ns)) > self.INVALID_SIGMA_NS:
+                self.restart()
+                self.state = ClockState.INVALID
+        return self.state
+
+    @property
+    def trusted(self) -> bool:
+        """Whether :meth:`time_ns` means anything."""
+        return self.state in (ClockState.LOCKED, ClockState.FLYWHEEL)
+
+    @property
+    def period_ns(self) -> float:
+        """Length of a tick, ns."""
+        return self._period_ns
+
+    def time_ns(self, ticks: NDArray[np.generic] | float) -> NDArray[np.int64]:
+        """Vehicle time [ns] of ``ticks`` (n,), int64 (n,); the known delay removed."""
+        numbers = np.asarray(ticks)
+        numbers = numbers.astype(np.int64) if numbers.dtype.kind in "ui" else numbers
+        whole = int(self._time_ns)
+        after = (numbers - self._tick) * self._period_ns + (self._time_ns - whole - self.delay_ns)
+        times: NDArray[np.int64] = whole + np.rint(after).astype(np.int64)
+        return times
+
+    def tick_at(self, time_ns: int) -> float:
+        """The tick, a fraction, at vehicle time ``time_ns``."""
+        return self._tick + (time_ns + self.delay_ns - self._time_ns) / self._period_ns
+
+    def sigma_ns(self, tick: float) -> float:
+        """1-sigma of the vehicle time of ``tick`` [ns]."""
+        away_s = abs(tick - self._tick) * self.nominal_period_ns * 1e-9
+        rate = self._sigma_rate * 1e9
+        drifted_ns = 1e9 * self.drift_per_s * (0.5 * away_s + self._span_s / 6.0) * (away_s + 0.5 * self._span_s)
+        return math.hypot(self._sigma_ns, rate * away_s, drifted_ns / math.sqrt(3.0), self.delay_sigma_ns)
+
+    @property
+    def _sigma_ns(self) -> float:
+        """Of the newest end of the line: the scatter through the fit, and once more for what it was corrected by."""
+        n = max(len(self._blocks), 1)
+        return self._scatter_ns * math.sqrt(4.0 / n + 0.25)
+
+    @property
+    def _sigma_rate(self) -> float:
+        n = max(len(self._blocks), 1)
+        fitted = self._scatter_ns * 1e-9 * math.sqrt(12.0 / n) / self._span_s if self._span_s else math.inf
+        return min(fitted, self.tolerance)
+
+    @property
+    def solution(self) -> ClockSolution:
+        """What was known at the last arrival that counted."""
+        return self.solution_at(self._tick)
+
+    def solution_at(self, tick: float) -> ClockSolution:
+        """The solution as it stands at ``tick``."""
+        return ClockSolution(
+            tick,
+            self._time_ns - self.delay_ns + (tick - self._tick) * self._period_ns,
+            self._period_ns,
+            self.sigma_ns(tick),
+            self._sigma_rate * self.nominal_period_ns,
+            self._scatter_ns,
+            self.marks,
+            self.state,
+        )

@@ -1,0 +1,364 @@
+"""What makes marks: the devices that see the pulses in their own streams, each in its own way.
+
+Every source keeps two clocks of one device, the one its marks make and, until that is locked, a stopgap from arrival
+stamps, and hears of everything that says that the device's ticks began anew.
+"""
+
+from collections import deque
+from typing import NamedTuple, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Rows, SampleStatus
+from drivers.sync_pulse import code
+from onboard.timebase.arrival import ArrivalClock
+from onboard.timebase.clock import CRYSTAL_DRIFT_PER_S, ClockState, DeviceClock, Mark
+from onboard.timebase.latch import LatchedCounts
+from onboard.timebase.pulse_train import PulsePlace
+
+SYNC_COUNTER_MODULUS = 240  # CiA 301 1019h as the sync box is set
+# A QSB tells of an edge in two lines of 1.13 ms; a position that is due meanwhile is measured when they are out
+BUSY_TICKS = 3.1
+# Cycles of the code differ in the SYNC counter of their pulses by multiples of this: 16, which is 80 ms
+_CYCLE_COUNTS = int(np.gcd(code.cycle_sync_periods(), SYNC_COUNTER_MODULUS))
+
+
+class Edge(NamedTuple):
+    """The line rose between ``earliest_ns`` and ``latest_ns``."""
+
+    earliest_ns: int
+    latest_ns: int
+
+
+class Edges:
+    """The newest edges of the line.
+
+    Args:
+        window_ns: an edge nearer than this to where one is looked for is the one: less than half the shortest interval.
+    """
+
+    HELD = 64
+
+    def __init__(self, window_ns: float) -> None:
+        self.window_ns = window_ns
+        self._edges: deque[Edge] = deque(maxlen=self.HELD)
+
+    def append(self, edge: Edge) -> None:
+        """One more."""
+        self._edges.append(edge)
+
+    def may_come(self, time_ns: int) -> bool:
+        """Whether the edge of ``time_ns`` may not have been read yet."""
+        return not self._edges or time_ns - self._edges[-1].latest_ns > self.window_ns
+
+    def near(self, time_ns: int) -> Edge | None:
+        """The edge at ``time_ns``, if there is one."""
+        nearest = min(self._edges, key=lambda edge: abs(edge.latest_ns - time_ns), default=None)
+        return nearest if nearest is not None and abs(nearest.latest_ns - time_ns) < self.window_ns else None
+
+
+class Source:
+    """A device with ticks of its own.
+
+    Args:
+        clock: made by marks.
+        arrival: made by arrival stamps.
+        is_marked: whether it sees pulses at all; else there is nothing better than arrival stamps.
+    """
+
+    LATE_NS = 250e6  # samples later than this are not late: their ticks are not what they were
+    LATE_TO_RESTART = 10
+
+    def __init__(self, clock: DeviceClock, arrival: ArrivalClock, is_marked: bool = True) -> None:
+        self.clock, self.arrival, self.is_marked = clock, arrival, is_marked
+        self._newest: tuple[int, int] | None = None  # tick and host_ns of the newest sample
+        self._late = self._without_edge = 0
+
+    @property
+    def main(self) -> "DeviceClock | ArrivalClock":
+        """The better of its clocks, when it runs."""
+        return self.clock if self.is_marked else self.arrival
+
+    @property
+    def best(self) -> "DeviceClock | ArrivalClock | None":
+        """The clock to go by now."""
+        return next((clock for clock in (self.clock, self.arrival) if clock.trusted), None)
+
+    def at(self, now_ns: int) -> ClockState:
+        """The state of its main clock at ``now_ns``."""
+        self.clock.at(now_ns), self.arrival.at(now_ns)
+        return self.main.state
+
+    def take(self, rows: Rows) -> bool:
+        """Take in samples; whether the main clock moved."""
+        return self._samples(rows)[1]
+
+    def restart(self) -> None:
+        """The device's ticks began anew."""
+        self.clock.restart()
+        self.arrival.restart()
+        self._newest, self._late, self._without_edge = None, 0, 0
+
+    def _samples(self, rows: Rows) -> tuple[Rows, bool]:
+        """Take in samples: those since the device's ticks last began anew, and whether the arrival clock moved."""
+        ticks = rows["tick"].astype(np.int64)
+        anew = np.flatnonzero(np.diff(ticks, prepend=self._newest[0] if self._newest else ticks[0] - 1) < 0)
+        if "status" in (rows.dtype.names or ()):
+            anew = np.union1d(anew, np.flatnonzero(rows["status"] & SampleStatus.AFTER_RESET))
+        if len(anew):
+            self.restart()
+            rows, ticks = rows[anew[-1] :], ticks[anew[-1] :]
+        moved = False
+        last = np.flatnonzero(np.diff(rows["host_ns"], append=rows["host_ns"][-1] + 1))  # of each that came together
+        for tick, host_ns in zip(ticks[last].tolist(), rows["host_ns"][last].tolist(), strict=True):
+            moved |= self.arrival.arrived(tick, host_ns)
+        self._newest = (int(ticks[-1]), int(rows["host_ns"][-1]))
+        self._plausible(*self._newest)
+        return rows, moved
+
+    def _plausible(self, tick: int, host_ns: int) -> None:
+        """A sample cannot come before it was taken, nor stay long on its way: else the ticks are not what they were."""
+        clock = self.clock
+        if not clock.trusted:
+            return
+        late_ns = host_ns - int(clock.time_ns(np.array([tick]))[0])
+        if late_ns < -(1e6 + clock.period_ns + 5.0 * clock.sigma_ns(tick)):
+            clock.restart()
+        elif late_ns > self.LATE_NS:
+            clock.doubt()
+            self._late += 1
+            if self._late >= self.LATE_TO_RESTART:
+                self.restart()
+        else:
+            self._late = 0
+
+    def _is_told(self, edge: Edge | None, window_ns: float) -> TypeGuard[Edge]:
+        """Whether the line has the edge of a mark; a clock whose marks find none time and again is no clock."""
+        if edge is not None:
+            self._without_edge = 0
+            return True
+        self._without_edge += 1
+        if self._without_edge >= self.clock.REJECTS_TO_REACQUIRE:
+            self.restart()
+        self.clock.doubt(window_ns)
+        return False
+
+    def _estimate(self, tick: float) -> int | None:
+        """About when ``tick`` was."""
+        clock = self.best
+        if clock is not None:
+            return int(clock.time_ns(np.array([tick]))[0])
+        if self._newest is None:
+            return None
+        newest, host_ns = self._newest
+        return host_ns - round((newest - tick) * self.clock.nominal_period_ns)
+
+
+class FlaggingSource(Source):
+    """An IMU: it flags the sample into whose period the edge fell."""
+
+    def __init__(self, period_ns: float) -> None:
+        # the newest sample of a drain is on average half a period old when it is counted
+        super().__init__(DeviceClock(period_ns), ArrivalClock(period_ns, delay_sigma_ns=period_ns))
+        self._flagged: deque[int] = deque(maxlen=16)
+        self._last_flagged = -2
+
+    def restart(self) -> None:
+        """See ``Source``."""
+        super().restart()
+        self._flagged.clear()
+        self._last_flagged = -2
+
+    def update(self, rows: Rows, edges: Edges) -> bool:
+        """Take in samples; whether a mark was believed."""
+        before = self._newest
+        rows, _ = self._samples(rows)
+        ticks = rows["tick"].astype(np.int64)
+        contiguous = np.diff(ticks, prepend=before[0] if before and self._newest else ticks[0]) == 1
+        if before is not None and not contiguous.all():
+            self.clock.blur(1.0)
+        for place in np.flatnonzero(rows["sync"]):
+            tick = int(ticks[place])
+            # a pulse still high when its sample is latched flags the next one too: the first is the one it rose in,
+            # and which is the first cannot be told after a gap
+            if tick != self._last_flagged + 1 and contiguous[place]:
+                self._flagged.append(tick)
+            self._last_flagged = tick
+        return self._match(edges)
+
+    def _match(self, edges: Edges) -> bool:
+        believed = False
+        while self._flagged:
+            tick = self._flagged[0]
+            estimate = self._estimate(tick - 0.5)
+            if estimate is None or edges.may_come(estimate):
+                break
+            self._flagged.popleft()
+            edge = edges.near(estimate)
+            if self._is_told(edge, edges.window_ns):
+                believed |= self.clock.mark(Mark(tick - 1, tick, *edge))
+        return believed
+
+
+class LatchingSource(Source):
+    """A device that stamps the edge with its own clock: MARK rows beside its samples.
+
+    Args:
+        period_ns: nominal length of a tick.
+        latches_counts: whether its marks carry the count latched on the edge, and its ticks are too coarse alone.
+    """
+
+    def __init__(self, period_ns: float, latches_counts: bool) -> None:
+        super().__init__(DeviceClock(period_ns), ArrivalClock(period_ns, delay_sigma_ns=1e6))
+        self._latched = LatchedCounts() if latches_counts else None
+        self._marks: deque[tuple[int, int]] = deque(maxlen=16)  # tick, latched value
+        self._told: deque[float] = deque(maxlen=64)  # ticks of edges that the device has told of
+
+    def restart(self) -> None:
+        """See ``Source``."""
+        super().restart()
+        self._marks.clear()
+        self._told.clear()
+        if self._latched is not None:
+            self._latched.clear()
+
+    def update(self, samples: Rows, marks: Rows, edges: Edges) -> bool:
+        """Take in samples and marks; whether a mark was believed."""
+        if len(samples):
+            samples, _ = self._samples(samples)
+            if self._latched is not None:
+                self._latched.append(samples)
+        if len(marks) and self._newest is not None:
+            # a device that began anew may have marked an edge before it did
+            since = marks["tick"].astype(np.int64) <= self._newest[0] + round(1e9 / self.clock.nominal_period_ns)
+            self._marks.extend(zip(marks["tick"][since].tolist(), marks["value_raw"][since].tolist(), strict=True))
+        believed = False
+        while self._marks:
+            tick, value = self._marks[0]
+            estimate = self._estimate(tick + 0.5)
+            if estimate is None or edges.may_come(estimate):
+                break
+            low, high = float(tick), float(tick + 1)
+            if self._latched is not None:
+                if not self._latched.complete(tick):
+                    break
+                low, high = self._latched.interval(tick, value)
+                self._told.append(0.5 * (low + high))
+            self._marks.popleft()
+            edge = edges.near(estimate)
+            if self._is_told(edge, edges.window_ns):
+                believed |= self.clock.mark(Mark(low, high, *edge))
+        return believed
+
+    def waited(self, ticks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which samples (n,) were due while the line was busy with an edge: they were taken when it was free again."""
+        since = ticks[:, None] - np.array(self._told or [-np.inf])
+        return np.asarray(((since > 0.0) & (since <= BUSY_TICKS)).any(axis=1), np.bool_)
+
+
+class SyncSource(Source):
+    """The SYNC producer: its counter stands in a known relation to the pulse code.
+
+    No latency of the bus can so shift it by whole periods. Which cycle of the code it is, is told by which SYNC came
+    about then: those of other cycles are 80 ms and more away.
+    """
+
+    def __init__(self, period_ns: float, delay_ns: float, is_marked: bool) -> None:
+        self.period_ns, self.delay_ns = period_ns, delay_ns
+        super().__init__(
+            DeviceClock(period_ns, 1e-3, CRYSTAL_DRIFT_PER_S),
+            ArrivalClock(period_ns, 1e-2, delay_ns, 0.0, CRYSTAL_DRIFT_PER_S),
+            is_marked,
+        )
+        self._recent: deque[tuple[int, int, int]] = deque(maxlen=400)  # (tick, counter, host_ns)
+        self._unmatched: deque[tuple[Edge, PulsePlace]] = deque(maxlen=16)
+
+    def restart(self) -> None:
+        """See ``Source``."""
+        super().restart()
+        self._recent.clear()
+
+    def edge(self, edge: Edge, place: PulsePlace) -> None:
+        """A named edge of the line."""
+        self._unmatched.append((edge, place))
+
+    def take(self, rows: Rows) -> bool:
+        """Take in SYNCs; whether the main clock moved."""
+        rows, moved = self._samples(rows)
+        self._recent.extend(
+            zip(rows["tick"].tolist(), rows["sync_counter"].tolist(), rows["host_ns"].tolist(), strict=True)
+        )
+        believed = False
+        while self._unmatched:
+            edge, place = self._unmatched[0]
+            if self._recent[-1][2] < edge.latest_ns + 0.3e9:
+                break  # its SYNC may still be on its way
+            self._unmatched.popleft()
+            tick = self._sync_of(edge, place)
+            if tick is not None:
+                at = tick + place.dither_ns / self.period_ns
+                believed |= self.clock.mark(Mark(at, at, *edge))
+        return believed if self.is_marked else moved
+
+    def _sync_of(self, edge: Edge, place: PulsePlace) -> int | None:
+        """Tick of the SYNC in whose period the pulse rose."""
+        began_ns = edge.latest_ns - place.dither_ns
+        if self.clock.trusted:
+            near = round(self.clock.tick_at(began_ns))
+            known = [t for t, counter, _ in self._recent if t == near and self._fits(counter, place)]
+            return known[0] if known else None
+        spacing_ns = _CYCLE_COUNTS * self.period_ns
+        found = [
+            (t, counter)
+            for t, counter, host_ns in self._recent
+            if self._fits(counter, place) and -0.1 < (host_ns - self.delay_ns - began_ns) / spacing_ns < 0.9
+        ]
+        return found[0][0] if len(found) == 1 else None
+
+    @staticmethod
+    def _fits(counter: int, place: PulsePlace) -> bool:
+        return (counter - 1 - place.sync_count) % _CYCLE_COUNTS == 0
+
+
+class FreeSource(Source):
+    """A device with a timer of its own and no mark at all.
+
+    Args:
+        period_ns: nominal length of a tick.
+        delay_ns: from the sample to its last byte's arrival, at the least.
+        delay_sigma_ns: how well that is known.
+    """
+
+    def __init__(self, period_ns: float, delay_ns: float, delay_sigma_ns: float) -> None:
+        super().__init__(DeviceClock(period_ns), ArrivalClock(period_ns, 0.06, delay_ns, delay_sigma_ns), False)
+
+
+class Bracket:
+    """Samples that are taken between a question and its answer: no device clock, a bound for each sample.
+
+    Args:
+        question_ns: time that the question takes on the wire, at the least.
+        answer_ns: time that the answer takes.
+    """
+
+    def __init__(self, question_ns: float, answer_ns: float) -> None:
+        self.question_ns, self.answer_ns = round(question_ns), round(answer_ns)
+        self.sigma_ns = np.inf
+        self.samples = 0
+        self.newest_ns = 0
+
+    def update(self, rows: Rows) -> None:
+        """Take in samples."""
+        half_ns = 0.5 * (rows["host_ns"] - rows["tick"].astype(np.int64) - self.question_ns - self.answer_ns)
+        for one in np.maximum(half_ns, 0.0).tolist():
+            square = self.sigma_ns**2 if self.samples else one * one / 3.0
+            self.sigma_ns = float(np.sqrt(square + (one * one / 3.0 - square) / min(self.samples + 1, 32)))
+            self.samples += 1
+        self.newest_ns = int(self.time_ns(rows)[-1])
+
+    def time_ns(self, rows: Rows) -> NDArray[np.int64]:
+        """The middle of the time in which each of ``rows`` (n,) can have been taken [ns], (n,)."""
+        earliest = rows["tick"].astype(np.int64) + self.question_ns
+        latest = rows["host_ns"] - self.answer_ns
+        return np.asarray(earliest + (latest - earliest) // 2, np.int64)

@@ -1,0 +1,140 @@
+"""Convex polygons in the plane of (offset, rate): what is left possible of a clock after everything it has been told.
+
+Quantised marks do not scatter about the truth, they bound it. What they leave is a convex polygon; it can be carried on
+in time, widened by what the rate may have drifted meanwhile, and cut by the next mark, without approximation but for
+the widening, which is from outside (Schweppe, "Recursive state estimation: unknown but bounded errors", 1968).
+
+Vertices are (x, y) floats in counter-clockwise order; x [ns], y [ns/s].
+"""
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+Point = tuple[float, float]
+Polygon = list[Point]
+
+_MOST_VERTICES = 16
+
+
+class Moments(NamedTuple):
+    """Mean and covariance of a point that is equally likely anywhere in a polygon."""
+
+    x: float
+    y: float
+    xx: float
+    xy: float
+    yy: float
+
+
+def box(x_low: float, x_high: float, y_low: float, y_high: float) -> Polygon:
+    """The rectangle."""
+    return [(x_low, y_low), (x_high, y_low), (x_high, y_high), (x_low, y_high)]
+
+
+def clip(polygon: Polygon, a: float, b: float, c: float) -> Polygon:
+    """What of ``polygon`` satisfies ``a x + b y <= c``; empty when nothing does (Sutherland and Hodgman, 1974)."""
+    kept: Polygon = []
+    excess = [a * x + b * y - c for x, y in polygon]
+    for place, (here, there) in enumerate(zip(excess, excess[1:] + excess[:1], strict=True)):
+        p = polygon[place]
+        if here <= 0.0:
+            kept.append(p)
+        if (here < 0.0 < there) or (there < 0.0 < here):
+            q = polygon[(place + 1) % len(polygon)]
+            share = here / (here - there)
+            kept.append((p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1])))
+    return kept if len(kept) > 2 else []
+
+
+def shear(polygon: Polygon, seconds: float) -> Polygon:
+    """Carried on by ``seconds``: ``x + y seconds``."""
+    return [(x + y * seconds, y) for x, y in polygon]
+
+
+def widen(polygon: Polygon, x: float, y: float) -> Polygon:
+    """Minkowski sum with the segment from (-x, -y) to (x, y)."""
+    points = [(px - x, py - y) for px, py in polygon] + [(px + x, py + y) for px, py in polygon]
+    return _hull(points)
+
+
+def moments(polygon: Polygon) -> Moments:
+    """Centroid and covariance, by Green's theorem about the first vertex."""
+    x0, y0 = polygon[0]
+    points = [(x - x0, y - y0) for x, y in polygon]
+    area = sx = sy = sxx = sxy = syy = 0.0
+    for (ax, ay), (bx, by) in pairwise([*points, points[0]]):
+        cross = ax * by - bx * ay
+        area += cross
+        sx += (ax + bx) * cross
+        sy += (ay + by) * cross
+        sxx += (ax * ax + ax * bx + bx * bx) * cross
+        syy += (ay * ay + ay * by + by * by) * cross
+        sxy += (ax * by + 2.0 * ax * ay + 2.0 * bx * by + bx * ay) * cross
+    if area <= 0.0:  # rounding ate a sliver: its corners will do
+        n = len(points)
+        mx, my = sum(x for x, _ in points) / n, sum(y for _, y in points) / n
+        return Moments(
+            x0 + mx,
+            y0 + my,
+            sum((x - mx) ** 2 for x, _ in points) / n,
+            sum((x - mx) * (y - my) for x, y in points) / n,
+            sum((y - my) ** 2 for _, y in points) / n,
+        )
+    mx, my = sx / (3.0 * area), sy / (3.0 * area)
+    xx, yy = sxx / (6.0 * area) - mx * mx, syy / (6.0 * area) - my * my
+    return Moments(x0 + mx, y0 + my, max(xx, 0.0), sxy / (12.0 * area) - mx * my, max(yy, 0.0))
+
+
+def _hull(points: list[Point]) -> Polygon:
+    """Convex hull (Andrew, 1979); where it has very many corners, of a few directions' tangents only."""
+    ordered = sorted(set(points))
+    if len(ordered) < 3:
+        return ordered
+    lower, upper = _chain(ordered), _chain(ordered[::-1])
+    hull = lower[:-1] + upper[:-1]
+    return hull if len(hull) <= _MOST_VERTICES else _simplified(hull)
+
+
+def _chain(ordered: list[Point]) -> Polygon:
+    chain: Polygon = []
+    for p in ordered:
+        while len(chain) > 1 and _turn(chain[-2], chain[-1], p) <= 0.0:
+            chain.pop()
+        chain.append(p)
+    return chain
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _simplified(polygon: Polygon) -> Polygon:
+    """A polygon of fewer corners around ``polygon``: its shortest sides go, their neighbours are drawn longer."""
+    scale_x = max(x for x, _ in polygon) - min(x for x, _ in polygon)
+    scale_y = max(y for _, y in polygon) - min(y for _, y in polygon)
+    while len(polygon) > _MOST_VERTICES // 2:
+        n = len(polygon)
+        lengths = [
+            math.hypot((polygon[i][0] - polygon[i - 1][0]) / scale_x, (polygon[i][1] - polygon[i - 1][1]) / scale_y)
+            for i in range(n)
+        ]
+        for i in sorted(range(n), key=lengths.__getitem__):
+            apex = _meeting(polygon[i - 2], polygon[i - 1], polygon[i], polygon[(i + 1) % n])
+            if apex is not None:
+                polygon = [p for k, p in enumerate(polygon) if k != (i - 1) % n]
+                polygon[max(i - 1, 0)] = apex
+                break
+        else:
+            break
+    return polygon
+
+
+def _meeting(a: Point, b: Point, c: Point, d: Point) -> Point | None:
+    """Where the line a b, drawn on beyond b, meets the line d c, drawn on beyond c; None where they do not."""
+    ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], c[0] - d[0], c[1] - d[1]
+    cross = ux * vy - uy * vx
+    if cross >= 0.0:
+        return None
+    along = ((c[0] - b[0]) * vy - (c[1] - b[1]) * vx) / cross
+    return (b[0] + along * ux, b[1] + along * uy) if along >= 0.0 else None

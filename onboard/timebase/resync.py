@@ -1,0 +1,373 @@
+"""Two recorders without a common pulse: one's clock on the other's time, from the motion that both of them felt.
+
+What one recorder saw (a gyro, say) is taken to be a constant linear map of what the other one's signals predict (joint
+rates through the vehicle model, say), at the right offset and rate of the other's clock. The map is found with the
+clock (variable projection), so nothing need be known of payload, mounting or scale. The share of the reference's energy
+that the map explains is the correlation whose peak is looked for: by Fourier transform over all offsets and a grid of
+rates, then by Gauss-Newton steps on a growing span, to a small part of a sample.
+
+An offset is refused when another one explains the reference nearly as well: a periodic motion has many peaks.
+"""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, interpolate, linalg
+
+Floats = NDArray[np.float64]
+
+NATS_TO_BELIEVE = 6.0  # of log likelihood, between the best offset and any other: odds of 400 to 1
+BLOCKS = 12  # that the residuals' own scatter is taken from
+FIRST = 12.0  # periods that are looked for first
+GROWTH = 1.6
+STEPS = 30
+SIGMAS_TO_BEND = 4.0  # of drift, to be fitted at all
+ORDER = 3  # times that the filter is run
+GRID = 12.0  # samples a period of the frequency that is passed best
+REACH = 4.0  # of one run of the filter, in standard deviations of its Gaussian
+SHORTEST = 6.0  # periods that a recording must have
+
+
+class ResyncError(ValueError):
+    """Nobody can tell how the two clocks lie; the message says why and what may help."""
+
+
+class Stream(NamedTuple):
+    """What a recorder saw: times on its own clock, and values."""
+
+    time_s: Floats  # (n,), rising
+    values: Floats  # (n, k)
+
+
+class Alignment(NamedTuple):
+    """Reference time = ``offset_s + (1 + rate) * (other's time - pivot_s) + pivot_s``, plus drift.
+
+    ``drift_per_s``: change of the rate, 1/s, about ``pivot_s``; zero where the data do not ask for any.
+    """
+
+    offset_s: float
+    rate: float
+    drift_per_s: float
+    pivot_s: float
+    sigma_offset_s: float
+    sigma_rate: float
+    explained: float  # share of the reference's energy
+    nats: float  # of log likelihood to the next best offset
+    runner_up_s: float  # offset of that, relative to the best
+    span_s: float  # of common time that was used
+
+    def reference_s(self, time_s: Floats) -> Floats:
+        """Times of the other recorder (n,) on the reference's clock."""
+        tau = time_s - self.pivot_s
+        placed: Floats = self.pivot_s + self.offset_s + (1.0 + self.rate + 0.5 * self.drift_per_s * tau) * tau
+        return placed
+
+
+def align(
+    reference: Stream,
+    other: Stream,
+    peak_Hz: float,
+    rate_limit: float = 0.02,
+    offset_limit_s: float = np.inf,
+    first_s: float | None = None,
+) -> Alignment:
+    """Find the clock of ``other`` on the time of ``reference``.
+
+    Args:
+        reference: k signals.
+        other: p signals, of which the reference's are a linear map, whatever map it is.
+        peak_Hz: both go through a filter that passes this frequency best, few below its half (bias, drift) and few
+            above its double: where the motion is liveliest, and both of them feel the same of it.
+        rate_limit: largest believable relative error of the other clock; 0: its rate is right.
+        offset_limit_s: largest believable offset; as far as the recordings overlap if not given.
+        first_s: length of the stretch that is looked for first; twelve periods if not given.
+
+    Raises:
+        ResyncError: too little motion, or more than one offset that explains it.
+    """
+    step_s = 1.0 / (GRID * peak_Hz)
+    seen, told = _band_passed(reference, peak_Hz, step_s), _band_passed(other, peak_Hz, step_s)
+    span_s = _first_span_s(seen, told, first_s or FIRST / peak_Hz)
+    search = _search(seen, _liveliest(told, span_s), peak_Hz, rate_limit, offset_limit_s)
+    best, nats, runner_up_s = _stands_out(search, peak_Hz)
+    pivot_s, first_s = search.pivot_s, search.offsets_s[best]
+    theta, rate = np.array([first_s]), 0.0
+    if rate_limit:
+        # The filter is to act alike on both, so the other's is run again on a clock that is nearly right.
+        theta = np.array([first_s, search.rate])
+        rate = float(_grown(seen, told, theta, pivot_s, span_s).theta[1])
+        nearly = pivot_s + (1.0 + rate) * (other.time_s - pivot_s)
+        told = _band_passed(Stream(nearly, other.values), peak_Hz, step_s)
+        theta[1] = 0.0
+    fit = _grown(seen, told, theta, pivot_s, span_s)
+    offset_s, more, drift = (*fit.theta, 0.0, 0.0)[:3]
+    sigma_offset_s, sigma_rate = (*np.sqrt(np.diag(fit.covariance)), 0.0)[:2]
+    return Alignment(
+        offset_s=float(offset_s),
+        rate=float((1.0 + rate) * (1.0 + more) - 1.0),
+        drift_per_s=float(drift * (1.0 + rate) ** 2),
+        pivot_s=pivot_s,
+        sigma_offset_s=float(sigma_offset_s),
+        sigma_rate=float(sigma_rate),
+        explained=fit.explained,
+        nats=nats,
+        runner_up_s=runner_up_s,
+        span_s=fit.span_s,
+    )
+
+
+def _grown(seen: Stream, told: Stream, theta: Floats, pivot_s: float, first_s: float) -> "_Fit":
+    """The fit on a span about the pivot that grows to the whole: the rate is never off by a period at its ends."""
+    spline = interpolate.CubicSpline(told.time_s, told.values)
+    low, high = pivot_s - 0.5 * first_s, pivot_s + 0.5 * first_s
+    while True:
+        low, high = max(told.time_s[0], low), min(told.time_s[-1], high)
+        fit = _refine(seen, spline, theta, pivot_s, (low, high))
+        if low == told.time_s[0] and high == told.time_s[-1]:
+            break
+        theta = fit.theta
+        low, high = pivot_s - GROWTH * (pivot_s - low), pivot_s + GROWTH * (high - pivot_s)
+    if len(fit.theta) == 1:
+        return fit
+    bent = _refine(seen, spline, np.append(fit.theta, 0.0), pivot_s, (low, high))
+    return bent if abs(bent.theta[2]) > SIGMAS_TO_BEND * np.sqrt(bent.covariance[2, 2]) else fit
+
+
+def _band_passed(stream: Stream, peak_Hz: float, step_s: float) -> Stream:
+    """Through the derivative of a Gaussian ORDER times, on a uniform grid of ``step_s``, without phase shift."""
+    if np.any(np.diff(stream.time_s) <= 0.0):
+        raise ResyncError("times of a recording do not rise: sort it, or mend its clock")
+    if not len(stream.time_s) or np.ptp(stream.time_s) < SHORTEST / peak_Hz:
+        raise ResyncError(f"a recording is shorter than {SHORTEST:g} periods of {peak_Hz:g} Hz: raise the frequency")
+    between_s = float(np.median(np.diff(stream.time_s)))
+    if between_s > 0.1 / peak_Hz:
+        remedy = f"lower the frequency to {0.1 / between_s:.3g} Hz"
+        raise ResyncError(f"a recording has a sample every {between_s:.3g} s: {remedy}")
+    # a moving mean first, where there are many samples a step: decimation must not fold noise into the band
+    width = max(1, round(step_s / between_s))
+    mean = np.full(width, 1.0 / width)
+    times_s = np.convolve(stream.time_s, mean, "valid")
+    grid_s = np.arange(times_s[0], times_s[-1], step_s)
+    spread = 1.0 / (2.0 * np.pi * peak_Hz * step_s)  # of the Gaussian, in steps
+    reach = int(np.ceil(REACH * spread))
+    at = np.arange(-reach, reach + 1)
+    once = -at / spread * np.exp(-0.5 * (at / spread) ** 2)
+    kernel = functools.reduce(np.convolve, [once] * ORDER)
+    reach = len(kernel) // 2
+    columns = [np.interp(grid_s, times_s, np.convolve(column, mean, "valid")) for column in stream.values.T]
+    filtered = np.column_stack([np.convolve(column, kernel, "valid") for column in columns])
+    return Stream(grid_s[reach : len(grid_s) - reach], filtered)
+
+
+def _liveliest(stream: Stream, span_s: float) -> Stream:
+    """The stretch of ``span_s`` with the most energy, each signal counted by its own."""
+    step_s = stream.time_s[1] - stream.time_s[0]
+    n = max(2, int(span_s / step_s))
+    energy = ((stream.values / np.maximum(stream.values.std(axis=0), 1e-300)) ** 2).sum(axis=1)
+    total = np.convolve(np.minimum(energy, 9.0 * np.median(energy) + 1e-300), np.ones(n), "valid")
+    first = int(np.argmax(total))
+    return Stream(stream.time_s[first : first + n], stream.values[first : first + n])
+
+
+class Candidate(NamedTuple):
+    """A clock that may be: reference time = ``pivot_s + offset_s + (1 + rate) * (other's time - pivot_s)``."""
+
+    pivot_s: float
+    offset_s: float
+    rate: float
+    explained: float  # share of the reference's energy
+
+
+class _Search(NamedTuple):
+    """Every offset at the rate that explains most."""
+
+    pivot_s: float
+    rate: float
+    offsets_s: Floats  # (lags,)
+    explained: Floats  # (lags,)
+    likelihood: Floats  # (lags,) nats
+    chance: float  # nats that the best of so many offsets has by chance
+
+    def peaks(self, apart_s: float, count: int) -> list[int]:
+        """Lags of the highest peaks, none nearer to a higher one than ``apart_s``."""
+        left = self.explained.copy()
+        found: list[int] = []
+        while len(found) < count and left.any():
+            found.append(int(np.argmax(left)))
+            left[np.abs(self.offsets_s - self.offsets_s[found[-1]]) < apart_s] = 0.0
+        return found
+
+
+def shocks(stream: Stream, bin_s: float) -> Stream:
+    """How hard a recorder was shaken, (bins, 1): taps of a mallet stand out, whatever either of them measures of a tap.
+
+    The logarithm of the samples' differences in each bin, over their median: hits of any strength count alike.
+
+    Args:
+        stream: samples, several to a bin.
+        bin_s: length of a bin, about that of a tap.
+    """
+    energy = (np.diff(stream.values, axis=0) ** 2).sum(axis=1)
+    number = ((stream.time_s[1:] - stream.time_s[0]) // bin_s).astype(np.int64)
+    filled, counts = np.unique(number, return_counts=True)
+    rms = np.sqrt(np.bincount(number, energy)[filled] / counts)
+    middle_s = stream.time_s[0] + (filled + 0.5) * bin_s
+    return Stream(middle_s, np.log1p(rms / max(float(np.median(rms)), 1e-300))[:, None])
+
+
+def candidates(reference: Stream, other: Stream, peak_Hz: float, rate_limit: float, count: int) -> list[Candidate]:
+    """The offsets that explain most, best first, for somebody who can tell them apart by more than a linear map.
+
+    Args:
+        reference: k signals.
+        other: p signals, of which the reference's are nearly a linear map.
+        peak_Hz: as for :func:`align`.
+        rate_limit: largest believable relative error of the other clock.
+        count: how many at most.
+
+    Raises:
+        ResyncError: recordings that are too short or too coarse.
+    """
+    step_s = 1.0 / (GRID * peak_Hz)
+    seen, told = _band_passed(reference, peak_Hz, step_s), _band_passed(other, peak_Hz, step_s)
+    window = _liveliest(told, _first_span_s(seen, told, FIRST / peak_Hz))
+    found = _search(seen, window, peak_Hz, rate_limit, np.inf)
+    return [
+        Candidate(found.pivot_s, float(found.offsets_s[lag]), found.rate, float(found.explained[lag]))
+        for lag in found.peaks(0.5 / peak_Hz, count)
+    ]
+
+
+def _first_span_s(seen: Stream, told: Stream, wanted_s: float) -> float:
+    return float(min(wanted_s, 0.9 * np.ptp(told.time_s), 0.9 * np.ptp(seen.time_s)))
+
+
+def _search(seen: Stream, window: Stream, peak_Hz: float, rate_limit: float, offset_limit_s: float) -> _Search:
+    """Explained share over all offsets, at the best of a grid of rates."""
+    step_s = seen.time_s[1] - seen.time_s[0]
+    span_s, middle_s = float(np.ptp(window.time_s)), float(window.time_s.mean())
+    # at the right rate but half a grid step, the window's ends are off by a twentieth of a period
+    rate_step = 0.2 / (peak_Hz * span_s)
+    rates = np.linspace(-rate_limit, rate_limit, 2 * int(np.ceil(rate_limit / rate_step)) + 1) if rate_limit else [0.0]
+    spline = interpolate.CubicSpline(window.time_s, window.values)
+    best = (-1.0, 0.0, np.zeros(0), np.zeros(0))
+    for rate in rates:
+        n = int(span_s * (1.0 + rate) / step_s)
+        grid_s = (np.arange(n) - 0.5 * (n - 1)) * step_s
+        features = spline(np.clip(middle_s + grid_s / (1.0 + rate), window.time_s[0], window.time_s[-1]))
+        explained = _explained(seen.values, features)
+        offsets_s = seen.time_s[0] + (np.arange(len(explained)) + 0.5 * (n - 1)) * step_s - middle_s
+        explained = np.where(np.abs(offsets_s) <= offset_limit_s, explained, 0.0)
+        if explained.max(initial=0.0) > best[0]:
+            best = float(explained.max(initial=0.0)), float(rate), explained, offsets_s
+    _, rate, explained, offsets_s = best
+    per_s = 2.0 * min(_bandwidth(seen), _bandwidth(window))  # independent samples
+    signals = seen.values.shape[1]
+    # log likelihood of an offset, the noise's size unknown, and what the best of so many reaches by chance
+    likelihood = -0.5 * per_s * span_s * signals * np.log1p(-np.minimum(explained, 1.0 - 1e-12))
+    tried = max(2.0, np.count_nonzero(explained) * step_s * per_s * len(rates))
+    chance = 0.5 * signals * window.values.shape[1] + float(np.log(tried))
+    return _Search(middle_s, rate, offsets_s, explained, likelihood, chance)
+
+
+def _stands_out(found: _Search, peak_Hz: float) -> tuple[int, float, float]:
+    """The best lag, by how many nats, and the runner-up's offset relative to it.
+
+    Raises:
+        ResyncError: by too few.
+    """
+    lags = found.peaks(0.5 / peak_Hz, 2)
+    if not lags:
+        raise ResyncError("the recordings do not overlap anywhere within the offsets allowed: widen them")
+    best, other = lags[0], lags[-1]
+    second = float(found.likelihood[other]) if other != best else 0.0
+    nats = float(found.likelihood[best]) - max(second, found.chance)
+    runner_up_s = float(found.offsets_s[other] - found.offsets_s[best])
+    if nats < NATS_TO_BELIEVE:
+        share = f"{100 * found.explained[best]:.0f} %"
+        why = (
+            f"another offset, {runner_up_s:+.3f} s from the best, explains the motion nearly as well: it repeats itself"
+            if second > found.chance
+            else f"no offset explains more than {share} of it: what one recorder felt is not in the other"
+        )
+        remedy = "give a longer or livelier stretch, or another frequency"
+        raise ResyncError(f"{why} ({nats:.1f} of {NATS_TO_BELIEVE:g} nats): {remedy}")
+    return best, nats, runner_up_s
+
+
+def _bandwidth(stream: Stream) -> float:
+    """Equivalent width of the spectrum of unit-variance signals: how many independent samples a second, halved."""
+    step_s = stream.time_s[1] - stream.time_s[0]
+    power = (np.abs(fft.rfft(stream.values / np.maximum(stream.values.std(axis=0), 1e-300), axis=0)) ** 2).sum(axis=1)
+    return float(power.sum() ** 2 / (power**2).sum() / (len(stream.time_s) * step_s))
+
+
+def _explained(seen: Floats, features: Floats) -> Floats:
+    """Share of the energy of ``seen`` (n, k) that a linear map of ``features`` (m, p) explains, (n - m + 1,) lags."""
+    n, m = len(seen), len(features)
+    if m > n:
+        return np.zeros(0)
+    size = fft.next_fast_len(n + m)
+    transformed = fft.rfft(seen, size, axis=0)
+    # whitening the features makes the explained energy a plain sum of squares
+    scale = linalg.sqrtm(np.linalg.pinv(features.T @ features, rcond=1e-10, hermitian=True)).real
+    correlated = [
+        fft.irfft(transformed * np.conj(fft.rfft(column, size))[:, None], size, axis=0)[: n - m + 1]
+        for column in (features @ scale).T
+    ]
+    energy = np.convolve((seen**2).sum(axis=1), np.ones(m), "valid")
+    share: Floats = sum((c**2).sum(axis=1) for c in correlated) / np.maximum(energy, 1e-12 * energy.max(initial=1e-300))
+    return share
+
+
+class _Fit(NamedTuple):
+    theta: Floats  # offset, rate and perhaps drift
+    covariance: Floats
+    explained: float
+    span_s: float
+
+
+def _refine(
+    seen: Stream, spline: interpolate.CubicSpline, theta: Floats, pivot_s: float, span: tuple[float, float]
+) -> _Fit:
+    """Gauss-Newton on offset, rate (and drift), the linear map projected out; covariance from blocks of residuals."""
+    theta = theta.copy()
+    slope = spline.derivative()
+    inside = np.zeros(len(seen.time_s), bool)
+    for iteration in range(STEPS):
+        tau, stretch = _other_s(seen.time_s - pivot_s, theta)
+        if iteration == 0:
+            inside = (tau + pivot_s >= span[0]) & (tau + pivot_s <= span[1])
+        tau, stretch = tau[inside], stretch[inside]
+        times = np.clip(tau + pivot_s, spline.x[0], spline.x[-1])
+        features, rates = spline(times), slope(times)
+        y = seen.values[inside]
+        base, _ = np.linalg.qr(features)
+        mapped, *_ = np.linalg.lstsq(features, y, rcond=None)
+        residual = y - features @ mapped
+        # d tau / d theta = -(1, tau, tau^2 / 2) / stretch
+        powers = np.stack([np.ones_like(tau), tau, 0.5 * tau**2][: len(theta)], axis=1)
+        moved = -(rates @ mapped)[:, :, None] * (powers / stretch[:, None])[:, None, :]  # (n, k, theta)
+        jacobian = moved - np.einsum("ip,pkt->ikt", base, np.einsum("ip,ikt->pkt", base, moved))
+        normal = np.einsum("ikt,iks->ts", jacobian, jacobian)
+        step = np.linalg.solve(normal, np.einsum("ikt,ik->t", jacobian, residual))
+        theta = theta + step
+        if np.all(np.abs(step) * np.ptp(tau) ** np.arange(len(step)) < 1e-9):
+            break
+    blocks = np.array_split(np.arange(len(y)), BLOCKS)
+    scores = np.stack([np.einsum("ikt,ik->t", jacobian[b], residual[b]) for b in blocks])
+    inverse = np.linalg.inv(normal)
+    covariance = inverse @ (scores.T @ scores) @ inverse * BLOCKS / (BLOCKS - len(theta))
+    return _Fit(theta, covariance, 1.0 - float((residual**2).sum() / (y**2).sum()), float(np.ptp(tau)))
+
+
+def _other_s(reference_s: Floats, theta: Floats) -> tuple[Floats, Floats]:
+    """The other's time for times on the reference, both less the pivot, and d reference / d other there."""
+    offset_s, rate, drift = (*theta, 0.0, 0.0)[:3]
+    tau = (reference_s - offset_s) / (1.0 + rate)
+    for _ in range(3 if drift else 0):
+        placed = offset_s + (1.0 + rate + 0.5 * drift * tau) * tau
+        tau = tau - (placed - reference_s) / (1.0 + rate + drift * tau)
+    return tau, 1.0 + rate + drift * tau

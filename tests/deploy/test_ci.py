@@ -1,0 +1,99 @@
+"""The gates of .ci/run, by programs that only say how they ended: one failure fails the run, a missing kernel none."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PYTHON = """#!/bin/sh
+case "$*" in
+    *'print(sys.version_info'*) echo '(3, 11)' ;;
+    "-m $FAILS"*) shift 3; exit 1 ;;
+    '-m pytest'*) shift 3; echo "$1 $2: 1 passed" ;;
+esac
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Runs the gates of a checkout that is installed already; its kernel tier ends with the code given."""
+    checkout = tmp_path / "a checkout"
+    for folder in (".ci", "deploy"):
+        shutil.copytree(ROOT / folder, checkout / folder)
+    (checkout / "pyproject.toml").write_text("[project]\n")
+    python = checkout / ".venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(PYTHON)
+    python.chmod(0o755)
+    (checkout / "deploy/kernel_bench.sh").write_text('echo "kernel tier: $*"; exit "$KERNEL"\n')
+    key = subprocess.run(
+        ["sh", "-c", 'root=$1; . "$root/deploy/env.sh"; heft_venv=$root/.venv; heft_key', "sh", str(checkout)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    (checkout / ".venv/heft-test").write_text(key)
+
+    def run_it(*arguments, kernel=0, fails="nothing"):
+        return subprocess.run(
+            ["bash", str(checkout / ".ci/run"), *arguments],
+            env={**os.environ, "KERNEL": str(kernel), "FAILS": fails},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+
+    return run_it
+
+
+def gates(done):
+    return [line[3:] for line in done.stdout.splitlines() if line.startswith("== ")]
+
+
+def test_all_gates_run_and_the_tests_have_the_last_word(run):
+    done = run()
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert gates(done) == ["ruff check", "ruff format", "mypy --strict", "pytest", "pytest, real time", "kernel tier"]
+    assert done.stdout.endswith("cannot: none\nfailed gates: none\n-m not realtime: 1 passed\n-m realtime: 1 passed\n")
+
+
+def test_arguments_go_to_one_run_of_all_tests(run):
+    done = run("-k", "some of them")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert gates(done)[3:] == ["pytest", "kernel tier"]
+    assert done.stdout.endswith("-k some of them: 1 passed\n")
+
+
+@pytest.mark.parametrize(
+    ("fails", "gate"),
+    [
+        ("ruff check", "ruff check"),
+        ("ruff format", "ruff format"),
+        ("mypy", "mypy --strict"),
+        ("pytest --durations=15 -m not", "pytest"),
+        ("pytest --durations=15 -m realtime", "pytest, real time"),
+    ],
+)
+def test_one_failure_fails_the_run_and_the_rest_is_run_all_the_same(run, fails, gate):
+    done = run(fails=fails)
+    assert done.returncode == 1
+    assert f"\nfailed gates: {gate}\n" in done.stdout
+    assert "kernel tier: " in done.stdout
+
+
+def test_a_machine_that_cannot_run_the_kernel_tier_is_told_of_and_fails_nothing(run):
+    done = run(kernel=69)
+    assert done.returncode == 0
+    assert "\nnot run, for this machine cannot: kernel tier\nfailed gates: none\n" in done.stdout
+
+
+@pytest.mark.parametrize("code", [1, 70, 75, 124])
+def test_any_other_end_of_the_kernel_tier_fails(run, code):
+    done = run(kernel=code)
+    assert done.returncode == 1
+    assert "cannot: none\nfailed gates: kernel tier\n" in done.stdout

@@ -1,0 +1,50 @@
+"""Positions that wrap, jump and turn to garbage, of encoders and of drives."""
+
+import numpy as np
+import pytest
+
+from drivers.canopen_pdo import Cia402Config, Cia406Config
+from drivers.canopen_pdo.cia402 import drive_values
+from drivers.canopen_pdo.cia406 import Encoder
+from drivers.position import Position
+from drivers.records import SampleStatus
+
+TURN = 500_000
+
+
+@pytest.fixture(params=["encoder", "drive"])
+def data(request):
+    if request.param == "encoder":
+        return Encoder(Cia406Config("joint_1", 1, TURN))
+    return drive_values(Cia402Config(4, TURN, position="joint_1"))[0]
+
+
+def as_sent(position):
+    return int(position % 2**32).to_bytes(4, "little")
+
+
+def test_unwrapping_goes_both_ways_in_steps_up_to_a_revolution(data):
+    steps = [5, -10, TURN, *[TURN] * 12, *[-TURN] * 30, -7, TURN // 2]
+    for wrap in (2**31, 2**32):
+        data._position = Position(TURN)
+        positions = wrap - 5 * TURN + np.cumsum(steps)
+        got = [data.decode(as_sent(position)) for position in positions]
+        offset = got[0].value_raw - positions[0]
+        assert offset % 2**32 == 0
+        assert [sample.value_raw for sample in got] == (positions + offset).tolist()
+        assert not any(sample.status for sample in got)
+
+
+def test_garbage_is_not_valid_and_leaves_no_turn_of_the_counter_behind(data, rng):
+    data.decode(as_sent(1000))
+    statuses = [data.decode(rng.bytes(4)).status for _ in range(500)]
+    assert sum(status is SampleStatus.NOT_VALID for status in statuses) > 490
+    sample = data.decode(as_sent(1001))
+    assert (sample.value_raw, sample.status) == (1001, SampleStatus.OK)
+
+
+def test_a_new_position_that_stays_is_believed(data):
+    far = 1000 + 5 * TURN
+    data.decode(as_sent(1000))
+    statuses = [data.decode(as_sent(far + k)).status for k in range(30)]
+    assert statuses == [SampleStatus.NOT_VALID] * 19 + [SampleStatus.OK] * 11

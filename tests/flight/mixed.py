@@ -1,0 +1,171 @@
+"""A vehicle with a device of every kind, and the twins that stand at the other ends, in one process."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from drivers.records import Batch, Rows
+from hil_sim.device_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.devices.arm_controller import ArmController
+from hil_sim.devices.drive402 import Drive402
+from hil_sim.devices.dsc_load_cell import DscLoadCell
+from hil_sim.devices.encoder406 import Encoder406
+from hil_sim.devices.loadcell404 import LoadCell404
+from hil_sim.devices.modbus_load_cell import ModbusLoadCell
+from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.nimu import Nimu
+from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
+from hil_sim.devices.qsb import Qsb
+from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.sync_box import SyncBox
+from hil_sim.in_process import in_process
+from onboard import config
+from onboard.flight.devices import OpenDevices, open_devices
+from tests.hil_sim.twin_bench import MS, START_NS, Analog, RateClock, StairImu
+
+COUNT_RAD = 2.0 * np.pi / 500_000
+FORCE_N = 12.5
+TORQUE_N_M = 1.5
+LINKS = 4
+BOOT_MS = 1_000  # the slowest twin is up after half of it
+DEVICES = Path(__file__).with_name("mixed.toml").read_text(encoding="utf-8")
+_INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+def urdf() -> str:
+    """A chain of joints ``joint_1`` .. about z, on a body."""
+    links = "".join(f'<link name="{name}">{_INERTIA}</link>' for name in ("body", *map(_link, range(1, LINKS + 1))))
+    joints = "".join(
+        f'<joint name="joint_{n}" type="continuous"><origin xyz="0.1 0 0"/><axis xyz="0 0 1"/>'
+        f'<parent link="{_link(n - 1)}"/><child link="{_link(n)}"/></joint>'
+        for n in range(1, LINKS + 1)
+    )
+    return f'<robot name="mixed">{links}{joints}</robot>'
+
+
+def _link(number: int) -> str:
+    return f"link_{number}" if number else "body"
+
+
+def angle(joint: int) -> Callable[[float], float]:
+    """Angle of a joint at a mission time, rad."""
+    return lambda time_s: 0.2 * joint + 0.3 * float(np.sin(2.0 * time_s + joint))
+
+
+def vehicle(directory: Path, urls: dict[str, str], text: str = DEVICES) -> config.Vehicle:
+    """The vehicle, its file in ``directory``."""
+    (directory / "mixed.urdf").write_text(urdf(), encoding="utf-8")
+    return config.parse(text, directory / "vehicle.toml").with_urls(urls)
+
+
+class MixedWorld:
+    """The twins on their buses, as a context; time is ``now_ns``.
+
+    Args:
+        directory: Where sockets are bound.
+        sync_box: Whether something outside makes pulses and SYNC.
+        fsync: Whether the sync line reaches the IMU.
+
+    Attributes:
+        urls: Of every bus of the vehicle.
+    """
+
+    def __init__(self, directory: Path, *, sync_box: bool = True, fsync: bool = True) -> None:
+        self.now_ns = START_NS
+        tables = {
+            "can_0": CanBusTable(kind="can"),  # the sync box is on it, and moves before those that it marks
+            "i2c_1": I2cBusTable(kind="i2c"),
+            "sync_line": PulseLineTable(kind="pulse", channel="pulse"),
+            "tty_imu": SerialBusTable(kind="serial"),
+            "tty_joint": SerialBusTable(kind="serial", baud_rate=230_400),
+            "tty_cell": SerialBusTable(kind="serial"),
+            "tty_grip": SerialBusTable(kind="serial"),
+            "tty_node": SerialBusTable(kind="serial", baud_rate=230_400),
+        }
+        self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
+        loop = directory / "loop.sock"
+        self.urls = {**self._ports.urls, "loop_out": f"gpio-out+unix://{loop}", "loop_in": f"gpio+unix://{loop}"}
+        bus = self._ports.buses
+        self.imu = Mpu6050(StairImu(), RateClock(0.004), START_NS)
+        self.qsb = Qsb(Analog(angle(3)), RateClock(), START_NS)
+        self.node = FrameNode(_node_channels(), RateClock(-0.001), START_NS, node=7, line=LineFormat(230_400))
+        bus["i2c_1"].add(self.imu)
+        self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)
+        nodes = [
+            self.encoder,
+            LoadCell404(2, Analog(lambda t: FORCE_N), START_NS),
+            ArmController(3, [(0.0, 1), (1.0, 2), (1.5, 4)], START_NS),
+            Drive402(4, Analog(angle(2)), Analog(lambda t: TORQUE_N_M), START_NS),
+        ]
+        if sync_box:
+            box = SyncBox(RateClock(), START_NS)
+            nodes.append(box)
+            for pin in (self.qsb.dig_io, self.node.sync_edge, bus["sync_line"].edge):
+                box.connect_pin(pin)
+            if fsync:
+                box.connect_pin(self.imu.fsync)
+        for node in nodes:
+            bus["can_0"].add(node)
+        bus["tty_imu"].add(Nimu(StairImu(), RateClock(0.002), START_NS))
+        bus["tty_joint"].add(self.qsb)
+        bus["tty_cell"].add(ModbusLoadCell(Analog(lambda t: FORCE_N), RateClock(), START_NS))
+        bus["tty_grip"].add(DscLoadCell(Analog(lambda t: FORCE_N), RateClock(), START_NS))
+        bus["tty_node"].add(self.node)
+        for _ in range(BOOT_MS):
+            self.advance(MS)
+
+    def __enter__(self) -> "MixedWorld":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ports.close()
+
+    def clock(self) -> int:
+        """CLOCK_MONOTONIC of this world, ns."""
+        return self.now_ns
+
+    def advance(self, ns: int) -> None:
+        """Let time pass."""
+        self.now_ns += ns
+        for bus in self._ports.buses.values():
+            bus.advance(self.now_ns)
+
+    def open(self, flying: config.Vehicle) -> OpenDevices:
+        """The drivers of a vehicle on these buses."""
+        return open_devices(flying, self.clock)
+
+    def fly(self, opened: OpenDevices, seconds: float) -> dict[str, list[Rows]]:
+        """Start the devices, pump them every millisecond, stop them: rows by channel."""
+        heard: dict[str, list[Rows]] = {}
+
+        def take(batches: list[Batch]) -> None:
+            for channel, rows in batches:
+                heard.setdefault(channel, []).append(rows)
+
+        take(opened.problems)
+        due_ns = {device.name: 0 for device in opened.devices}
+        for device in opened.devices:
+            take(device.start(self.now_ns))
+        for _ in range(round(seconds * 1e3)):
+            self.advance(MS)
+            for device in opened.devices:
+                if self.now_ns >= due_ns[device.name]:
+                    take(device.pump(self.now_ns))
+                    due_ns[device.name] = self.now_ns + device.period_ns
+        for device in opened.devices:
+            take(device.stop(self.now_ns))
+        opened.close()
+        return heard
+
+
+def _node_channels() -> list[NodeChannel]:
+    wave = Analog(angle(4))
+    i32 = ValueType.I32
+    return [
+        NodeChannel("angle", "deg", i32, Analog(lambda t: float(np.degrees(wave.value(t)))), 1, -5),
+        NodeChannel("force", "kg", i32, Analog(lambda t: FORCE_N / 9.80665), 1, -4),
+        *(NodeChannel(f"gyro_{axis}", "deg/s", i32, Analog(lambda t: 1.0), 1, -4) for axis in "xyz"),
+        *(NodeChannel(f"accel_{axis}", "g", i32, Analog(lambda t: 0.5), 1, -5) for axis in "xyz"),
+        NodeChannel("mode", "1", ValueType.U8, Analog(lambda t: 3.0)),
+    ]

@@ -1,0 +1,152 @@
+"""SIGKILL in a real flight: one worker after the other, the supervisor, and everything at once."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.records import SampleStatus
+from onboard import cli, config
+from onboard.flight import manifest
+from onboard.offline.info import info
+from onboard.recording.reader import LogReader
+from onboard.ring import RingReader
+
+pytestmark = pytest.mark.realtime
+
+WORKERS = ("heft-record", "heft-estimate", "heft-acquire")
+DEVICES = ("imu_base", "can_sync", "joint_1", "load_cell", "pulse")
+
+
+@pytest.fixture(autouse=True)
+def _rings_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    place = Path(f"/dev/shm/heft-test-{os.getpid()}-{tmp_path.name}")
+    monkeypatch.setenv("HEFT_RINGS", str(place))
+    yield
+    shutil.rmtree(place, ignore_errors=True)
+
+
+@pytest.fixture
+def urls(tmp_path: Path) -> Iterator[list[str]]:
+    """Simulated devices in a process of their own."""
+    command = [sys.executable, "-m", "hil_sim.serve", "rocksat", "--seed", "3", "--directory", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as devices:
+        assert devices.stdout is not None
+        start = json.loads(devices.stdout.readline())
+        yield [f"--url={bus}={start[bus]}" for bus in ("i2c_1", "can_0", "sync_line")]
+        devices.terminate()
+
+
+@contextlib.contextmanager
+def flying(log: Path, urls: list[str], seconds: float) -> Iterator[subprocess.Popen[str]]:
+    """``heft fly``, once every worker is at work."""
+    vehicle = str(config.packaged("rocksat"))
+    command = [sys.executable, "-m", "onboard.cli", "fly", vehicle, "--log", str(log), "--duration", str(seconds)]
+    with subprocess.Popen([*command, *urls], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as flight:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and not (log.exists() and len(pids(flight.pid)) == len(WORKERS)):
+            time.sleep(0.1)
+        time.sleep(2.0)
+        yield flight
+
+
+def pids(supervisor: int) -> dict[str, int]:
+    """The workers' processes by name."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            name, _, rest = entry.read_text().partition("(")[2].rpartition(")")
+            if name in WORKERS and int(rest.split()[1]) == supervisor:
+                found[name] = int(entry.parent.name)
+    return found
+
+
+def adds_up(log: Path) -> None:
+    """Every number of every channel is in the log once, or in a gap record."""
+    about = info(log)
+    assert {(c.name, c.repeated, c.unexplained) for c in about.channels} == {(c.name, 0, 0) for c in about.channels}
+    assert {c.first_sequence for c in about.channels if c.rows} == {0}
+    assert about.exit_code == 0
+
+
+@pytest.mark.timeout(180)
+def test_each_worker_killed_in_turn_is_started_again_and_the_log_replays(tmp_path: Path, urls: list[str]) -> None:
+    log = tmp_path / "killed.mcap"
+    with flying(log, urls, 200) as flight:
+        for name in (*WORKERS, "heft-record", "heft-estimate"):
+            victim = pids(flight.pid)[name]
+            os.kill(victim, signal.SIGKILL)
+            deadline = time.monotonic() + 15
+            while pids(flight.pid).get(name, victim) == victim and time.monotonic() < deadline:
+                time.sleep(0.1)
+            assert pids(flight.pid)[name] != victim
+            time.sleep(2.0)
+        flight.send_signal(signal.SIGTERM)
+        _, err = flight.communicate(timeout=100)
+    assert flight.returncode == cli.OK, err
+    adds_up(log)
+    read = LogReader(log)
+    supervisor = read.read("event_supervisor")
+    assert [code.decode() for code in supervisor["code"]].count("worker_restarted") == 5
+    gaps = read.read("gap")
+    restart = gaps[gaps["cause"] == b"worker_restart"]
+    assert {row["channel"].decode() for row in restart} >= {"joint_1", "load_cell"}  # acquisition was away
+    assert len(read.read("recorder_gap")) == 0
+    imu = read.read("imu_base")
+    assert np.count_nonzero(imu["status"] & SampleStatus.AFTER_RESET) == 1
+    assert not read.read("tick")["fresh"].any()
+    assert cli.main(["replay", str(log)]) == cli.OK
+    assert not list(manifest.root().iterdir())
+
+
+@pytest.mark.timeout(180)
+def test_everything_killed_at_once_is_harvested_by_the_next_start(tmp_path: Path, urls: list[str]) -> None:
+    log, following = tmp_path / "dead.mcap", tmp_path / "next.mcap"
+    with flying(log, urls, 100) as flight:
+        time.sleep(3.0)
+        [dead] = manifest.running()
+        for pid in [flight.pid, *pids(flight.pid).values()]:
+            os.kill(pid, signal.SIGKILL)
+        flight.wait()
+    assert dead.log == log
+    held = {path.stem: RingReader(path).read()[0] for path in dead.directory.glob("*.ring")}
+    assert all(len(held[name]) for name in DEVICES)
+    dark = [f"--url={bus}=i2c:///none" if bus == "i2c_1" else f"--url={bus}={url}" for bus, url in DARK.items()]
+    with flying(following, dark, 1) as flight:
+        _, err = flight.communicate(timeout=100)
+    assert flight.returncode == cli.OK, err
+    adds_up(log)
+    read = LogReader(log)
+    for name, rows in held.items():
+        assert read.read(name)[-len(rows) :]["sequence"].tolist() == rows["sequence"].tolist(), name
+    assert [row["code"] for row in read.read("recorder_event")] == [b"harvested"]
+    assert log.name.encode() in LogReader(following).read("event_supervisor")["source"].tolist()
+    assert cli.main(["replay", str(log)]) == cli.OK
+    assert not list(manifest.root().iterdir())
+
+
+DARK = {"i2c_1": "", "can_0": "can+slcan:///none?bitrate=500000", "sync_line": "gpio:///dev/none?line=1"}
+
+
+@pytest.mark.timeout(180)
+def test_without_its_supervisor_a_flight_ends_in_order(tmp_path: Path, urls: list[str]) -> None:
+    log = tmp_path / "orphaned.mcap"
+    with flying(log, urls, 100) as flight:
+        workers = pids(flight.pid)
+        os.kill(flight.pid, signal.SIGKILL)
+        deadline = time.monotonic() + 30
+        while manifest.running() and time.monotonic() < deadline:
+            time.sleep(0.1)
+    assert len(workers) == len(WORKERS)
+    assert not manifest.running()
+    adds_up(log)
+    assert LogReader(log).read("tick")["final"][-1] == 1

@@ -1,0 +1,117 @@
+"""What is read out of a whole mission's log: phases, aligned signals."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from onboard import cli
+from onboard.offline.aligned import dump_aligned
+from onboard.offline.dump import dump
+from onboard.offline.selection import Selection
+from tests.flight.missions import Result
+
+
+def test_aligned_signals_lie_where_the_estimator_saw_them(mission: Result, tmp_path: Path) -> None:
+    dump_aligned(mission.log, tmp_path, 100.0, kind="npz")
+    with np.load(tmp_path / "aligned.npz") as table:
+        at_ns, angle = table["vehicle_ns"], table["joint_1.value"]
+        assert set(table["units"]) >= {"ns", "rad", "N", "m/s^2", "rad/s"}
+        force = table["load_cell.value"]
+    assert (np.diff(at_ns) == 10_000_000).all()
+    rows = mission.log.read("row")
+    used = rows[rows["gate"][:, 0] == 0]
+    _, here, there = np.intersect1d(at_ns, used["vehicle_ns"], return_indices=True)
+    assert len(here) > 2000
+    used = used[there]
+    # smoothing shrinks the motion, and what it takes has the shape of the acceleration; a shift has that of the rate
+    assert abs(shift_s(angle[here] - used["joint_rad"][:, 0], used["joint_rad_s"][:, 0])) < 20e-6
+    rate = np.gradient(used["measured"][:, 0], 0.01)
+    steady = np.gradient(used["vehicle_ns"]) == 10_000_000
+    assert abs(shift_s((force[here] - used["measured"][:, 0])[steady], rate[steady])) < 100e-6
+
+
+def shift_s(difference: np.ndarray, rate: np.ndarray) -> float:
+    """The shift in time that explains most of ``difference``."""
+    return float(np.sum(difference * rate) / np.sum(rate * rate))
+
+
+def test_a_phase_by_name_and_by_code(mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    phase = mission.log.read("arm_phase")
+    changes = phase[np.flatnonzero(np.diff(phase["value_raw"], prepend=-1))]
+    first = int(np.flatnonzero(changes["value_raw"] == 3)[0])
+    start_ns, end_ns = int(changes["host_ns"][first]), int(changes["host_ns"][first + 1])
+    dump(mission.log, tmp_path, Selection(("joint_1",), phases=("sweep 1",)), kind="npz")
+    with np.load(tmp_path / "joint_1.npz") as table:
+        at_ns = table["host_ns"]
+    every = mission.log.read("joint_1")["host_ns"]
+    assert np.array_equal(at_ns, every[(every >= start_ns) & (every < end_ns)])
+    both = dump(mission.log, tmp_path, Selection(("joint_1",), phases=("3",))).rows["joint_1"]
+    assert both > 1.9 * len(at_ns)
+    code = cli.main(["dump", str(mission.path), "--to", "csv", str(tmp_path), "--phase", "sweep 9"])
+    assert code == cli.BAD_INPUT
+    assert "it has phase 0, phase 1, phase 2, sweep 1" in capsys.readouterr().err
+
+
+def test_info_tells_clocks_delays_and_answers(
+    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture, told = tmp_path / "clocks.png", tmp_path / "info.json"
+    assert cli.main(["info", str(mission.path), "--clocks", str(picture), "--json", str(told)]) == cli.OK
+    shown = capsys.readouterr().out
+    assert len(shown.splitlines()) <= 50  # one screen
+    about = json.loads(told.read_text())
+    assert {name: clock["state"] for name, clock in about["clocks"].items()} == {
+        "imu_base": "locked", "can_sync": "locked"
+    }  # fmt: skip
+    assert {delay["channel"] for delay in about["delays"]} >= {"imu_base", "load_cell"}
+    for mass in mission.table["masses"]:
+        assert about["answers"][mass["quantity"]]["value"] == mass["value"]
+    pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3)
+    for red, green, blue in ((31, 102, 176), (47, 158, 91)):  # a line, the strip of a locked clock
+        assert (np.abs(pixels.astype(int) - (red, green, blue)).max(axis=1) < 8).sum() > 100
+
+
+def test_the_same_settings_make_the_same_answers_and_others_are_shown(
+    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings, told = tmp_path / "other.toml", tmp_path / "told.json"
+    arguments = ["replay", str(mission.path), "--with", str(settings), "--json", str(told)]
+    settings.write_text("[estimation]\nsmoothing_ms = 250\n")
+    assert cli.main(arguments) == cli.OK
+    same = json.loads(told.read_text())
+    assert same["changes"] == []
+    assert same["now"]["answers"] == same["flown"]["answers"]
+    assert same["now"]["rows"] == same["flown"]["rows"]
+    settings.write_text("[estimation.gates]\njoint_limits_deg = [-5.0, 5.0]\n")
+    assert cli.main(arguments) == cli.OK
+    other = json.loads(told.read_text())
+    assert other["changes"] == [
+        {"key": "estimation.gates.joint_limits_deg", "flown": "(-13.0, 13.0)", "now": "(-5.0, 5.0)"}
+    ]
+    assert other["now"]["rows"]["used"] < other["flown"]["rows"]["used"]
+    assert other["now"]["rows"]["refused"]["contact"] > other["flown"]["rows"]["refused"]["contact"]
+    assert other["flown"] == same["flown"]
+    assert "estimation.gates.joint_limits_deg (-13.0, 13.0) -> (-5.0, 5.0)" in capsys.readouterr().out.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[estimation]\nsmothing_ms = 3\n", "did you mean 'smoothing_ms'"),
+        ("[estimation\n", "not TOML"),
+        ("[device.load_cell]\nkind = 'cia406'\n", "load_cell"),
+    ],
+)
+def test_settings_that_do_not_fit_are_told_under_their_own_name(
+    mission: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
+) -> None:
+    settings = tmp_path / "other.toml"
+    settings.write_text(text)
+    assert cli.main(["replay", str(mission.path), "--with", str(settings)]) == cli.BAD_INPUT
+    error = capsys.readouterr().err
+    assert said in error
+    assert "other.toml" in error
+    assert "Traceback" not in error

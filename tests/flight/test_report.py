@@ -1,0 +1,174 @@
+"""The report of a whole mission: what it says against the log, and how it looks in a browser."""
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from onboard import config
+from onboard.flight.identification import build_identifier
+from onboard.offline import truth
+from onboard.offline.phases import Phase
+from onboard.offline.report import report
+from onboard.offline.report.alone import alone
+from onboard.offline.report.story import Sweep
+from tests.flight.missions import Result
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SECTIONS = [
+    "Answers", "Timeline", "Encoder and load cell", "Accelerations and rates", "Torque and acceleration",
+    "Sweep by sweep", "Convergence", "Clocks", "Channels", "Events", "Provenance",
+]  # fmt: skip
+
+
+class Page(HTMLParser):
+    """What a page refers to, its ids, its headings, its figures."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.references: list[str] = []
+        self.ids: list[str] = []
+        self.headings: list[str] = []
+        self.figures = 0
+        self._in_heading = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        for name, value in attributes:
+            if name in ("src", "href", "xlink:href", "data", "srcset", "action"):
+                self.references.append(value or "")
+            if name == "id":
+                self.ids.append(value or "")
+        self.figures += tag == "figure"
+        self._in_heading = tag == "h2"
+
+    def handle_data(self, data: str) -> None:
+        if self._in_heading:
+            self.headings.append(data)
+            self._in_heading = False
+
+
+@pytest.fixture(scope="module")
+def page(mission: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    truth.write(mission.path, mission.flown.truth)
+    path = tmp_path_factory.mktemp("report") / "rocksat.html"
+    assert report(mission.path, path) == ()
+    return path
+
+
+def test_it_needs_nothing_but_itself(page: Path) -> None:
+    text = page.read_text()
+    found = Page(text)
+    assert found.headings == SECTIONS
+    assert found.figures >= 9
+    assert all(reference.startswith("#") for reference in found.references)
+    assert {reference[1:] for reference in found.references} <= set(found.ids)
+    assert len(set(found.ids)) == len(found.ids)
+    assert not re.search(r"@import|url\((?!#)", text)
+    assert "<script" not in text
+
+
+def test_it_says_what_was_said_in_flight_and_what_was_true(page: Path, mission: Result) -> None:
+    text = page.read_text()
+    for mass in mission.table["masses"]:
+        assert f"<td>{mass['label']}</td>" in text
+        assert f"{1e3 * mass['value']:.1f}" in text
+        assert f"{mass['our_error_percent']:+.2f}" in text
+    assert "6 of 6 quantities are determined by the data." in text
+    assert "No record is missing" in text
+    used = sum(int(np.count_nonzero(rows["gate"] == 0)) for _, rows in mission.log.batches(["row"]))
+    assert f"{used:,} of {len(mission.log.read('row')):,} rows went into the estimate." in text
+
+
+def test_what_a_log_says_of_itself_cannot_become_markup(mission: Result, tmp_path: Path) -> None:
+    log = tmp_path / "<b>a&b.mcap"
+    log.symlink_to(mission.path)
+    report(log, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "<b>" not in text
+    assert "&lt;b&gt;a&amp;b.mcap" in text
+
+
+def test_a_sweep_alone_is_the_prior_and_its_rows(rng: np.random.Generator) -> None:
+    """Information subtracted and put back: the difference of two logged states against the rows between them."""
+    vehicle = config.load(config.packaged("rocksat"))
+    (fresh, _), (flown, _), (again, _) = (build_identifier(vehicle) for _ in range(3))
+    p, k = flown.rls.parameters, flown.rls.considered
+    scale = np.sqrt(np.diag(np.linalg.inv(flown.rls.prior_equations()[0])))
+    size = p + k + 1
+    dtype = np.dtype([("vehicle_ns", "<i8"), ("triangle", "<f8", (size * (size + 1) // 2,))])
+
+    def state(at_ns: int) -> np.void:
+        row = np.zeros(1, dtype)[0]
+        row["vehicle_ns"], row["triangle"] = at_ns, flown.rls.state().triangle[np.triu_indices(size)]
+        return row
+
+    def rows() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        Y = rng.normal(size=(200, p)) / scale
+        return Y, rng.normal(size=200), np.full(200, 0.01), rng.normal(size=(200, k))
+
+    flown.rls.update(*rows())
+    before = state(0)
+    states = []
+    for block in range(8):
+        part = rows()
+        flown.rls.update(*part)
+        again.rls.update(*part)
+        states.append(state(block + 1))
+    phase = Phase(0, 8, 3, "sweep 1", True)
+    found = {one.name: one for one in alone(Sweep(phase, 8, True, None, {}, before, states), fresh)}
+    expected = again.rls.solve().mean
+    assert set(found) == {quantity.name for quantity in fresh.quantities}
+    for quantity in fresh.quantities:
+        spread = float(np.sqrt(quantity.weights**2 @ scale**2))
+        assert found[quantity.name].value[-1] == pytest.approx(quantity.weights @ expected, abs=1e-7 * spread)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no browser to look with: apt install chromium")
+class TestInABrowser:
+    """Headless Chromium: light, dark, on paper."""
+
+    def shot(self, page: Path, picture: Path, *options: str) -> Image.Image:
+        assert BROWSER is not None
+        command = [
+            BROWSER,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--hide-scrollbars",
+            "--window-size=1200,5000",
+        ]
+        profile = f"--user-data-dir={picture.parent / 'profile'}"
+        subprocess.run(
+            [*command, profile, *options, f"--screenshot={picture}", page.as_uri()],
+            check=True, capture_output=True, timeout=100,
+        )  # fmt: skip
+        return Image.open(picture).convert("L")
+
+    def test_light_and_dark(self, page: Path, tmp_path: Path) -> None:
+        light = np.asarray(self.shot(page, tmp_path / "light.png"))
+        dark = np.asarray(self.shot(page, tmp_path / "dark.png", "--blink-settings=preferredColorScheme=0"))
+        assert np.median(light) > 240
+        assert np.median(dark) < 40
+        for picture, paper in ((light, 255), (dark, np.median(dark))):
+            inked = np.abs(picture.astype(int) - paper) > 40
+            bands = inked.reshape(50, -1).mean(axis=1)
+            assert (bands > 0.005).sum() > 45  # something to see all the way down
+            assert not inked[:, :20].any()  # and nothing beyond the margin
+            assert not inked[:, -20:].any()
+
+    def test_on_paper(self, page: Path, tmp_path: Path) -> None:
+        assert BROWSER is not None
+        pdf = tmp_path / "page.pdf"
+        command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}"]
+        subprocess.run(
+            [*command, "--no-pdf-header-footer", f"--print-to-pdf={pdf}", page.as_uri()],
+            check=True, capture_output=True, timeout=100,
+        )  # fmt: skip
+        pages = len(re.findall(rb"/Type\s*/Page\b", pdf.read_bytes()))
+        assert 4 <= pages <= 12

@@ -1,0 +1,104 @@
+"""The RockSat flight with other devices, in virtual time and short: serial lines alone, and the rest of CANopen."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.records import EVENT, GAP, Severity
+from hil_sim.scenario import names
+from onboard import config
+from onboard.flight import hil
+from onboard.offline import table
+from onboard.offline.replay import replay
+from onboard.recording.reader import LogReader
+from tests.flight.missions import Result, fly
+
+SWEEP = {
+    "phase": 4,
+    "action": "sweep",
+    "amplitude_deg": 11.5,
+    "stroke_s": 0.6,
+    "strokes": 3,
+    "pause_s": 0.05,
+    "transfer_s": 0.5,
+}
+SHORT = {
+    "sequence": [
+        {"phase": 0, "action": "hold", "duration_s": 2.0},
+        SWEEP,
+        {"phase": 5, "action": "eject", "duration_s": 0.5},
+        SWEEP,
+        {"phase": 9, "action": "hold", "duration_s": 0.5},
+    ],
+}
+
+
+@pytest.fixture(scope="module", params=["rocksat_serial", "rocksat_mixed"])
+def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return fly(tmp_path_factory.mktemp(request.param) / "flight.mcap", vehicle=request.param, **SHORT)
+
+
+def test_every_packaged_scenario_is_flown_by_a_test() -> None:
+    assert set(names()) == {"rocksat", "rocksat_serial", "rocksat_mixed"}
+
+
+def test_every_sample_of_every_channel_is_accounted_for(flown: Result) -> None:
+    assert flown.table["accounted"], flown.table["channels"]
+    vehicle = config.load(config.packaged(flown.table["vehicle"]))
+    marks = {name for name in vehicle.channels if name.endswith("_mark")}  # what was seen twice, not samples
+    assert set(flown.table["channels"]) == set(vehicle.channels) - marks
+    assert all(counted["recorded"] > 5 for counted in flown.table["channels"].values())
+
+
+def test_one_seed_one_log(flown: Result, tmp_path: Path) -> None:
+    again = fly(tmp_path / "again.mcap", vehicle=flown.table["vehicle"], **SHORT)
+    assert again.path.read_bytes() == flown.path.read_bytes()
+
+
+def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
+    found = replay(flown.path)
+    assert found.identical, found.summary
+
+
+def test_rows_are_made_of_all_devices_and_the_answer_holds_the_truth(flown: Result) -> None:
+    gate = flown.log.read("row")["gate"]  # (n, cells)
+    used = np.count_nonzero(gate == 0, axis=0)
+    cells = sum(name.startswith("load_cell") for name in flown.table["channels"])
+    assert len(used) >= cells
+    assert (used[:cells] > 250).all()  # of 430 in the sweeps, less their ends
+    answered = [row for row in (*flown.table["masses"], *flown.table["inertias"]) if row["supported"]]
+    assert len(answered) >= 3
+    assert all(row["covered"] for row in answered)
+
+
+def test_nothing_is_told_but_that_transmitters_take_their_time_to_start(flown: Result) -> None:
+    events = [row for _, rows in flown.log.batches() if rows.dtype == EVENT for row in rows]
+    assert {row["code"] for row in events if row["severity"] >= Severity.WARNING} == {b"no_answer"}
+    gaps = [row for _, rows in flown.log.batches() if rows.dtype == GAP for row in rows]
+    causes = {row["cause"] for row in gaps}
+    assert causes <= {b"no_answer", b"stopped", b"no_pdo"}  # to start; and what was under way when the flight ended
+    assert sum(row["last_missing"] - row["first_missing"] + 1 for row in gaps if row["cause"] != b"no_answer") < 10
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+def test_serial_devices_fly_in_real_time_on_terminals(tmp_path: Path) -> None:
+    """The devices in a process of their own, the flight app in its own processes, a port for each device."""
+    scenario = tmp_path / "short.toml"
+    header = {"name": "short", "description": "", "based_on": "rocksat_serial"}
+    steps = [{**step, "duration_s": 20.0} if place == 0 else step for place, step in enumerate(SHORT["sequence"])]
+    scenario.write_text(f"scenario = {inline(header)}\nsequence = [{', '.join(map(inline, steps))}]\n")
+    vehicle = config.load(config.packaged("rocksat_serial"))
+    flown = hil.fly_realtime(vehicle, ["-m", "hil_sim.serve", str(scenario), "--seed", "3"], tmp_path / "rt.mcap")
+    result = table.result(flown)
+    assert result["accounted"], result["channels"]
+    assert result["channels"]["imu_base"]["recorded"] > 1000
+    assert np.count_nonzero(LogReader(flown.log).read("row")["gate"][:, 0] == 0) > 200
+    assert replay(flown.log).identical
+
+
+def inline(step: dict[str, object]) -> str:
+    """A TOML inline table."""
+    return "{" + ", ".join(f"{key} = {json.dumps(value)}" for key, value in step.items()) + "}"
