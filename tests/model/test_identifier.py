@@ -123,7 +123,7 @@ def by_name(estimate):
 
 
 def test_masses_over_many_flights(rng):
-    """Bars of the issue, with room: p95 errors, coverage of masses and of every base parameter."""
+    """Bars, with room: p95 errors, coverage of masses and of every base parameter."""
     _, model, base, _ = setup()
     chi = model.chi.copy()
     chi[-1] = 0.03
