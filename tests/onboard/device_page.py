@@ -110,6 +110,8 @@ MEANING = {  # of keys that belong to no one driver
     "canopen_sync.delay_ms": "Time of a SYNC frame on the wire: nodes sample at its end.",
     "GyroChannel.axis": "Axis of `frame` of the device.",
     "AccelChannel.axis": "Axis of `frame` of the device.",
+    "nimu.latency_ms": "From sample to first bit of its packet, as measured; half a sample period where not given.",
+    "nimu.latency_sigma_ms": "How well that is known.",
     "recorded_angle.zero_count": "Raw value at angle zero.",
     "recorded_rate.noise_rad_s": "Standard deviation of one sample of the rate.",
 }
