@@ -35,10 +35,10 @@ class Port(Protocol):
 
 
 class OpenDevices(NamedTuple):
-    """Devices by bus, the ports under them, and what could not be opened."""
+    """Devices by bus, the ports under them by bus, and what could not be opened."""
 
     by_bus: dict[str, list[Device]]
-    ports: list[Port]
+    ports: dict[str, list[Port]]
     problems: list[Batch]
 
     @property
@@ -46,10 +46,15 @@ class OpenDevices(NamedTuple):
         """All of them."""
         return [device for devices in self.by_bus.values() for device in devices]
 
-    def close(self) -> None:
-        """Close the ports, after the devices were stopped."""
-        for port in self.ports:
+    def close_bus(self, bus: str) -> None:
+        """Close a bus's ports, right after its devices were stopped: what comes then is for nobody."""
+        for port in self.ports.pop(bus, []):
             port.close()
+
+    def close(self) -> None:
+        """Close what is open yet."""
+        for bus in list(self.ports):
+            self.close_bus(bus)
 
 
 P = TypeVar("P", bound=Port)
@@ -79,7 +84,7 @@ class _Bus(NamedTuple):
 
 def open_devices(vehicle: config.Vehicle, clock: Clock) -> OpenDevices:
     """Open every bus that has devices, and make their drivers. ``clock`` is CLOCK_MONOTONIC, ns."""
-    opened = OpenDevices({}, [], [])
+    opened = OpenDevices({}, {}, [])
     for name in vehicle.file.bus:
         bus = _Bus(vehicle, name, clock, [])
         if not bus.devices:
@@ -92,7 +97,7 @@ def open_devices(vehicle: config.Vehicle, clock: Clock) -> OpenDevices:
             text = f"{bus.url}: {error}; without {', '.join(bus.devices)}"
             opened.problems.append(event(clock(), Severity.ERROR, "bus_failed", name, text))
             continue
-        opened.ports.extend(bus.ports)
+        opened.ports[name] = bus.ports
     return opened
 
 

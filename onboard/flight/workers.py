@@ -12,12 +12,11 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drivers.device import Device
 from drivers.records import Batch, Severity, event
 from onboard import config
 from onboard.flight import manifest, rings
@@ -86,8 +85,8 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
     gc.collect()
     gc.freeze()
     threads = [
-        threading.Thread(target=_pump_bus, args=(acquisition, devices, supervised.stop), name=bus, daemon=True)
-        for bus, devices in opened.by_bus.items()
+        threading.Thread(target=_pump_bus, args=(acquisition, opened, bus, supervised.stop), name=bus, daemon=True)
+        for bus in opened.by_bus
     ]
     for thread in threads:
         thread.start()
@@ -98,9 +97,9 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
     opened.close()
 
 
-def _pump_bus(acquisition: Acquisition, devices: Sequence[Device], stop: threading.Event) -> None:
-    """All devices of one bus: they share a port, so one thread drives them."""
-    running = [device for device in devices if acquisition.start_device(device, time.monotonic_ns())]
+def _pump_bus(acquisition: Acquisition, opened: "OpenDevices", bus: str, stop: threading.Event) -> None:
+    """All devices of one bus: they share a port, so one thread drives them, and closes it."""
+    running = [device for device in opened.by_bus[bus] if acquisition.start_device(device, time.monotonic_ns())]
     due_ns = {device.name: 0 for device in running}
     while running and not stop.is_set():
         for device in running:
@@ -113,6 +112,7 @@ def _pump_bus(acquisition: Acquisition, devices: Sequence[Device], stop: threadi
             time.sleep(wait_ns * 1e-9)
     for device in running:
         acquisition.stop_device(device, time.monotonic_ns())
+    opened.close_bus(bus)
 
 
 def run_for(opened: "OpenDevices", seconds: float) -> list[Batch]:
@@ -121,8 +121,8 @@ def run_for(opened: "OpenDevices", seconds: float) -> list[Batch]:
     stop = threading.Event()
     acquisition = Acquisition(opened.devices, _Keeper(said))
     threads = [
-        threading.Thread(target=_pump_bus, args=(acquisition, devices, stop), name=bus, daemon=True)
-        for bus, devices in opened.by_bus.items()
+        threading.Thread(target=_pump_bus, args=(acquisition, opened, bus, stop), name=bus, daemon=True)
+        for bus in opened.by_bus
     ]
     for thread in threads:
         thread.start()
