@@ -433,7 +433,8 @@ def test_serial_devices_are_served_on_terminals(tmp_path):
         assert process.wait(10) == 0
     produced, packets = report["produced"], said.count(b"\xff\xff\xff\xff\x26\x00\x14")
     assert packets > 300
-    assert 0 <= produced["imu_base"] - packets <= 1  # one that came after the last read
+    # one that came after the last read, or was read as the port opened: a pty does not tell of either
+    assert abs(produced["imu_base"] - packets) <= 1
     assert produced["load_cell"] == len(weights) > 20
     assert max(weights) < 1000  # N/1000: nothing presses on it yet
     assert b"r 14 13FA600E" in answers
