@@ -119,6 +119,20 @@ def test_a_clock_without_marks_ends_invalid_and_can_begin_again(rng: np.random.G
     assert clock.state is ClockState.LOCKED
 
 
+def test_a_mark_that_says_otherwise_contradicts_until_one_agrees(rng: np.random.Generator) -> None:
+    chip, clock = Chip(rng, 0.003), DeviceClock(PERIOD_NS)
+    edges = pulses(rng, 20.0)
+    fly(chip, edges[:-2], clock)
+    assert not clock.contradicted
+    clock.mark(chip.mark(edges[-2], 40))
+    assert clock.contradicted
+    assert clock.state is ClockState.FLYWHEEL
+    assert clock.sigma_ns(chip.tick_of(edges[-2])) > 39 * PERIOD_NS  # no less than the clock is wrong by, if it is
+    fly(chip, edges[-1:], clock)
+    assert not clock.contradicted
+    assert clock.sigma_ns(chip.tick_of(edges[-1])) < PERIOD_NS
+
+
 def test_ticks_that_went_on_elsewhere_are_noticed_and_never_called_locked(rng: np.random.Generator) -> None:
     chip, clock = Chip(rng, 0.003), DeviceClock(PERIOD_NS)
     edges = pulses(rng, 20.0)

@@ -166,3 +166,13 @@ def test_every_base_rate_of_the_code_is_good(sync_period_ms: float) -> None:
     for name in ("imu", "node", "qsb", "sync"):
         assert fleet.states[name] is ClockState.LOCKED, name
         assert abs(fleet.error_ns(name)) < 500e3, name
+
+
+def test_samples_have_no_time_while_their_clock_is_contradicted() -> None:
+    fleet = Fleet(15)
+    fleet.run(200, lambda _: None)
+    rows = np.zeros(1, records.SCALAR)
+    rows["tick"], rows["host_ns"] = 1000, fleet.start_ns
+    assert fleet.timebase.time_ns("node", rows) is not None
+    fleet.timebase._sources["node"].clock.doubt(40e6)
+    assert fleet.timebase.time_ns("node", rows) is None
