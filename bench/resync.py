@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.identification import BOXES, ERRORS, PAYLOAD_SIGMA, vehicle
+from bench.identification.free_flyer import BOXES, ERRORS, PAYLOAD_SIGMA, vehicle
 from hil_sim import free_flyer
 from hil_sim.free_flyer_sensors import COUNTS_PER_TURN, sample
 from onboard.estimation.errors import ConvergenceError

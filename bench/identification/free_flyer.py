@@ -1,11 +1,7 @@
-"""Payload identification against its bars; the truth is MuJoCo's.
+"""A payload on a free-flyer's arm, against the Cramer-Rao bound; the truth is MuJoCo's.
 
-Run ``python bench/identification.py noise real``. Every seed is a flight of its own: motion, momentum at release,
-errors, noise. The bound is Cramer and Rao's for the motion flown, at the truth, with all unknown that the case doubts.
-
-Cases: ``noise`` (base IMU at its datasheet's noise and nothing else wrong, payloads of 1, 5 and 20 kg) and ``real``
-(scale 0.3 %, axes 0.2 deg, bias and its drift, time, base mass 0.3 % and inertia 1 %, links 1 %, shapes of the workshop
-tools scaled to 1 to 20 kg; needs the data sets in $HEFT_DATASETS or ../shared/datasets).
+Every seed is a flight of its own: motion, momentum at release, errors, noise. The bound is Cramer and Rao's for the
+motion flown, at the truth, with all unknown that the case doubts.
 """
 
 import argparse
@@ -201,30 +197,24 @@ def _print(title: str, flown: Sequence[Outcome], limits: Sequence[float] | None)
         )
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="+", choices=("noise", "real"))
-    parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--datasets", type=Path, default=Path(os.environ.get("HEFT_DATASETS", "../shared/datasets")))
-    arguments = parser.parse_args()
-    seeds = range(arguments.first, arguments.first + arguments.seeds)
+def noise(arguments: argparse.Namespace) -> None:
+    """Datasheet noise and nothing else wrong."""
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        if "noise" in arguments.cases:
-            for mass, body in BOXES.items():
-                _print(f"noise only, {mass} kg", list(pool.map(partial(fly, body, False), seeds)), None)
-        if "real" in arguments.cases:
-            shapes = tools(arguments.datasets / "workshop_tools")
-            bodies = []
-            for seed in seeds:
-                shape = shapes[seed % len(shapes)]
-                mass = float(np.exp(np.random.default_rng([seed]).uniform(0.0, np.log(20.0))))
-                bodies.append(shape.grown(mass))
-            flown = list(pool.map(fly, bodies, [True] * len(bodies), seeds))
-            _print("real-life errors, workshop tools of 1 to 20 kg", flown, (2.0, 5.0, 6.0))
+        for mass, body in BOXES.items():
+            _print(f"noise only, {mass} kg", list(pool.map(partial(fly, body, False), _seeds(arguments))), None)
 
 
-if __name__ == "__main__":
-    main()
+def real(arguments: argparse.Namespace) -> None:
+    """Real-life errors, tools of 1 to 20 kg."""
+    shapes = tools(arguments.datasets / "workshop_tools")
+    bodies = []
+    for seed in _seeds(arguments):
+        mass = float(np.exp(np.random.default_rng([seed]).uniform(0.0, np.log(20.0))))
+        bodies.append(shapes[seed % len(shapes)].grown(mass))
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        flown = list(pool.map(fly, bodies, [True] * len(bodies), _seeds(arguments)))
+    _print("real-life errors, workshop tools of 1 to 20 kg", flown, (2.0, 5.0, 6.0))
+
+
+def _seeds(arguments: argparse.Namespace) -> range:
+    return range(arguments.first, arguments.first + arguments.seeds)
