@@ -18,12 +18,12 @@ from scipy.linalg import lstsq, qr
 
 from onboard.model.errors import SignalError, UnknownFrameError
 from onboard.model.rows import BaseMotion, RowModel
-from onboard.model.vehicle import BaseKind
+from onboard.model.vehicle import STANDARD_GRAVITY_M_S2, BaseKind
 
 FloatArray = NDArray[np.float64]
+Vector3 = tuple[float, float, float]
 
-STANDARD_GRAVITY_M_S2 = 9.80665
-_KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "Ia", "Fv", "Fc", "zero")
+_KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "scale", "Ia", "Fv", "Fc", "zero")
 _TOLERANCE = 1e-9  # of a column's norm
 
 
@@ -31,16 +31,19 @@ _TOLERANCE = 1e-9  # of a column's norm
 class SampledMotion:
     """Which of the base's motions may occur at all; a zero takes one out, and with it what only it could show."""
 
-    rate_rad_s: float = 1.0
-    acceleration_rad_s2: float = 1.0
-    specific_force_m_s2: float = 1.0
-    constant_force_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rate_rad_s: float | Vector3 = 1.0
+    acceleration_rad_s2: float | Vector3 = 1.0
+    specific_force_m_s2: float | Vector3 = 1.0
+    constant_force_m_s2: Vector3 = (0.0, 0.0, 0.0)
 
     @classmethod
-    def of(cls, kind: BaseKind) -> "SampledMotion":
-        """General motion of a base of this kind; a fixed one stands upright in gravity."""
+    def of(cls, kind: BaseKind, gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)) -> "SampledMotion":
+        """General motion of a base of this kind; a fixed and a planar one stand in gravity, in base axes."""
+        x, y, z = gravity_m_s2
         if kind is BaseKind.FIXED:
-            return cls(0.0, 0.0, 0.0, (0.0, 0.0, STANDARD_GRAVITY_M_S2))
+            return cls(0.0, 0.0, 0.0, (-x, -y, -z))
+        if kind is BaseKind.PLANAR:
+            return cls((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 0.0), (-x, -y, -z))
         return cls()
 
 
@@ -86,20 +89,6 @@ class BaseParameters:
             raise SignalError("this quantity is no combination of base parameters; these rows can never determine it")
         return np.asarray(found.reshape((*functional.shape[:-1], len(self.names))), np.float64)
 
-    def expressions(self) -> tuple[str, ...]:
-        """Each base parameter as people write it: ``ZZ_arm_R = ZZ_arm + 0.0296 M_tip_mass``; SI units."""
-        written = []
-        for row, (name, column) in enumerate(zip(self.names, self.independent, strict=True)):
-            text = f"{name} = {self.standard_names[column]}"
-            for other in np.flatnonzero(self.grouping[row]):
-                if other == column:
-                    continue
-                factor = self.grouping[row, other]
-                size = "" if abs(abs(factor) - 1.0) < 1e-9 else f"{abs(factor):.4g} "
-                text += f" {'+' if factor > 0 else '-'} {size}{self.standard_names[other]}"
-            written.append(text)
-        return tuple(written)
-
 
 def sampled_rows(
     model: RowModel, rng: np.random.Generator, ticks: int, motion: SampledMotion, released: bool
@@ -111,12 +100,13 @@ def sampled_rows(
     shape = (ticks, len(vehicle.joints))
     q = rng.uniform(low, high, shape)
     base = BaseMotion(
-        motion.rate_rad_s * rng.standard_normal((ticks, 3)),
-        motion.acceleration_rad_s2 * rng.standard_normal((ticks, 3)),
-        motion.specific_force_m_s2 * rng.standard_normal((ticks, 3)) + motion.constant_force_m_s2,
+        np.asarray(motion.rate_rad_s) * rng.standard_normal((ticks, 3)),
+        np.asarray(motion.acceleration_rad_s2) * rng.standard_normal((ticks, 3)),
+        np.asarray(motion.specific_force_m_s2) * rng.standard_normal((ticks, 3)) + motion.constant_force_m_s2,
     )
     attached = np.arange(ticks) % 2 == 0 if released else None
-    Y = model.regressor(q, rng.standard_normal(shape), rng.standard_normal(shape), base, attached)
+    dq, ddq, readings = (rng.standard_normal(size) for size in (shape, shape, (ticks, len(model.rows))))
+    Y = model.regressor(q, dq, ddq, base, attached, readings=readings)
     return Y.reshape(-1, Y.shape[2])
 
 
@@ -126,6 +116,7 @@ def base_parameters(
     motion: SampledMotion | None = None,
     released: bool | None = None,
     ticks: int = 0,
+    known: NDArray[np.bool_] | None = None,
 ) -> BaseParameters:
     """Finds the base parameters of a row model.
 
@@ -135,14 +126,17 @@ def base_parameters(
         motion: which base motions may occur; all that the base kind allows, where not given.
         released: whether the payload is also flown without; so if there is a payload link, where not given.
         ticks: how many ticks to sample; five for each column where zero.
+        known: (P,) columns whose parameters are taken for exact: they are in no base parameter.
 
     Raises:
         SignalError: rows that depend on no parameter at all.
     """
     vehicle = model.vehicle
-    allowed = SampledMotion.of(vehicle.spec.base) if motion is None else motion
+    allowed = SampledMotion.of(vehicle.spec.base, vehicle.spec.gravity_m_s2) if motion is None else motion
     let_go = vehicle.spec.payload_link is not None if released is None else released
     W = sampled_rows(model, rng, ticks or 5 * len(model.names) + 20, allowed, let_go)
+    if known is not None:
+        W[:, known] = 0.0
     norms = np.sqrt(np.einsum("ij,ij->j", W, W))
     norms[norms < _TOLERANCE * norms.max()] = 0.0  # rounding, where there should be nothing
     if not (norms > 0.0).any():
@@ -151,12 +145,7 @@ def base_parameters(
     diagonal = np.abs(np.diag(qr(scaled, mode="r", pivoting=True)[0]))
     rank = int((diagonal > _TOLERANCE * diagonal[0] * np.sqrt(scaled.shape[1])).sum())
     independent = _choose(scaled, rank, _preference(model.names))
-    dependent = np.setdiff1d(np.arange(len(model.names)), independent)
-    K = lstsq(W[:, independent] / norms[independent], W[:, dependent])[0] / norms[independent][:, None]
-    grouping = np.zeros((rank, len(model.names)))
-    grouping[np.arange(rank), independent] = 1.0
-    K[np.abs(K) < 1e-9] = 0.0
-    grouping[:, dependent] = K
+    grouping = grouping_of(W, independent)
     names = tuple(
         model.names[column] + ("_R" if np.count_nonzero(grouping[row]) > 1 else "")
         for row, column in enumerate(independent)
@@ -164,6 +153,24 @@ def base_parameters(
     for array in (independent, grouping):
         array.setflags(write=False)
     return BaseParameters(names, independent, grouping, model.names)
+
+
+def grouping_of(W: FloatArray, independent: NDArray[np.intp]) -> FloatArray:
+    """The map from standard to base parameters, (p, P), of which the columns ``independent`` are the base.
+
+    Args:
+        W: rows of general motion, (r, P).
+        independent: (p,) columns that span all others.
+    """
+    columns = W.shape[1]
+    norms = np.sqrt(np.einsum("ij,ij->j", W[:, independent], W[:, independent]))
+    dependent = np.setdiff1d(np.arange(columns), independent)
+    K = lstsq(W[:, independent] / norms, W[:, dependent])[0] / norms[:, None]
+    K[np.abs(K) < 1e-9] = 0.0
+    grouping = np.zeros((independent.size, columns))
+    grouping[np.arange(independent.size), independent] = 1.0
+    grouping[:, dependent] = K
+    return grouping
 
 
 def _preference(names: tuple[str, ...]) -> list[int]:
@@ -205,6 +212,7 @@ def named_relative_sigma(model: RowModel, links: Mapping[str, float], extras: Ma
 
     Raises:
         UnknownFrameError: a name that is missing or unknown.
+        SignalError: a sigma that is negative or not finite.
     """
     own = model.vehicle.parameter_sigma(dict(links))
     expected = model.names[own.size :]
@@ -212,6 +220,9 @@ def named_relative_sigma(model: RowModel, links: Mapping[str, float], extras: Ma
         raise UnknownFrameError(
             f"give a sigma for each of {', '.join(expected) or 'no extra column'}, and else for columns of links only"
         )
+    wrong = [name for name, value in extras.items() if not 0.0 <= value < np.inf]
+    if wrong:
+        raise SignalError(f"the sigma of {', '.join(wrong)} is negative or not finite; give zero or more")
     sigma = np.concatenate([own, np.zeros(len(expected))])
     for name, value in extras.items():
         sigma[model.names.index(name)] = value

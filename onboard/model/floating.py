@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from onboard.model.composite import symmetric
 from onboard.model.errors import SignalError
 from onboard.model.vehicle import Vehicle
 
@@ -22,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 
 class LinkMotion(NamedTuple):
-    """One link frame relative to the base, in base axes."""
+    """One link frame relative to the base, in base axes; or several, their axis after that of the ticks."""
 
     R: FloatArray  # (n, 3, 3) link axes in base axes
     p: FloatArray  # (n, 3) origin
@@ -53,16 +52,25 @@ def turned(R: FloatArray, a: FloatArray) -> FloatArray:
 
 
 def link_motions(vehicle: Vehicle, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[LinkMotion, ...]:
-    """Motion of every link with columns, in the order of ``vehicle.links``.
+    """Motion of every link with columns, in the order of ``vehicle.links``; see :func:`frame_motions`."""
+    return frame_motions(vehicle, vehicle.links, q, dq, ddq)
+
+
+def frame_motions(
+    vehicle: Vehicle, names: Sequence[str], q: FloatArray, dq: FloatArray, ddq: FloatArray
+) -> tuple[LinkMotion, ...]:
+    """Motion of frames anywhere on the vehicle.
 
     Args:
         vehicle: the model.
+        names: of links or frames.
         q: joint positions, (n, joints).
         dq: joint rates, (n, joints).
         ddq: joint accelerations, (n, joints).
 
     Raises:
         SignalError: shapes that do not fit.
+        UnknownFrameError: no such frame.
     """
     n, nj = q.shape[0], len(vehicle.joints)
     if any(signal.shape != (n, nj) for signal in (q, dq, ddq)):
@@ -88,7 +96,7 @@ def link_motions(vehicle: Vehicle, q: FloatArray, dq: FloatArray, ddq: FloatArra
             v = seat.v + swing + axis * dx
             a = seat.a + axis * ddx + 2.0 * cross(seat.w, axis * dx) + cross(seat.dw, out) + cross(seat.w, swing)
             of_joint[index] = LinkMotion(seat.R, seat.p + out, v, seat.w, a, seat.dw)
-    frames = [model.frames[vehicle.frame_id(link)] for link in vehicle.links]
+    frames = [model.frames[vehicle.frame_id(name)] for name in names]
     return tuple(_fixed(of_joint[int(frame.parentJoint)], frame.placement) for frame in frames)
 
 
@@ -104,6 +112,11 @@ def _fixed(parent: LinkMotion, placement: pin.SE3) -> LinkMotion:
         parent.a + cross(parent.dw, arm) + cross(parent.w, swing),
         parent.dw,
     )
+
+
+def stacked(links: Sequence[LinkMotion]) -> LinkMotion:
+    """Several links in one, (n, links, ...): the arithmetic of all of them in one call."""
+    return LinkMotion(*(np.stack(parts, axis=1) for parts in zip(*links, strict=True)))
 
 
 def _inertia_columns(x: FloatArray) -> FloatArray:
@@ -162,24 +175,33 @@ def wrench_columns(link: LinkMotion, w: FloatArray, f: FloatArray, dw: FloatArra
 def wrench_and_slope(
     link: LinkMotion, own: FloatArray, w: FloatArray, f: FloatArray, dw: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """``wrench_columns @ own``, (n, 6), at a third of the price, and its derivative with respect to w, (n, 6, 3)."""
+    """``wrench_columns @ own``, (n, 6), at a third of the price, and its derivative with respect to w, (n, 6, 3).
+
+    Of several links at once with ``own`` (links, 10) and base motion (n, 1, 3): (n, links, 6) and (n, links, 6, 3).
+    """
     R, p = link.R, link.p
-    m, h = own[0], turned(R, own[1:4])
-    I = R @ symmetric(own[4:]) @ R.swapaxes(-1, -2)  # noqa: E741
+    m, h = own[..., :1], turned(R, own[..., 1:4])
+    I = _in_base_axes(R, own)  # noqa: E741
     wi = link.w + w
     dwi = dw + link.dw + cross(w, link.w)
     sweep = cross(w, p) + 2.0 * link.v
     fi = f + cross(dw, p) + cross(w, sweep) + link.a
     turning, along = cross(wi, h), turned(I, wi)
-    out = np.empty((len(w), 6))
-    out[:, :3] = m * fi + cross(dwi, h) + cross(wi, turning)
-    out[:, 3:] = cross(h, fi) + turned(I, dwi) + cross(wi, along) + cross(p, out[:, :3])
+    out = np.empty((*wi.shape[:-1], 6))
+    out[..., :3] = m * fi + cross(dwi, h) + cross(wi, turning)
+    out[..., 3:] = cross(h, fi) + turned(I, dwi) + cross(wi, along) + cross(p, out[..., :3])
     H, P, Wi, relative = hat(h), hat(p), hat(wi), hat(link.w)
     d_fi = -hat(sweep) - hat(w) @ P
-    slope = np.empty((len(w), 6, 3))
-    slope[:, :3] = m * d_fi + H @ relative - hat(turning) - Wi @ H
-    slope[:, 3:] = H @ d_fi - I @ relative - hat(along) + Wi @ I + P @ slope[:, :3]
+    slope = np.empty((*wi.shape[:-1], 6, 3))
+    slope[..., :3, :] = m[..., None] * d_fi + H @ relative - hat(turning) - Wi @ H
+    slope[..., 3:, :] = H @ d_fi - I @ relative - hat(along) + Wi @ I + P @ slope[..., :3, :]
     return out, slope
+
+
+def _in_base_axes(R: FloatArray, own: FloatArray) -> FloatArray:
+    """Inertia tensors of links in base axes, about each one's own origin."""
+    tensor = own[..., [4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(*own.shape[:-1], 3, 3)
+    return np.asarray(R @ tensor @ R.swapaxes(-1, -2), np.float64)
 
 
 def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArray:
@@ -189,18 +211,19 @@ def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArra
         links: motions, in the order of the columns.
         chi: standard parameters, (10 x links,).
     """
-    n = links[0].p.shape[0]
-    mass, first, tensor = 0.0, np.zeros((n, 3)), np.zeros((n, 3, 3))
-    for link, own in zip(links, chi.reshape(-1, 10), strict=True):
-        m, h = own[0], turned(link.R, own[1:4])
-        P = hat(link.p)
-        shift = P @ hat(h)
-        tensor += link.R @ symmetric(own[4:]) @ link.R.swapaxes(-1, -2) - shift - shift.swapaxes(-1, -2) - m * P @ P
-        mass += m
-        first += h + m * link.p
-    C = np.zeros((n, 6, 6))
-    C[:, :3, :3] = mass * np.eye(3)
-    C[:, 3:, :3] = hat(first)
+    return composite_of(stacked(links), chi)
+
+
+def composite_of(link: LinkMotion, chi: FloatArray) -> FloatArray:
+    """:func:`composite_inertia` of links that are :func:`stacked`."""
+    own = chi.reshape(-1, 10)
+    m, h = own[:, :1], turned(link.R, own[:, 1:4])  # (links, 1), (n, links, 3)
+    P = hat(link.p)
+    shift = P @ hat(h)
+    tensor = _in_base_axes(link.R, own) - shift - shift.swapaxes(-1, -2) - m[..., None] * P @ P
+    C = np.zeros((len(link.p), 6, 6))
+    C[:, :3, :3] = m.sum() * np.eye(3)
+    C[:, 3:, :3] = hat((h + m * link.p).sum(axis=1))
     C[:, :3, 3:] = -C[:, 3:, :3]
-    C[:, 3:, 3:] = tensor
+    C[:, 3:, 3:] = tensor.sum(axis=1)
     return C

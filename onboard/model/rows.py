@@ -7,21 +7,25 @@ to move everything beyond the cut as it moves.
 - Joint torque: the cut is the joint, the axis is the joint's; with actuator inertia and friction columns if asked.
 - Base wrench: the cut is around the whole vehicle; what is known to be zero (free flight) gives rows ``0 = Y chi``.
 
+A reading may be off by a scale that is not known, ``(1 - scale) reading = Y chi + bias``: the calibration of a cell,
+the torque constant of a motor. Its column is the reading itself, so the rows stay linear.
+
 The base's motion comes from an IMU: angular rate, angular acceleration and specific force (a - g, not acceleration).
 With gravity zero in the model and the specific force as the base's acceleration, gravity, attitude and the base's
 velocity all cancel (Galilean invariance), so none of them has to be known.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from onboard.model.errors import SignalError, UrdfError
+from onboard.model.errors import SignalError
 from onboard.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, Vehicle
+from onboard.model.wrench_columns import Fold, WrenchColumns
 
 FloatArray = NDArray[np.float64]
 
@@ -42,6 +46,7 @@ class WrenchRow:
     frame: str
     projection: tuple[float, float, float, float, float, float]
     bias: bool = False
+    scale: bool = False
     friction_joint: str | None = None
     coasting: bool = (
         False  # the frame's origin is the centre of mass of a vehicle in free fall: no specific force there
@@ -49,7 +54,13 @@ class WrenchRow:
 
 
 def load_cell_row(
-    name: str, frame: str, axis: Sequence[float], measures: str, lever_m: float = 1.0, bias: bool = True
+    name: str,
+    frame: str,
+    axis: Sequence[float],
+    measures: str,
+    lever_m: float = 1.0,
+    bias: bool = True,
+    scale: bool = False,
 ) -> WrenchRow:
     """Row of a single-axis load cell, in the unit it reads: N for a force or a moment on a lever, N m with lever 1.
 
@@ -60,6 +71,7 @@ def load_cell_row(
         measures: ``"moment"`` or ``"force"``.
         lever_m: the reading is moment / lever.
         bias: whether the reading at no load is a parameter.
+        scale: whether its scale is, relative, column ``scale_<name>``.
 
     Raises:
         SignalError: a zero axis, a lever that is not positive, or another word for ``measures``.
@@ -70,9 +82,9 @@ def load_cell_row(
         raise SignalError(f"load cell {name!r}: give an axis of three numbers, not all zero, and a positive lever")
     x, y, z = (float(v) for v in direction / length)
     if measures == "moment":
-        return WrenchRow(name, frame, (0.0, 0.0, 0.0, x / lever_m, y / lever_m, z / lever_m), bias)
+        return WrenchRow(name, frame, (0.0, 0.0, 0.0, x / lever_m, y / lever_m, z / lever_m), bias, scale)
     if measures == "force":
-        return WrenchRow(name, frame, (x, y, z, 0.0, 0.0, 0.0), bias)
+        return WrenchRow(name, frame, (x, y, z, 0.0, 0.0, 0.0), bias, scale)
     raise SignalError(f"load cell {name!r} measures {measures!r}; say 'moment' or 'force'")
 
 
@@ -89,14 +101,15 @@ def joint_torque_row(vehicle: Vehicle, joint: str, friction: bool = True) -> Wre
 
 
 def base_force_rows(vehicle: Vehicle) -> tuple[WrenchRow, ...]:
-    """The three rows of the force on the whole vehicle, in base axes."""
+    """The rows of the force on the whole vehicle, in base axes: three, x and y alone on a planar bed."""
     frame = vehicle.spec.base_link
     unit = np.eye(6)
-    return tuple(WrenchRow(f"base_force_{n}", frame, tuple(unit[i])) for i, n in enumerate("xyz"))
+    axes = "xy" if vehicle.spec.base is BaseKind.PLANAR else "xyz"
+    return tuple(WrenchRow(f"base_force_{n}", frame, tuple(unit[i])) for i, n in enumerate(axes))
 
 
 def base_moment_rows(vehicle: Vehicle) -> tuple[WrenchRow, ...]:
-    """The three rows of the moment on the whole vehicle, in base axes.
+    """The rows of the moment on the whole vehicle, in base axes: three, z alone on a planar bed.
 
     They are about the base frame's origin, unless the base is free and its joints turn balanced rotors only. Such a
     vehicle's centre of mass is fixed in the base and feels no specific force, so the rows are taken about it: exact,
@@ -107,9 +120,14 @@ def base_moment_rows(vehicle: Vehicle) -> tuple[WrenchRow, ...]:
     frame = vehicle.spec.base_link
     coasting = vehicle.spec.base is BaseKind.FREE and vehicle.centre_of_mass_is_fixed()
     unit = np.eye(6)
-    return tuple(
-        WrenchRow(f"base_moment_{n}", frame, tuple(unit[3 + i]), coasting=coasting) for i, n in enumerate("xyz")
-    )
+    axes = "z" if vehicle.spec.base is BaseKind.PLANAR else "xyz"
+    return tuple(WrenchRow(f"base_moment_{n}", frame, tuple(unit[3 + "xyz".index(n)]), coasting=coasting) for n in axes)
+
+
+def standing(vehicle: Vehicle, ticks: int) -> BaseMotion:
+    """Motion of a fixed base: none, in its gravity."""
+    still = np.zeros((ticks, 3))
+    return BaseMotion(still, still, still - vehicle.spec.gravity_m_s2)
 
 
 def base_motion(
@@ -144,14 +162,11 @@ def skew(v: FloatArray) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], np.float64)
 
 
-class _Cut(NamedTuple):
-    """Rows that share a frame and the way the base's specific force is taken."""
+class RowFold(NamedTuple):
+    """Combinations ``Y @ mix`` of a row model's columns, made at the price of what is wanted; :meth:`RowModel.fold`."""
 
-    frame: int
-    projections: FloatArray  # (rows here, 6)
-    rows: list[int]
-    links: tuple[int, ...]  # beyond the cut
-    coasting: bool
+    links: Fold
+    extras: FloatArray  # (P - 10 x links, c)
 
 
 class RowModel:
@@ -166,8 +181,8 @@ class RowModel:
             the URDF's first moments; the product of an error in those and of a zero is not worth a column.
 
     Attributes:
-        names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, then ``Ia_, Fv_, Fc_<joint>``,
-            then ``zero_force_x, _y, _z``.
+        names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, ``scale_<row>``, then ``Ia_, Fv_,
+            Fc_<joint>``, then ``zero_force_x, _y, _z``.
         chi: prior values of the columns: the URDF's, zero for the extra ones.
 
     Raises:
@@ -180,11 +195,16 @@ class RowModel:
         self.rows = tuple(rows)
         names = [f"{parameter}_{link}" for link in vehicle.links for parameter in STANDARD]
         self._biases: list[tuple[int, int]] = []  # row, column
+        self._scales: list[tuple[int, int]] = []
         self._frictions: list[tuple[int, int, int]] = []  # row, joint, first column
         for index, row in enumerate(self.rows):
             if row.bias:
                 self._biases.append((index, len(names)))
                 names.append(f"bias_{row.name}")
+        for index, row in enumerate(self.rows):
+            if row.scale:
+                self._scales.append((index, len(names)))
+                names.append(f"scale_{row.name}")
         for index, row in enumerate(self.rows):
             if row.friction_joint is not None:
                 joint = vehicle.joints.index(vehicle.joint(row.friction_joint))
@@ -196,16 +216,17 @@ class RowModel:
         self.names = tuple(names)
         self.chi = np.concatenate([vehicle.chi, np.zeros(len(names) - vehicle.chi.size)])
         self.chi.setflags(write=False)
-        self._links = [vehicle.frame_id(link) for link in vehicle.links]
-        self._cuts: list[_Cut] = []
-        for frame, coasting in dict.fromkeys((row.frame, row.coasting) for row in self.rows):
-            mine = [i for i, row in enumerate(self.rows) if (row.frame, row.coasting) == (frame, coasting)]
-            beyond = vehicle.distal_links(frame)
-            if not beyond:
-                raise UrdfError(f"nothing with mass hangs beyond {frame!r}; measure elsewhere or give a link inertia")
-            projections = np.array([self.rows[index].projection for index in mine])  # (rows here, 6)
-            self._cuts.append(_Cut(vehicle.frame_id(frame), projections, mine, beyond, coasting))
-        self._data = vehicle.model.createData()
+        self._columns = WrenchColumns(vehicle, self.rows)
+        self._turning = [(k, joint.q_index) for k, joint in enumerate(vehicle.joints) if joint.q_size == 2]
+
+    def fold(self, mix: FloatArray) -> RowFold:
+        """Combinations of the columns, to be asked of :meth:`regressor` again and again.
+
+        Args:
+            mix: (P, c).
+        """
+        links = self.vehicle.chi.size
+        return RowFold(self._columns.fold(mix[:links]), mix[links:])
 
     def regressor(
         self,
@@ -215,8 +236,10 @@ class RowModel:
         motion: BaseMotion,
         attached: ArrayLike | None = None,
         fill_zero_force: bool = True,
+        readings: ArrayLike | None = None,
+        fold: RowFold | None = None,
     ) -> FloatArray:
-        """The regressor Y, (n, rows, columns).
+        """The regressor Y, (n, rows, columns), or the combinations of its columns that ``fold`` stands for.
 
         Args:
             q: joint positions, (n, joints), in the order of ``vehicle.joints``.
@@ -225,9 +248,12 @@ class RowModel:
             motion: of the base.
             attached: (n,) bool, whether the payload link is held; always, where not given.
             fill_zero_force: whether the ``zero_force`` columns are made, if the model has them; else they stay zero.
+            readings: (n, rows) what the rows' sensors read; needed where a scale is a parameter. A reading that is not
+                finite makes its own row so.
+            fold: which combinations of columns; every column by itself, where not given.
 
         Raises:
-            SignalError: shapes that do not fit, or numbers that are not finite.
+            SignalError: shapes that do not fit, motion that is not finite, or a scale without readings.
         """
         nj = len(self.vehicle.joints)
         position, velocity, acceleration = (np.asarray(v, np.float64) for v in (q, dq, ddq))
@@ -238,30 +264,33 @@ class RowModel:
                 f"joint signals must be (n, {nj}) and base motion (n, 3), the same number of ticks; "
                 f"they are {[part.shape for part in parts]}"
             )
-        if not all(np.isfinite(part).all() for part in parts):
-            raise SignalError("motion must be finite; leave invalid ticks out before building rows")
         held = np.ones(n, bool) if attached is None else np.asarray(attached, bool)
         if held.shape != (n,):
             raise SignalError(f"{held.size} flags for {n} ticks; say for each tick whether the payload is held")
-        q_full, v_full, a_full = self._states(position, velocity, acceleration, motion)
-        Y = np.zeros((n, len(self.rows), len(self.names)))
+        states = self._states(position, velocity, acceleration, motion)
+        if not all(math.isfinite(np.vdot(state, state)) for state in states):
+            raise SignalError("motion must be finite; leave invalid ticks out before building rows")
+        made = self._columns.make(self._columns.whole if fold is None else fold.links, held, *states)
+        own = made.shape[2] if fold is None else self.vehicle.chi.size
+        if own == len(self.names):
+            return made
+        extras = np.zeros((n, len(self.rows), len(self.names) - own))
         if self._zero_force is not None and fill_zero_force:
-            self._fill_zero_force(Y[:, :, self._zero_force : self._zero_force + 3], q_full, held)
-        for coasting in sorted({cut.coasting for cut in self._cuts}):  # a_full is changed by the second
-            cuts = [cut for cut in self._cuts if cut.coasting == coasting]
-            if coasting:
-                a_full[:, :3] = 0.0
-            for tick in range(n):
-                self._fill(cuts, Y[tick], q_full[tick], v_full[tick], a_full[tick])
-        payload = self.vehicle.payload_columns()
-        Y[~held, :, payload] = 0.0
+            first = self._zero_force - own
+            self._fill_zero_force(extras[:, :, first : first + 3], states[0], held)
         for row, column in self._biases:
-            Y[:, row, column] = 1.0
+            extras[:, row, column - own] = 1.0
+        if self._scales:
+            read = np.asarray(() if readings is None else readings, np.float64)
+            if read.shape != (n, len(self.rows)):
+                raise SignalError(f"scales are parameters; give the readings, ({n}, {len(self.rows)})")
+            for row, column in self._scales:
+                extras[:, row, column - own] = read[:, row]
         for row, joint, column in self._frictions:
-            Y[:, row, column] = acceleration[:, joint]
-            Y[:, row, column + 1] = velocity[:, joint]
-            Y[:, row, column + 2] = np.sign(velocity[:, joint])
-        return Y
+            extras[:, row, column - own] = acceleration[:, joint]
+            extras[:, row, column - own + 1] = velocity[:, joint]
+            extras[:, row, column - own + 2] = np.sign(velocity[:, joint])
+        return np.concatenate([made, extras], axis=2) if fold is None else made + extras @ fold.extras
 
     def _states(
         self, q: FloatArray, dq: FloatArray, ddq: FloatArray, motion: BaseMotion
@@ -273,43 +302,22 @@ class RowModel:
         v_full[:, 3:FREE_FLYER_NV] = motion.rate_rad_s
         a_full[:, :3] = motion.specific_force_m_s2
         a_full[:, 3:FREE_FLYER_NV] = motion.acceleration_rad_s2
-        for index, joint in enumerate(self.vehicle.joints):
-            if joint.q_size == 2:
-                q_full[:, joint.q_index] = np.cos(q[:, index])
-                q_full[:, joint.q_index + 1] = np.sin(q[:, index])
-            else:
-                q_full[:, joint.q_index] = q[:, index]
-            v_full[:, joint.v_index] = dq[:, index]
-            a_full[:, joint.v_index] = ddq[:, index]
+        if self._turning:
+            straight = [(k, joint.q_index) for k, joint in enumerate(self.vehicle.joints) if joint.q_size == 1]
+            for column, index in straight:
+                q_full[:, index] = q[:, column]
+            for column, index in self._turning:
+                q_full[:, index], q_full[:, index + 1] = np.cos(q[:, column]), np.sin(q[:, column])
+        else:
+            q_full[:, FREE_FLYER_NQ:] = q
+        v_full[:, FREE_FLYER_NV:], a_full[:, FREE_FLYER_NV:] = dq, ddq  # a joint has one velocity each, in their order
         return q_full, v_full, a_full
 
     def _fill_zero_force(self, columns: FloatArray, q: FloatArray, held: NDArray[np.bool_]) -> None:
         """Minus the rows' response, at the URDF's parameters, to a unit specific force along each base axis."""
-        cuts = [cut for cut in self._cuts if not cut.coasting]
-        still, payload = np.zeros(self.vehicle.model.nv), self.vehicle.payload_columns()
+        drawn = self._columns.fold(self.vehicle.chi[:, None])
+        still = np.zeros((len(q), self.vehicle.model.nv))
         for axis in range(3):
             unit = still.copy()
-            unit[axis] = 1.0
-            for tick in range(q.shape[0]):
-                response = np.zeros((len(self.rows), len(self.names)))
-                self._fill(cuts, response, q[tick], still, unit)
-                if not held[tick]:
-                    response[:, payload] = 0.0
-                columns[tick, :, axis] = -(response @ self.chi)
-
-    def _fill(self, cuts: list[_Cut], Y: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
-        model, data = self.vehicle.model, self._data
-        pin.forwardKinematics(model, data, q, v, a)
-        pin.updateFramePlacements(model, data)
-        bodies: dict[int, FloatArray] = {}
-        for frame, projections, rows, beyond, _ in cuts:
-            o_M_cut = data.oMf[frame]
-            for link in beyond:
-                at = self._links[link]
-                body = bodies.get(link)
-                if body is None:
-                    V = pin.getFrameVelocity(model, data, at, pin.LOCAL)
-                    A = pin.getFrameAcceleration(model, data, at, pin.LOCAL)
-                    body = bodies[link] = pin.bodyRegressor(V, A)  # (6, 10) wrench at the link frame
-                X = o_M_cut.actInv(data.oMf[at]).toDualActionMatrix()  # (6, 6) link frame to cut
-                Y[rows, 10 * link : 10 * link + 10] = projections @ X @ body
+            unit[:, axis] = 1.0
+            columns[:, :, axis] = -self._columns.make(drawn, held, q, still, unit)[:, :, 0]

@@ -17,18 +17,20 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from onboard.model.errors import UnknownFrameError, UrdfError
+from onboard.model.errors import SignalError, UnknownFrameError, UrdfError
 
 FloatArray = NDArray[np.float64]
 
 STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
 FREE_FLYER_NQ, FREE_FLYER_NV = 7, 6
+STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 class BaseKind(StrEnum):
     """What is known of the base's motion and of the wrench on it."""
 
     FREE = "free"  # motion measured, wrench zero
+    PLANAR = "planar"  # on a level bed: x, y and yaw move, their wrench is zero but for drag
     PRESCRIBED = "prescribed"  # motion measured, wrench unknown
     FIXED = "fixed"  # at rest in gravity, wrench unknown
 
@@ -40,6 +42,7 @@ class VehicleSpec:
     base: BaseKind
     base_link: str  # the URDF's root
     payload_link: str | None = None  # the link that is held only some of the time
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)  # of a fixed or planar base, its axes
 
 
 class Joint(NamedTuple):
@@ -224,9 +227,13 @@ class Vehicle:
 
         Raises:
             UnknownFrameError: a link that is missing, or a name that is not a link.
+            SignalError: a sigma that is negative or not finite.
         """
         if set(relative) != set(self.links):
             raise UnknownFrameError(f"give a relative sigma for each of {', '.join(self.links)} and for nothing else")
+        wrong = [link for link, value in relative.items() if not 0.0 <= value < np.inf]
+        if wrong:
+            raise SignalError(f"the relative sigma of {', '.join(wrong)} is negative or not finite; give zero or more")
         sigma = np.empty_like(self.chi)
         for index, link in enumerate(self.links):
             chi = self.chi[10 * index : 10 * index + 10]
