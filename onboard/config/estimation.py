@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from onboard.config.types import NotNegative, Positive, Section
 
@@ -25,6 +25,23 @@ class Gates(Section):
     specific_force_m_s2: Positive | None = None
     specific_force_window_ms: Positive = 500
     residual_sigma: Positive = 6.0
+    huber_sigma: Positive | None = None
+
+
+class Memory(Section):
+    """How long rows count: for ever, unless one of the two is given.
+
+    ``forgetting_s``: a row's weight falls by 1/e in this time. ``window_s``: rows count for this long.
+    """
+
+    forgetting_s: Positive | None = None
+    window_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_at_most(self) -> "Memory":
+        if self.forgetting_s is not None and self.window_s is not None:
+            raise ValueError("rows fade by forgetting_s or leave a window after window_s; give one of the two")
+        return self
 
 
 class Zero(Section):
@@ -69,6 +86,7 @@ class Estimation(Section):
     phases: Phases | None = None
     zero: Zero | None = None
     gates: Gates = Gates()
+    memory: Memory = Memory()
     prior: Prior = Prior()
     masses: Masses | None = None
     nuisance: list[str] = Field(default_factory=list)

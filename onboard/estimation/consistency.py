@@ -6,7 +6,7 @@ sigma from a data sheet is a promise, and the regressor is made of measured sign
 
 1. *Regressor noise*: noise in Y makes ``Y' W Y`` too large by a known amount N, and the estimate too small
    (attenuation). N comes with the rows (``noise`` of :meth:`BlockScores.add`) and is taken out:
-   ``chi = (Lambda - N)^-1 Y' W y``. What N itself is not known to is carried into the interval. A direction whose
+   ``chi = (Lambda - N)^-1 (Y' W y - n)``, n for noise that the left-hand sides share. What N itself is not known to is carried into the interval. A direction whose
    information is nearly all noise is given back to the prior.
 2. *Rows*: a delete-one-block jackknife. Rows are summed into blocks of time longer than the kernel;
    ``H_b = Y' W Y - N`` and ``g_b = Y' W y`` of a block are all that is kept, so the score of every block at the *final*
@@ -68,7 +68,7 @@ class BlockScores:
         self._slots: dict[int, int] = {}
         self._H = np.zeros((capacity, parameters, parameters))
         self._g = np.zeros((capacity, parameters))
-        self._noise = np.zeros((parameters, parameters))
+        self._N = np.zeros((capacity, parameters, parameters + 1))
 
     @property
     def count(self) -> int:
@@ -86,9 +86,19 @@ class BlockScores:
         return self._g[: self.count]
 
     @property
+    def noise_by_block(self) -> FloatArray:
+        """What regressor noise has added to ``Y' W Y`` of each block, (b, p, p)."""
+        return self._N[: self.count]
+
+    @property
     def noise(self) -> FloatArray:
         """What regressor noise has added to ``Y' W Y`` in all, (p, p)."""
-        return self._noise
+        return np.asarray(self._N[: self.count, :, :-1].sum(axis=0), np.float64)
+
+    @property
+    def noise_moment(self) -> FloatArray:
+        """What it has added to ``Y' W y``, (p,), where the left-hand sides hold the same noise."""
+        return np.asarray(self._N[: self.count, :, -1].sum(axis=0), np.float64)
 
     def add(
         self, times_s: FloatArray, Y: FloatArray, y: FloatArray, sigma: FloatArray, noise: FloatArray | None = None
@@ -100,7 +110,8 @@ class BlockScores:
             Y: (m, p).
             y: (m,).
             sigma: (m,).
-            noise: (m, s, p) change of each row per standard deviation of s independent errors of its motion.
+            noise: (m, s, p) change of each row per standard deviation of s independent errors of its motion; or
+                (m, s, p + 1), with that of its left-hand side last.
 
         Raises:
             RowError: a shape that does not fit, or a number that is not finite.
@@ -108,7 +119,7 @@ class BlockScores:
         m, p = y.shape[0], self._g.shape[1]
         if Y.shape != (m, p) or sigma.shape != (m,) or times_s.shape != (m,):
             raise RowError(f"rows of shape {times_s.shape}, {Y.shape}, {y.shape}; give (m,), (m, {p}), (m,)")
-        if noise is not None and (noise.ndim != 3 or noise.shape[::2] != (m, p)):
+        if noise is not None and (noise.ndim != 3 or noise.shape[0] != m or noise.shape[2] - p not in (0, 1)):
             raise RowError(f"row noise of shape {noise.shape}; give ({m}, s, {p})")
         if m == 0:
             return
@@ -129,21 +140,42 @@ class BlockScores:
             self._H[slot] += rows.T @ rows
             self._g[slot] += rows.T @ scaled[mine, p]
             if doubt is not None:
-                N = np.einsum("msi,msj->ij", doubt[mine], doubt[mine])
-                self._H[slot] -= N
-                self._noise += N
+                own = doubt[mine].reshape(-1, doubt.shape[2])
+                N = own[:, :p].T @ own
+                self._N[slot, :, : own.shape[1]] += N
+                self._H[slot] -= N[:, :p]
+                if own.shape[1] > p:
+                    self._g[slot] -= N[:, p]
+
+    def fade(self, factor: float) -> None:
+        """Multiplies the weight of all rows so far by ``factor``, as the estimator does that forgets."""
+        self._H *= factor
+        self._g *= factor
+        self._N *= factor
+
+    def keep_from(self, newest_s: float, blocks: int) -> None:
+        """Drops all but the block of ``newest_s`` and so many before it, as the estimator does that has a window."""
+        first = int(newest_s // self.block_s) - blocks
+        kept = [index for index in self._slots if index >= first]
+        if len(kept) < self.count:
+            self._regroup({index: index for index in kept})
 
     def _merge(self) -> None:
         """Doubles the block length until neighbours fell together."""
         while self.count == self._g.shape[0]:
             self.block_s *= 2.0
-            slots: dict[int, int] = {}
-            H, g = np.zeros_like(self._H), np.zeros_like(self._g)
-            for index, old in self._slots.items():
-                new = slots.setdefault(index // 2, len(slots))
-                H[new] += self._H[old]
-                g[new] += self._g[old]
-            self._slots, self._H, self._g = slots, H, g
+            self._regroup({index: index // 2 for index in self._slots})
+
+    def _regroup(self, groups: dict[int, int]) -> None:
+        """Adds up blocks by the new index of each; those without one are dropped."""
+        slots: dict[int, int] = {}
+        H, g, N = np.zeros_like(self._H), np.zeros_like(self._g), np.zeros_like(self._N)
+        for index, group in groups.items():
+            new, old = slots.setdefault(group, len(slots)), self._slots[index]
+            H[new] += self._H[old]
+            g[new] += self._g[old]
+            N[new] += self._N[old]
+        self._slots, self._H, self._g, self._N = slots, H, g, N
 
 
 class HonestEstimate:
@@ -191,7 +223,7 @@ class HonestEstimate:
         noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
         # Information without the noise; the prior's own where there is nothing else.
         keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), np.finfo(np.float64).tiny))
-        x = np.where(signal, R @ plain.mean, T.T @ prior_right) / keep
+        x = np.where(signal, R @ plain.mean - T.T @ blocks.noise_moment, T.T @ prior_right) / keep
         self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'
         self.mean: FloatArray = T @ x
         causes = (R @ plain.sensitivity * sigma).T  # (k, p)

@@ -133,6 +133,7 @@ class ResidualGate:
         threshold: in sigmas.
         memory: how many recent innovations the spread is taken from.
         minimum: below so many the gate lets everything pass, for want of a spread.
+        huber: innovations beyond so many sigmas (or times the spread) weigh less; none do, where not given.
 
     Raises:
         RowError: numbers out of range.
@@ -140,10 +141,13 @@ class ResidualGate:
 
     _MAD_TO_SIGMA = 1.4826  # of a normal distribution
 
-    def __init__(self, threshold: float, memory: int = 200, minimum: int = 20) -> None:
+    def __init__(self, threshold: float, memory: int = 200, minimum: int = 20, huber: float | None = None) -> None:
         if threshold <= 0.0 or not 1 <= minimum <= memory:
             raise RowError("the residual gate needs a positive threshold and 1 <= minimum <= memory")
+        if huber is not None and not 0.0 < huber < threshold:
+            raise RowError(f"Huber's threshold is {huber}; give one above zero and below the gate's {threshold}")
         self.threshold = threshold
+        self.huber = huber
         self._recent = np.zeros(memory)
         self._minimum = minimum
         self._count = 0
@@ -173,3 +177,17 @@ class ResidualGate:
         if self._count < self._minimum or not (normalised > self.threshold).any():
             return np.zeros(normalised.shape, np.int64)
         return reasons(normalised > self.threshold * max(1.0, self.spread), GateReason.RESIDUAL)
+
+    def widening(self, innovation: FloatArray, sigma: FloatArray) -> FloatArray:
+        """Factors on the rows' sigmas, (m,), that make a least squares weigh them as Huber does: 1 below his threshold.
+
+        A row's pull on the estimate grows with its innovation up to the threshold and stays the same beyond.
+
+        Args:
+            innovation: (m,), as for :meth:`check`, which comes first.
+            sigma: (m,).
+        """
+        if self.huber is None:
+            return np.ones(innovation.shape)
+        limit = self.huber * max(1.0, self.spread)
+        return np.asarray(np.sqrt(np.maximum(np.abs(innovation) / sigma / limit, 1.0)), np.float64)

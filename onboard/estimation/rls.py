@@ -54,6 +54,23 @@ class RlsState(NamedTuple):
     rows: float
 
 
+def merged(triangle: FloatArray, rows: FloatArray, triangular: bool = False) -> FloatArray:
+    """The triangle of rows that have one and of others, (s, s); both arguments are used up.
+
+    Args:
+        triangle: upper triangular, (s, s), in Fortran's order.
+        rows: (m, s), in Fortran's order.
+        triangular: whether ``rows`` is an upper triangle itself.
+    """
+    size = triangle.shape[0]
+    made, _, _, info = lapack.dtpqrt(
+        size if triangular else 0, min(_BLOCK, size), triangle, rows, overwrite_a=1, overwrite_b=1
+    )
+    if info != 0:
+        raise AssertionError(f"dtpqrt refused argument {-info}")
+    return np.asarray(made, np.float64)
+
+
 class SquareRootRls:
     """Square-root recursive least squares of ``y = Y chi + C c + noise``.
 
@@ -117,7 +134,14 @@ class SquareRootRls:
         self._prior_rows = np.vstack([self._prior_rows, rows])
         self._absorb(np.asfortranarray(rows))
 
-    def update(self, Y: FloatArray, y: FloatArray, sigma: FloatArray, C: FloatArray | None = None) -> None:
+    def update(
+        self,
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        C: FloatArray | None = None,
+        forgetting: float | None = None,
+    ) -> None:
         """Takes a batch of rows in.
 
         Args:
@@ -125,16 +149,32 @@ class SquareRootRls:
             y: (m,).
             sigma: (m,) standard deviation of each row.
             C: (m, k) columns of the considered parameters, ``d y / d c``; required when there are any.
+            forgetting: factor on the information of earlier rows, in (0, 1]; the estimator's own where not given.
 
         Raises:
             RowError: a shape that does not fit, a number that is not finite, a sigma that is not positive. The
                 estimator is unchanged then.
         """
+        rows = self._weighted(Y, y, sigma, C)
+        if rows is None:
+            return
+        factor = self.forgetting if forgetting is None else forgetting
+        if not 0.0 < factor <= 1.0:
+            raise RowError(f"the forgetting factor is {factor}; give one in (0, 1]")
+        if factor < 1.0:
+            self._triangle *= np.sqrt(factor)
+            if self._prior_rows.shape[0]:  # what forgetting takes from the prior is put back
+                rows = np.asfortranarray(np.vstack([rows, np.sqrt(1.0 - factor) * self._prior_rows]))
+        self._absorb(rows)
+        self.rows = self.rows * factor + y.shape[0]
+
+    def _weighted(self, Y: FloatArray, y: FloatArray, sigma: FloatArray, C: FloatArray | None) -> FloatArray | None:
+        """Checked rows ``[Y C y] / sigma``, in Fortran's order; None for no rows."""
         m, p = y.shape[0], self.parameters
         if Y.shape != (m, p) or sigma.shape != (m,) or (C is None) != (self.considered == 0):
             raise RowError(f"rows of shape {Y.shape}, {y.shape}, {sigma.shape}; give (m, {p}), (m,), (m,) and C if any")
         if m == 0:
-            return
+            return None
         if not sigma.min() > 0.0:
             raise RowError("the sigma of every row must be positive")
         rows = np.empty((m, self._size), order="F")
@@ -146,20 +186,10 @@ class SquareRootRls:
         flat = rows.ravel(order="K")
         if not math.isfinite(np.vdot(flat, flat)):  # a NaN or an infinity anywhere ends up in the sum of squares
             raise RowError("rows must be finite; gate them before they come here")
-        if self.forgetting < 1.0:
-            self._triangle *= np.sqrt(self.forgetting)
-            if self._prior_rows.shape[0]:  # what forgetting takes from the prior is put back
-                rows = np.asfortranarray(np.vstack([rows, np.sqrt(1.0 - self.forgetting) * self._prior_rows]))
-        self._absorb(rows)
-        self.rows = self.rows * self.forgetting + m
+        return rows
 
     def _absorb(self, rows: FloatArray) -> None:
-        triangle, _, _, info = lapack.dtpqrt(
-            0, min(_BLOCK, self._size), self._triangle, rows, overwrite_a=1, overwrite_b=1
-        )
-        if info != 0:
-            raise AssertionError(f"dtpqrt refused argument {-info}")
-        self._triangle = triangle
+        self._triangle = merged(self._triangle, rows)
 
     def _check_rank(self) -> FloatArray:
         R = self._triangle[: self.parameters, : self.parameters]

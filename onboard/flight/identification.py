@@ -4,6 +4,7 @@ import numpy as np
 
 from onboard import config
 from onboard.estimation.errors import EstimationError
+from onboard.estimation.memory import Memory
 from onboard.flight.roles import Cell, Roles, roles_of
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import ModelError, UrdfError
@@ -65,6 +66,8 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
             quantities,
             considered,
             settings.gates.residual_sigma,
+            Memory(settings.memory.forgetting_s, settings.memory.window_s),
+            settings.gates.huber_sigma,
             imu_frame=roles.imu.frame,
         )
     except (ModelError, EstimationError) as error:

@@ -7,13 +7,14 @@ covariance between them. Until both kinds of rows have come, what they cannot te
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.consistency import BlockScores, HonestEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
+from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.model.base_parameters import BaseParameters
 from onboard.model.errors import SignalError, UnknownFrameError
@@ -102,6 +103,21 @@ class Estimate(NamedTuple):
     refused: dict[GateReason, int]  # rows by reason; a row with two reasons counts in both
 
 
+class RowObserver(Protocol):
+    """Is shown every row that an identifier uses."""
+
+    def __call__(
+        self,
+        times_s: FloatArray,
+        held: BoolArray,
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        noise: FloatArray | None,
+    ) -> None:
+        """Rows (m, p) of the base parameters, as :meth:`BlockScores.add` takes them; ``held`` (m,): with the payload."""
+
+
 class Identifier:
     """Recursive identification of a vehicle's base parameters from smoothed signals.
 
@@ -113,7 +129,8 @@ class Identifier:
         quantities: what to report besides the base parameters.
         considered: what is wrong by a known sigma and not estimated.
         residual_sigma: threshold of the residual gate.
-        forgetting: factor per update on the information of earlier rows.
+        memory: how long rows count.
+        huber_sigma: innovations beyond so many sigmas weigh less (Huber); none do, where not given.
         imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
 
     Raises:
@@ -130,7 +147,8 @@ class Identifier:
         quantities: Sequence[Quantity] = (),
         considered: Sequence[Considered] = (),
         residual_sigma: float = 6.0,
-        forgetting: float = 1.0,
+        memory: Memory = FOR_EVER,
+        huber_sigma: float | None = None,
         imu_frame: str | None = None,
     ) -> None:
         rows = [row.name for row in model.rows]
@@ -141,16 +159,29 @@ class Identifier:
         self.base = base
         self.quantities = tuple(quantities)
         self.considered = tuple(considered)
+        self.memory = memory
         self._considered_rows = [rows.index(cause.row) for cause in considered]
         p = len(base.names)
+        known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # what is in no base parameter is known, or no matter
+        self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
         self._prior_covariance = base.covariance(prior_sigma)
-        self.rls = SquareRootRls(p, len(self.considered), forgetting)
+        self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
         self.rls.prior(base.value(model.chi), self._prior_covariance)
-        self.blocks = BlockScores(p, block_s)
-        self.gate = ResidualGate(residual_sigma)
+        self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._imu_pose = model.vehicle.pose_in_base(imu_frame or model.vehicle.spec.base_link)
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+        self.observer: RowObserver | None = None
+
+    @property
+    def rls(self) -> SquareRootRls:
+        """The recursion that the rows went into."""
+        return self._recursion.rls
+
+    @property
+    def blocks(self) -> BlockScores:
+        """The same rows by blocks of time."""
+        return self._recursion.blocks
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Takes the rows of new ticks in.
@@ -192,34 +223,41 @@ class Identifier:
             return
         at = ticks + part.start
         motion = BaseMotion(*(v[at] for v in signals.motion))
-        Y = self.model.regressor(signals.q[at], signals.dq[at], signals.ddq[at], motion, attached[at])
+        joints = signals.q[at], signals.dq[at], signals.ddq[at]
+        Y = self.model.regressor(*joints, motion, attached[at], readings=signals.measured[at], fold=self._fold)
         use = reasons[ticks] == 0  # (t, m)
-        rows = self.base.reduce(Y)[use]  # (r, p)
-        y, sigma = signals.measured[at][use], signals.sigma[at][use]
+        rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
+        sigma = signals.sigma[at][use]
         doubt = None
         if signals.noise is not None:
-            doubt = self._row_noise(signals, signals.noise, at, attached)[use]  # (r, s, p)
-            effect = (doubt @ self.rls.solve().mean) * signals.noise.inflation
+            doubt = self._row_noise(signals, signals.noise, at, attached)[use]  # (r, s, p + 1)
+            effect = (doubt @ [*self.rls.solve().mean, -1.0]) * signals.noise.inflation
             sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
         innovation, spread = self.rls.innovation(rows, y, sigma)
         verdict = self.gate.check(innovation, spread)
         kept = verdict == 0
+        sigma = sigma * self.gate.widening(innovation, spread)
         block = reasons[ticks]
         block[use] |= verdict
         reasons[ticks] = block
         C = self._considered_columns(signals, at, use)
-        self.rls.update(rows[kept], y[kept], sigma[kept], None if C is None else C[kept])
         times = np.repeat(signals.time_s[at][:, None], use.shape[1], axis=1)[use]
-        self.blocks.add(times[kept], rows[kept], y[kept], sigma[kept], None if doubt is None else doubt[kept])
+        own = (None if part is None else part[kept] for part in (C, doubt))
+        self._recursion.add(times[kept], rows[kept], y[kept], sigma[kept], *own)
+        if self.observer is not None:
+            held = np.repeat(attached[at][:, None], use.shape[1], axis=1)[use][kept]
+            self.observer(times[kept], held, rows[kept], y[kept], sigma[kept], None if doubt is None else doubt[kept])
         self.rows_used += int(kept.sum())
 
     def _row_noise(self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
-        """Change of the rows per standard deviation of each motion signal, (t, rows, s, p).
+        """Change of the rows and of their left-hand sides per standard deviation of each motion signal.
+
+        (t, rows, s, p + 1).
 
         Signals change little over a few ticks, so one tick in the middle of every few stands for its neighbours.
         """
         nj = len(self.model.vehicle.joints)
-        out = np.empty((at.size, len(self.model.rows), 3 * nj + 9, len(self.base.names)))
+        out = np.empty((at.size, len(self.model.rows), 3 * nj + 9, len(self.base.names) + 1))
         for held in (True, False):
             kind = np.flatnonzero(attached[at] == held)
             for first in range(0, kind.size, _NOISE_TICKS):
@@ -229,7 +267,7 @@ class Identifier:
         return out
 
     def _noise_at(self, signals: Signals, noise: SignalNoise, tick: np.intp, held: bool) -> FloatArray:
-        """The same at one tick, (rows, s, p), by finite differences one standard deviation wide."""
+        """The same at one tick, (rows, s, p + 1), by finite differences one standard deviation wide."""
         R_BS, p_BS = self._imu_pose
         nj = len(self.model.vehicle.joints)
         s = 3 * nj + 9
@@ -248,10 +286,12 @@ class Identifier:
         f[force] += (R_BS * noise.specific_force[tick]).T
         w[rate] += w_noise
         dw[acceleration] += dw_noise
-        flags = np.full(s + 1, held)
-        Y = self.model.regressor(moved[:, 0], moved[:, 1], moved[:, 2], BaseMotion(w, dw, f), flags, False)
-        reduced = self.base.reduce(Y)  # (s + 1, rows, p)
-        return np.asarray((reduced[:-1] - reduced[-1]).transpose(1, 0, 2), np.float64)
+        flags, read = np.full(s + 1, held), np.zeros((s + 1, len(self.model.rows)))
+        joints_moved = moved[:, 0], moved[:, 1], moved[:, 2]
+        Y = self.model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, read, self._fold)
+        change = (Y[:-1] - Y[-1]).transpose(1, 0, 2)
+        change[..., -1] *= -1.0  # what is known goes to the other side
+        return np.asarray(change, np.float64)
 
     def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:
         """``d y / d c``, (r, k): the reading itself for a scale, minus its rate for a delay."""
@@ -269,7 +309,7 @@ class Identifier:
 
     def honest(self, level: float = 0.95) -> HonestEstimate:
         """The estimate of the base parameters with its honest covariance."""
-        return HonestEstimate(self.rls, self.blocks, [cause.sigma for cause in self.considered], level)
+        return self._recursion.honest([cause.sigma for cause in self.considered], level)
 
     def estimate(self, level: float = 0.95) -> Estimate:
         """Base parameters and quantities with two-sided intervals.

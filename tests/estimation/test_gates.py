@@ -115,7 +115,20 @@ def test_the_gate_refuses_what_is_no_number():
             gate.check(np.array(innovation), np.array(sigma))
 
 
-@pytest.mark.parametrize("arguments", [(0.0,), (6.0, 10, 20), (6.0, 10, 0)])
+def test_huber_bounds_the_pull_of_a_row(rng):
+    """The pull of a row, residual over sigma squared, is as it was below the threshold and constant beyond."""
+    gate = ResidualGate(1000.0, huber=2.0)
+    innovation, sigma = np.array([0.1, -1.9, 2.1, -8.0, 100.0]), np.array([1.0, 1.0, 1.0, 2.0, 1.0])
+    pull = innovation / (sigma * gate.widening(innovation, sigma)) ** 2 * sigma
+    np.testing.assert_allclose(pull, [0.1, -1.9, 2.0, -2.0, 2.0])
+    assert (ResidualGate(6.0).widening(innovation, sigma) == 1.0).all()
+    for _ in range(50):
+        gate.check(10.0 * rng.normal(size=5), np.ones(5))
+    limit = 2.0 * gate.spread  # sigmas that promise too much do not make every row an outlier
+    np.testing.assert_allclose(gate.widening(np.array([limit, 4 * limit]), np.ones(2)), [1.0, 2.0])
+
+
+@pytest.mark.parametrize("arguments", [(0.0,), (6.0, 10, 20), (6.0, 10, 0), (6.0, 10, 5, 0.0), (6.0, 10, 5, 6.0)])
 def test_impossible_gates_are_refused(arguments):
     with pytest.raises(RowError):
         ResidualGate(*arguments)

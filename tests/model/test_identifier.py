@@ -8,6 +8,7 @@ import pytest
 from onboard.config import packaged
 from onboard.estimation.errors import RowError
 from onboard.estimation.gates import GateReason
+from onboard.estimation.memory import Memory
 from onboard.estimation.smoothing import Window, correlation_inflation
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import SignalError, UnknownFrameError
@@ -233,6 +234,33 @@ def test_batches_of_any_size_agree(rng):
     feed(two, signals, held, step=17)
     for a, b in zip(one.estimate().quantities, two.estimate().quantities, strict=True):
         assert a.mean == pytest.approx(b.mean, rel=1e-3)
+
+
+def test_a_window_forgets_what_was_held_and_an_identifier_for_ever_does_not(rng):
+    """4 s after the ejection a window of 3 s holds rows without the payload only: it cannot tell the payload."""
+    signals, held, _ = flight(rng)
+    short, whole = identifier(memory=Memory(window_s=3.0)), identifier()
+    for one in (short, whole):
+        feed(one, part(signals, signals.time_s < EJECTION_S + 4.0), held[signals.time_s < EJECTION_S + 4.0])
+    assert 0.8 * 300 < short.rls.rows <= 350  # rows at 100 Hz, some of them between sweeps
+    assert by_name(whole.estimate())["m_tip_mass"].supported
+    told = by_name(short.estimate())
+    assert told["m_arm"].supported
+    assert not told["m_tip_mass"].supported
+
+
+def test_outliers_that_the_gate_lets_pass_weigh_less_with_huber(rng):
+    signals, held, _ = flight(rng)
+    hit = rng.random(held.size) < 0.05
+    spoilt = signals._replace(measured=signals.measured + 15.0 * np.where(hit, 1.0, 0.0)[:, None] * signals.sigma)
+    errors = []
+    for huber in (None, 1.5):
+        one, clean = identifier(huber_sigma=huber), identifier()
+        feed(one, spoilt, held)
+        feed(clean, signals, held)
+        bias = one.base.names.index("bias_load_cell")
+        errors.append(abs(one.estimate().mean[bias] - clean.estimate().mean[bias]))
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_the_scale_does_not_average_out(rng):

@@ -63,6 +63,12 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
         ("[vehicle]", "[vehicle", "not TOML"),
         ('base = "prescribed"', 'base = "floating"', "'free', 'prescribed' or 'fixed'"),
         ("lever_m = 0.040", "lever_mm = 40", "did you mean 'lever_m'"),
+        (
+            "[estimation.gates]",
+            "[estimation.memory]\nforgetting_s = 9\nwindow_s = 9\n[estimation.gates]",
+            "give one of the two",
+        ),
+        ("[estimation.gates]", "[estimation.memory]\nwindow_ms = 9\n[estimation.gates]", "did you mean 'window_s'"),
     ],
 )
 def test_other_mistakes(old: str, new: str, expected: str) -> None:

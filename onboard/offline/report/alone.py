@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.memory import FOR_EVER
 from onboard.estimation.rls import SquareRootRls
 from onboard.model.identify import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, Identifier
 from onboard.offline.report.story import Sweep
@@ -31,13 +32,15 @@ class Alone(NamedTuple):
 
 
 def alone(sweep: Sweep, identifier: Identifier) -> list[Alone]:
-    """Every quantity of ``identifier`` by ``sweep`` alone; those never supported are left out.
+    """Every quantity of ``identifier`` by ``sweep`` alone; those never supported are left out, all if rows fade.
 
     Args:
         sweep: with the states of a growing least squares.
         identifier: of the same vehicle, that has seen no rows: its prior, its quantities.
     """
     size = identifier.rls.parameters + identifier.rls.considered + 1
+    if identifier.memory != FOR_EVER:  # what a state lacks of the one before it is not what its rows brought
+        return []
     if not identifier.quantities or not sweep.states or len(sweep.states[0]["triangle"]) != size * (size + 1) // 2:
         return []
     start = identifier.rls.state().triangle if sweep.before is None else _square(sweep.before["triangle"], size)

@@ -1,0 +1,135 @@
+"""How long rows count, and one place where they go: the square-root recursion and its blocks, fed alike.
+
+Growing, fading and windowed least squares differ in what becomes of earlier rows and in nothing else. Time comes with
+the rows; where it goes back (another log begins), no time is taken to have passed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.errors import RowError
+from onboard.estimation.rls import FloatArray, SquareRootRls
+from onboard.estimation.window import WindowRls
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """For ever, unless one of the two is given.
+
+    Attributes:
+        forgetting_s: a row's weight falls by 1/e in this time. What is claimed then is the covariance of parameters
+            that may have drifted so: for constant ones the interval is up to a factor of the square root of 2 too wide.
+        window_s: rows count in full for this long, and not at all one block later.
+
+    Raises:
+        RowError: both, or a time that is not positive.
+    """
+
+    forgetting_s: float | None = None
+    window_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.forgetting_s is not None and self.window_s is not None:
+            raise RowError("forgetting_s and window_s are both given; rows fade or leave a window, choose one")
+        for name, value in (("forgetting_s", self.forgetting_s), ("window_s", self.window_s)):
+            if value is not None and not 0.0 < value < np.inf:
+                raise RowError(f"{name} is {value}; give a positive time")
+
+
+FOR_EVER = Memory()
+
+
+class RecursiveLeastSquares:
+    """Least squares with honest intervals under any :class:`Memory`.
+
+    Args:
+        parameters: p.
+        considered: k, as for :class:`SquareRootRls`.
+        block_s: first length of the blocks that make the interval honest, and length of those that leave a window.
+        memory: how long rows count.
+
+    Attributes:
+        rls: the recursion.
+        blocks: the same rows by blocks of time, weighted alike.
+
+    Raises:
+        RowError: see :class:`SquareRootRls` and :class:`BlockScores`.
+    """
+
+    def __init__(self, parameters: int, considered: int, block_s: float, memory: Memory = FOR_EVER) -> None:
+        self.memory = memory
+        if memory.window_s is None:
+            self.rls = SquareRootRls(parameters, considered)
+            self.blocks = BlockScores(parameters, block_s)
+        else:
+            closed = int(np.ceil(memory.window_s / block_s))
+            self.rls = WindowRls(parameters, considered, closed)
+            self.blocks = BlockScores(parameters, block_s, max(closed + 2, 4))
+        self._last_s: float | None = None
+
+    def add(
+        self,
+        times_s: FloatArray,
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        C: FloatArray | None = None,
+        noise: FloatArray | None = None,
+    ) -> None:
+        """Takes rows in.
+
+        Args:
+            times_s: (m,) time of each row, not decreasing.
+            Y: (m, p).
+            y: (m,).
+            sigma: (m,).
+            C: (m, k) columns of the considered parameters, if any.
+            noise: (m, s, p), see :meth:`BlockScores.add`.
+
+        Raises:
+            RowError: see :meth:`SquareRootRls.update` and :meth:`BlockScores.add`.
+        """
+        if y.shape[0] == 0:
+            return
+        if self.memory.window_s is not None:
+            self._add_to_window(times_s, Y, y, sigma, C, noise)
+            return
+        factor = 1.0
+        if self.memory.forgetting_s is not None and self._last_s is not None:
+            factor = float(np.exp(-max(times_s[-1] - self._last_s, 0.0) / self.memory.forgetting_s))
+        self.rls.update(Y, y, sigma, C, factor)
+        if factor < 1.0:
+            self.blocks.fade(factor)
+        self.blocks.add(times_s, Y, y, sigma, noise)
+        self._last_s = float(times_s[-1])
+
+    def _add_to_window(
+        self,
+        times_s: FloatArray,
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        C: FloatArray | None,
+        noise: FloatArray | None,
+    ) -> None:
+        assert isinstance(self.rls, WindowRls)
+        index = np.floor(times_s / self.blocks.block_s)
+        for number in np.unique(index):
+            mine = index == number
+            steps = 0 if self._last_s is None else int(number - np.floor(self._last_s / self.blocks.block_s))
+            for _ in range(min(max(steps, 0), self.rls.blocks + 1)):
+                self.rls.close_block()
+            self.rls.update(Y[mine], y[mine], sigma[mine], None if C is None else C[mine])
+            # A log that begins anew goes on in the newest block.
+            newest_s = float(times_s[mine][-1]) if self._last_s is None or steps > 0 else self._last_s
+            at_s = np.full(int(mine.sum()), newest_s)
+            self.blocks.add(at_s, Y[mine], y[mine], sigma[mine], None if noise is None else noise[mine])
+            self._last_s = newest_s
+            self.blocks.keep_from(newest_s, self.rls.blocks)
+
+    def honest(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> HonestEstimate:
+        """The estimate with its honest covariance; see :class:`HonestEstimate`."""
+        return HonestEstimate(self.rls, self.blocks, considered_sigma, level)
