@@ -3,9 +3,12 @@
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from onboard.cli.common import DAMAGED, FAILED, OK, console, load_vehicle, progress, warn
+
+if TYPE_CHECKING:
+    from onboard import config
 
 Commands = Any
 
@@ -25,8 +28,11 @@ def add(commands: Commands) -> None:
     replay.set_defaults(command=_replay)
 
     identify = commands.add_parser("identify", help="identify from logs, with the estimator that flies")
-    identify.add_argument("logs", type=Path, nargs="+", metavar="LOG")
+    identify.add_argument("logs", type=Path, nargs="*", metavar="LOG")
     identify.add_argument("--vehicle", required=True, help="vehicle.toml, or the name of a packaged vehicle")
+    identify.add_argument(
+        "--parameters", action="store_true", help="show the base parameters of the vehicle, written with its lengths"
+    )
     identify.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
     identify.set_defaults(command=_identify)
 
@@ -61,6 +67,10 @@ def _identify(arguments: argparse.Namespace) -> int:
     from onboard.offline import identify
 
     vehicle = load_vehicle(arguments.vehicle)
+    if arguments.parameters:
+        return _parameters(vehicle, arguments)
+    if not arguments.logs:
+        raise ValueError("no log to identify from; name one, or ask for --parameters")
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs))
         found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
@@ -71,3 +81,15 @@ def _identify(arguments: argparse.Namespace) -> int:
     if not found.supported:
         return FAILED
     return DAMAGED if found.damage else OK
+
+
+def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
+    from onboard.offline import parameters
+
+    if arguments.logs:
+        raise ValueError("--parameters are those of the vehicle, whatever flew; leave the logs out")
+    found = parameters.parameters(vehicle)
+    console().print(parameters.render(found))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    return OK
