@@ -13,6 +13,7 @@ Known warts: the kernel is centred, so a tick can be made only when samples up t
 (fixed-lag smoothing). It is 3 dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 """
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -85,6 +86,7 @@ class Window:
         gap = width_s / 5.0 if max_gap_s is None else max_gap_s
         self.width_s = width_s
         self.samples = times.size
+        self._weights: dict[int, FloatArray] = {}
         low = np.searchsorted(times, at - 0.5 * width_s, side="right")
         high = np.searchsorted(times, at + 0.5 * width_s, side="left")
         self.valid: BoolArray = high - low >= _MIN_SAMPLES  # (n,)
@@ -100,7 +102,6 @@ class Window:
         cell[0], cell[-1] = spacing[0], spacing[-1]
         self._u = np.where(inside, (t - at[:, None]) / width_s, 0.0)  # (n, l)
         self._cell = np.where(inside, cell[self._index] / width_s, 0.0)  # (n, l) quadrature weights
-        self._base = _BASE(self._u) * self._cell  # (n, l)
         last = t[np.arange(at.size), np.maximum(high - low, 1) - 1]
         within = np.where(inside[:, 1:], np.diff(t, axis=1), 0.0).max(axis=1, initial=0.0)
         edges = np.maximum(t[:, 0] - (at - 0.5 * width_s), at + 0.5 * width_s - last)
@@ -114,21 +115,32 @@ class Window:
         """
         if derivative not in (0, 1, 2):
             raise RowError(f"derivative {derivative} is not one of 0, 1, 2")
-        raw = np.zeros_like(self._u) if self.valid.any() else np.zeros(self._index.shape)
+        known = self._weights.get(derivative)
+        if known is None:
+            known = self._weights[derivative] = self._made(derivative)
+        return known
+
+    def _made(self, derivative: int) -> FloatArray:
+        raw = np.zeros(self._index.shape)
         keep = self.valid
         if not keep.any():
             return raw
-        u, base = self._u[keep], self._base[keep]
+        u, powers, correctors = self._correction
         kernel = _KERNELS[derivative](u) * self._cell[keep]
         if derivative == 1:
             kernel = -kernel  # h' is odd, and the convolution runs against time
-        powers = np.stack([np.ones_like(u), u, u * u])  # (3, n, l)
-        gram = np.einsum("inl,jnl,nl->nij", powers, powers, base)  # (n, 3, 3)
-        target = -np.einsum("inl,nl->ni", powers, kernel)  # (n, 3)
+        target = -(kernel[:, None] @ powers)[:, 0]  # (n, 3)
         target[:, derivative] += (1.0, 1.0, 2.0)[derivative]
-        correction = np.linalg.solve(gram, target[..., None])[..., 0]  # (n, 3)
-        raw[keep] = kernel + base * np.einsum("inl,ni->nl", powers, correction)
-        return raw / self.width_s**derivative
+        raw[keep] = kernel + (correctors @ target[..., None])[..., 0]
+        return np.asarray(raw / self.width_s**derivative, np.float64)
+
+    @cached_property
+    def _correction(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of the v valid windows: places u (v, l), their powers (v, l, 3), weights per moment missing (v, l, 3)."""
+        u = self._u[self.valid]
+        powers = np.stack([np.ones_like(u), u, u * u], axis=-1)
+        weighted = powers * (_BASE(u) * self._cell[self.valid])[..., None]
+        return u, powers, weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
 
     def apply(self, values: ArrayLike, derivative: int = 0) -> Smoothed:
         """The ``derivative``-th derivative of the smoothed ``values`` at every tick.
@@ -150,8 +162,8 @@ class Window:
             nothing = np.full((self.valid.size, columns.shape[1]), np.nan)
             return Smoothed(nothing, self.valid, np.full(self.valid.size, np.nan))
         weights = self.weights(derivative)
-        out = np.einsum("nl,nlc->nc", weights, columns[self._index])
-        gain = np.sqrt(np.einsum("nl,nl->n", weights, weights))
+        out = (weights[:, None] @ columns[self._index])[:, 0]
+        gain = np.sqrt((weights * weights).sum(axis=1))
         out[~self.valid] = np.nan
         gain[~self.valid] = np.nan
         return Smoothed(out, self.valid, gain)

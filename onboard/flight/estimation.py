@@ -73,6 +73,7 @@ class EstimationWorker:
         fresh: bool = False,
     ) -> None:
         self.estimator, self._inputs, self._publisher = estimator, inputs, publisher
+        self.period_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6)
         self.ticks, self._fresh = ticks, fresh
 
     def step(self, now_ns: int) -> None:

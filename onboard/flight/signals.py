@@ -4,6 +4,7 @@ Samples keep their device ticks until the last moment: their times are taken fro
 better clock solution moves all of them together and no seam is left in a window.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -41,12 +42,16 @@ class Signals:
         self._histories = {
             name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
         }
+        self._by_delay = {name: _by_delay(signal) for name, signal in self._signals.items()}
+        self._reach_ns = round(1.5e9 * self.width_s)
+        self._windows: deque[tuple[Window, tuple[Floats, Floats, float]]] = deque(maxlen=4)
         self._zero_lost: set[str] = set()
         self._told: set[tuple[str, str]] = set()
 
     def append(self, batches: Mapping[str, Rows]) -> dict[str, str]:
         """Take in what a step consumed; returns by channel what is newly wrong with it."""
         said = {}
+        self._windows.clear()
         for name, arrived in batches.items():
             if name not in self._signals or not len(arrived):
                 continue
@@ -85,50 +90,73 @@ class Signals:
         return Smoothed(values, sigma, refused)
 
     def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> Smoothed:
-        """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,)."""
+        """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,), evenly spaced."""
         channel, history = self._signals[name], self._histories[name]
-        n, columns, count = len(at_ns), len(channel.noise), len(history.stamps)
-        times_ns = timebase.time_ns(name, history.stamps) if count > 1 else None
+        n, columns = len(at_ns), len(channel.noise)
+        # a sample is taken before it arrives: what arrived long before the window is not under it
+        recent = slice(int(np.searchsorted(history.stamps["host_ns"], at_ns[0] - self._reach_ns)), None)
+        stamps = history.stamps[recent]
+        times_ns = timebase.time_ns(name, stamps) if len(stamps) > 1 else None
         if times_ns is None:
             nothing = np.full((n, columns), np.nan)
-            reason = GateReason.GAP if count < 2 else GateReason.NOT_SYNCHRONISED
+            reason = GateReason.GAP if len(stamps) < 2 else GateReason.NOT_SYNCHRONISED
             return Smoothed((nothing,) * (derivatives + 1), (nothing,) * (derivatives + 1), np.full(n, int(reason)))
-        epoch_ns = int(at_ns[0])
-        at_s = (at_ns - epoch_ns).astype(np.float64) * 1e-9
-        times_s = (times_ns - epoch_ns) * 1e-9
-        later = np.append(True, times_s[1:] > np.maximum.accumulate(times_s)[:-1])  # not so where a timer stood still
-        waited = timebase.waited(name, history.stamps)
-        later &= ~waited
+        at_s = (at_ns - at_ns[0]) * 1e-9
+        times_s = (times_ns - at_ns[0]) * 1e-9
+        values, valid = history.values[recent], history.valid[recent]
+        later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
+        waited = timebase.waited(name, stamps)
+        if waited.any() or not later.all():
+            kept = np.append(True, later) & ~waited
+            times_s, values, valid = times_s[kept], values[kept], valid[kept]
         longest_gap_s = (4.5 if waited.any() else 3.5) * channel.period_s
-        times_s, samples, usable = times_s[later], history.values[later], history.valid[later]
         near = slice(*np.searchsorted(times_s, [at_s[0] - self.width_s, at_s[-1] + self.width_s]).tolist())
-        times_s, values, valid = times_s[near], samples[near], usable[near]
-        refused = reasons(window_contains(times_s, ~valid, at_s, self.width_s), GateReason.SATURATED)
+        times_s, values, valid = times_s[near], values[near], valid[near]
+        refused = np.zeros(n, np.int64)
+        if not valid.all():
+            refused |= reasons(window_contains(times_s, ~valid, at_s, self.width_s), GateReason.SATURATED)
         values_out: list[Floats] = [np.full((n, columns), np.nan) for _ in range(derivatives + 1)]
         sigma_out = [np.full((n, columns), np.nan) for _ in range(derivatives + 1)]
-        for delay_s in dict.fromkeys(channel.delays_s):
-            mine = [i for i, d in enumerate(channel.delays_s) if d == delay_s]
-            window = Window(times_s - delay_s, at_s, self.width_s, max_gap_s=longest_gap_s)
+        for delay_s, mine, noise in self._by_delay[name]:
+            window = self._window(times_s - delay_s, at_s, longest_gap_s)
             for order in range(derivatives + 1):
                 smoothed = window.apply(values[:, mine], order)
                 values_out[order][:, mine] = smoothed.values
-                sigma_out[order][:, mine] = smoothed.noise_gain[:, None] * np.array(channel.noise)[mine]
+                sigma_out[order][:, mine] = smoothed.noise_gain[:, None] * noise
             refused |= reasons(~smoothed.valid, GateReason.GAP)
         # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
         timing_s = timebase.sigma_ns(name, int(at_ns[n // 2])) * 1e-9
         changes = [*values_out[1:], _rate_of_change(values_out[-1], at_s)]
-        noises = [*sigma_out[1:], sigma_out[-1] * np.pi / self.width_s]
+        noises = [*sigma_out[1:], sigma_out[-1] * (np.pi / self.width_s)]
         for order, (change, noise) in enumerate(zip(changes, noises, strict=True)):
-            moved = timing_s * np.sqrt(np.maximum(change**2 - noise**2, 0.0))
+            moved = timing_s * np.sqrt(np.maximum(change * change - noise * noise, 0.0))
             sigma_out[order] = np.hypot(sigma_out[order], moved)
         return Smoothed(tuple(values_out), tuple(sigma_out), refused)
+
+    def _window(self, times_s: Floats, at_s: Floats, gap_s: float) -> Window:
+        """The kernel over these samples; channels that were sampled together share one."""
+        for window, key in self._windows:
+            if key[2] == gap_s and np.array_equal(key[0], times_s) and np.array_equal(key[1], at_s):
+                return window
+        window = Window(times_s, at_s, self.width_s, max_gap_s=gap_s)
+        self._windows.append((window, (times_s, at_s, gap_s)))
+        return window
+
+
+def _by_delay(signal: Signal) -> list[tuple[float, list[int], Floats]]:
+    """The columns by their filter's delay, with their noise."""
+    groups = {d: [i for i, own in enumerate(signal.delays_s) if own == d] for d in signal.delays_s}
+    return [(delay_s, columns, np.array(signal.noise)[columns]) for delay_s, columns in groups.items()]
 
 
 def _rate_of_change(values: Floats, at_s: Floats) -> Floats:
     """Of ``values`` (n, columns) from tick to tick; 0 where there is no neighbour to tell it."""
-    if len(at_s) < 2:
-        return np.zeros_like(values)
-    return np.nan_to_num(np.gradient(values, at_s, axis=0))
+    rate = np.zeros_like(values)
+    if len(at_s) > 1:
+        steps = np.diff(values, axis=0) / (at_s[1] - at_s[0])
+        rate[0], rate[-1] = steps[0], steps[-1]
+        rate[1:-1] = 0.5 * (steps[1:] + steps[:-1])
+    return np.nan_to_num(rate)
 
 
 def _values(signal: Signal, rows: Rows) -> tuple[Floats, NDArray[np.bool_]]:

@@ -8,7 +8,7 @@ from onboard.flight.estimation import EstimationWorker
 from onboard.recording.recorder import Recorder
 
 STEP_NS = 5_000_000  # at most
-SLOW_STEPS = 10  # estimation and recording run every so many
+RECORDING_STEPS = 10  # the recorder runs every so many
 
 
 class VirtualClock:
@@ -46,18 +46,20 @@ def fly(
         acquisition: the acquisition worker, not started.
         estimation: the estimation worker.
         recorder: the recording worker.
-        progress: told the time after each slow step.
+        progress: told the time after each step of the recorder.
     """
     acquisition.start(clock.now_ns)
     pause_ns = step_ns(device.period_ns for device in acquisition.devices)
+    estimation_steps = max(1, round(estimation.period_ns / pause_ns))
     step = 0
     while clock.now_ns < end_ns:
         step += 1
         clock.now_ns = min(clock.now_ns + pause_ns, end_ns)
         advance_world(clock.now_ns)
         acquisition.step(clock.now_ns)
-        if step % SLOW_STEPS == 0:
+        if step % estimation_steps == 0:
             estimation.step(clock.now_ns)
+        if step % RECORDING_STEPS == 0:
             recorder.step(clock.now_ns)
             progress(clock.now_ns)
     acquisition.stop(clock.now_ns)

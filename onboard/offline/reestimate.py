@@ -19,7 +19,7 @@ from rich.text import Text
 
 from onboard import config
 from onboard.flight.estimator import Estimator
-from onboard.offline.replay import steps
+from onboard.offline.replay import Pass, steps
 from onboard.offline.summary import Summary, count_gates, summary
 from onboard.offline.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
@@ -73,7 +73,8 @@ def reestimate(path: Path, settings: Path) -> Reestimate:
             )
         estimator = Estimator(vehicle)
     now, short = Summary(), ""
-    for step in steps(log, estimator.inputs):
+    rows_of_log = Pass(log, [*estimator.inputs, "tick"])
+    for step in steps(rows_of_log, estimator.inputs):
         short = short or step.short
         for channel, rows in estimator.process(step.now_ns, step.batches, step.lag_ns):
             if channel == "row":
