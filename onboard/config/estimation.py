@@ -51,11 +51,24 @@ class Zero(Section):
     ticks: Annotated[int, Field(ge=1)] = 100
 
 
-class Prior(Section):
-    """What is known beforehand: relative sigma by link, absolute sigma of the other columns, SI units."""
+class Link(Section):
+    """How well a link was weighed, balanced and swung, 1 sigma; its inertia relative to half the tensor's trace."""
 
-    relative: dict[str, Positive] = Field(default_factory=dict)
+    mass_relative: Positive
+    centre_m: Positive
+    inertia_relative: Positive
+
+
+class Prior(Section):
+    """What is known beforehand: relative sigma by link, absolute sigma of the other columns, SI units.
+
+    ``link`` is for the method "exiddm": links that are not in it are taken for certain.
+    A relative sigma of zero takes a link for exact: it leaves the estimate, and its part goes to the rows' other side.
+    """
+
+    relative: dict[str, NotNegative] = Field(default_factory=dict)
     absolute: dict[str, Positive] = Field(default_factory=dict)
+    link: dict[str, Link] = Field(default_factory=dict)
 
 
 class Masses(Section):
@@ -65,15 +78,42 @@ class Masses(Section):
     arm_link: str
 
 
+class Doubt(Section):
+    """Standard deviations by axis of what may be wrong with the base IMU; zero for what is taken for certain."""
+
+    gyro_bias_rad_s: NotNegative = 0.0
+    gyro_drift_rad_s2: NotNegative = 0.0
+    gyro_scale: NotNegative = 0.0
+    gyro_turn_rad: NotNegative = 0.0
+    accelerometer_bias_m_s2: NotNegative = 0.0
+    accelerometer_drift_m_s3: NotNegative = 0.0
+    accelerometer_scale: NotNegative = 0.0
+    accelerometer_turn_rad: NotNegative = 0.0
+    delay_s: NotNegative = 0.0
+
+
+class Exiddm(Section):
+    """The non-linear estimator: what is held when the flight begins, how large a payload could be, how rarely it errs."""
+
+    held_at_start: bool = True
+    false_alarms_per_hour: Positive = 0.1
+    payload_mass_sigma_kg: Positive = 50.0
+    payload_first_moment_sigma_kg_m: Positive = 20.0
+    payload_inertia_sigma_kg_m2: Positive = 10.0
+
+
 class Estimation(Section):
     """The estimator's ticks, its smoothing kernel, its rows, its gates.
 
+    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "exiddm" predicts what the base IMU shows of a
+    free vehicle and finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and ``prior.link`` are its.
     ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
     ``nuisance`` names base parameters that take up what is not theirs: estimated, and never reported as supported.
     """
 
+    method: Literal["rows", "exiddm"] = "rows"
     step_ms: Positive = 50
     row_rate_hz: Positive = 100
     lag_ms: Positive = 200
@@ -90,3 +130,5 @@ class Estimation(Section):
     prior: Prior = Prior()
     masses: Masses | None = None
     nuisance: list[str] = Field(default_factory=list)
+    exiddm: Exiddm = Exiddm()
+    doubt: Doubt = Doubt()

@@ -6,8 +6,8 @@ sigma from a data sheet is a promise, and the regressor is made of measured sign
 
 1. *Regressor noise*: noise in Y makes ``Y' W Y`` too large by a known amount N, and the estimate too small
    (attenuation). N comes with the rows (``noise`` of :meth:`BlockScores.add`) and is taken out:
-   ``chi = (Lambda - N)^-1 (Y' W y - n)``, n for noise that the left-hand sides share. What N itself is not known to is carried into the interval. A direction whose
-   information is nearly all noise is given back to the prior.
+   ``chi = (Lambda - N)^-1 (Y' W y - n)``, n for noise that the left-hand sides share. What N itself is not known to is
+   carried into the interval. A direction whose information is nearly all noise is given back to the prior.
 2. *Rows*: a delete-one-block jackknife. Rows are summed into blocks of time longer than the kernel;
    ``H_b = Y' W Y - N`` and ``g_b = Y' W y`` of a block are all that is kept, so the score of every block at the *final*
    estimate, ``s_b = g_b - H_b chi``, is exact without going back to the rows. Leaving block b out moves the estimate by
@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtrit
 
+from onboard.estimation.blocks import TimeBlocks
 from onboard.estimation.errors import RowError
 from onboard.estimation.rls import SquareRootRls
 
@@ -47,7 +48,7 @@ class Interval(NamedTuple):
     high: FloatArray
 
 
-class BlockScores:
+class BlockScores(TimeBlocks):
     """Normal equations by blocks of time, in constant memory.
 
     Args:
@@ -60,45 +61,32 @@ class BlockScores:
     """
 
     def __init__(self, parameters: int, block_s: float, capacity: int = 64) -> None:
-        if not 0.0 < block_s < np.inf:
-            raise RowError(f"the block length is {block_s} s; give a positive one")
-        if capacity < 4:
-            raise RowError(f"a capacity of {capacity} blocks; give at least four")
-        self.block_s = block_s
-        self._slots: dict[int, int] = {}
-        self._H = np.zeros((capacity, parameters, parameters))
-        self._g = np.zeros((capacity, parameters))
-        self._N = np.zeros((capacity, parameters, parameters + 1))
-
-    @property
-    def count(self) -> int:
-        """Blocks that hold rows."""
-        return len(self._slots)
+        super().__init__(block_s, capacity, (parameters, parameters), (parameters,), (parameters, parameters + 1))
 
     @property
     def normal(self) -> FloatArray:
         """``Y' W Y`` of each block less its regressor noise, (b, p, p)."""
-        return self._H[: self.count]
+        return self.sums[0][: self.count]
 
     @property
     def moment(self) -> FloatArray:
-        """``Y' W y`` of each block, (b, p)."""
-        return self._g[: self.count]
+        """``Y' W y`` of each block, less noise that both sides share, (b, p)."""
+        return self.sums[1][: self.count]
 
     @property
     def noise_by_block(self) -> FloatArray:
         """What regressor noise has added to ``Y' W Y`` of each block, (b, p, p)."""
-        return self._N[: self.count]
+        return self.sums[2][: self.count, :, :-1]
 
     @property
     def noise(self) -> FloatArray:
         """What regressor noise has added to ``Y' W Y`` in all, (p, p)."""
-        return np.asarray(self._N[: self.count, :, :-1].sum(axis=0), np.float64)
+        return np.asarray(self.noise_by_block.sum(axis=0), np.float64)
 
     @property
     def noise_moment(self) -> FloatArray:
         """What it has added to ``Y' W y``, (p,), where the left-hand sides hold the same noise."""
-        return np.asarray(self._N[: self.count, :, -1].sum(axis=0), np.float64)
+        return np.asarray(self.sums[2][: self.count, :, -1].sum(axis=0), np.float64)
 
     def add(
         self, times_s: FloatArray, Y: FloatArray, y: FloatArray, sigma: FloatArray, noise: FloatArray | None = None
@@ -116,7 +104,7 @@ class BlockScores:
         Raises:
             RowError: a shape that does not fit, or a number that is not finite.
         """
-        m, p = y.shape[0], self._g.shape[1]
+        m, p = y.shape[0], self.sums[1].shape[1]
         if Y.shape != (m, p) or sigma.shape != (m,) or times_s.shape != (m,):
             raise RowError(f"rows of shape {times_s.shape}, {Y.shape}, {y.shape}; give (m,), (m, {p}), (m,)")
         if noise is not None and (noise.ndim != 3 or noise.shape[0] != m or noise.shape[2] - p not in (0, 1)):
@@ -127,55 +115,18 @@ class BlockScores:
         if not (np.isfinite(scaled).all() and np.isfinite(times_s).all()):
             raise RowError("rows must be finite; gate them before they come here")
         doubt = None if noise is None else noise / sigma[:, None, None]
-        pending = np.arange(m)
-        while pending.size:
-            index = int(times_s[pending[0]] // self.block_s)
-            if index not in self._slots and self.count == self._g.shape[0]:
-                self._merge()
-                continue
-            slot = self._slots.setdefault(index, self.count)
-            inside = times_s[pending] // self.block_s == index
-            mine, pending = pending[inside], pending[~inside]
+        for slot, mine in self.split(times_s):
+            normal, moment, added = (part[slot] for part in self.sums)
             rows = scaled[mine, :p]
-            self._H[slot] += rows.T @ rows
-            self._g[slot] += rows.T @ scaled[mine, p]
+            normal += rows.T @ rows
+            moment += rows.T @ scaled[mine, p]
             if doubt is not None:
                 own = doubt[mine].reshape(-1, doubt.shape[2])
                 N = own[:, :p].T @ own
-                self._N[slot, :, : own.shape[1]] += N
-                self._H[slot] -= N[:, :p]
-                if own.shape[1] > p:
-                    self._g[slot] -= N[:, p]
-
-    def fade(self, factor: float) -> None:
-        """Multiplies the weight of all rows so far by ``factor``, as the estimator does that forgets."""
-        self._H *= factor
-        self._g *= factor
-        self._N *= factor
-
-    def keep_from(self, newest_s: float, blocks: int) -> None:
-        """Drops all but the block of ``newest_s`` and so many before it, as the estimator does that has a window."""
-        first = int(newest_s // self.block_s) - blocks
-        kept = [index for index in self._slots if index >= first]
-        if len(kept) < self.count:
-            self._regroup({index: index for index in kept})
-
-    def _merge(self) -> None:
-        """Doubles the block length until neighbours fell together."""
-        while self.count == self._g.shape[0]:
-            self.block_s *= 2.0
-            self._regroup({index: index // 2 for index in self._slots})
-
-    def _regroup(self, groups: dict[int, int]) -> None:
-        """Adds up blocks by the new index of each; those without one are dropped."""
-        slots: dict[int, int] = {}
-        H, g, N = np.zeros_like(self._H), np.zeros_like(self._g), np.zeros_like(self._N)
-        for index, group in groups.items():
-            new, old = slots.setdefault(group, len(slots)), self._slots[index]
-            H[new] += self._H[old]
-            g[new] += self._g[old]
-            N[new] += self._N[old]
-        self._slots, self._H, self._g, self._N = slots, H, g, N
+                added[:, : N.shape[1]] += N
+                normal -= N[:, :p]
+                if N.shape[1] > p:
+                    moment -= N[:, p]
 
 
 class HonestEstimate:
@@ -223,11 +174,12 @@ class HonestEstimate:
         noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
         # Information without the noise; the prior's own where there is nothing else.
         keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), np.finfo(np.float64).tiny))
-        x = np.where(signal, R @ plain.mean - T.T @ blocks.noise_moment, T.T @ prior_right) / keep
+        shared = T.T @ blocks.noise_moment
+        x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
         self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'
         self.mean: FloatArray = T @ x
         causes = (R @ plain.sensitivity * sigma).T  # (k, p)
-        causes = np.vstack([causes, noise_sigma * noise * x])
+        causes = np.vstack([causes, noise_sigma * (noise * x - shared)])
         self._common = T @ np.where(signal, causes / keep, 0.0).T  # (p, k + 1)
         self._prior_half = T / keep @ _half(A0)  # (p, p)
         mask = np.outer(signal, signal)

@@ -50,9 +50,9 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
             rows += base_moment_rows(model)
         zero_force = settings.zero_force_sigma_m_s2
         row_model = RowModel(model, rows, zero_force=zero_force is not None)
-        base = base_parameters(row_model, np.random.default_rng(NAMING_SEED))
         offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
         prior = named_relative_sigma(row_model, settings.prior.relative, {**settings.prior.absolute, **offsets})
+        base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=prior == 0.0)
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
             quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link)

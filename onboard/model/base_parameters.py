@@ -105,8 +105,8 @@ def sampled_rows(
         np.asarray(motion.specific_force_m_s2) * rng.standard_normal((ticks, 3)) + motion.constant_force_m_s2,
     )
     attached = np.arange(ticks) % 2 == 0 if released else None
-    dq, ddq, readings = (rng.standard_normal(size) for size in (shape, shape, (ticks, len(model.rows))))
-    Y = model.regressor(q, dq, ddq, base, attached, readings=readings)
+    dq, ddq, predicted = (rng.standard_normal(size) for size in (shape, shape, (ticks, len(model.rows))))
+    Y = model.regressor(q, dq, ddq, base, attached, predicted=predicted)
     return Y.reshape(-1, Y.shape[2])
 
 

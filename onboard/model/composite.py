@@ -82,7 +82,7 @@ def composite_functional(vehicle: Vehicle) -> FloatArray:
         for k in range(10):
             unit = np.zeros(10)
             unit[k] = 1.0
-            functional[:, 10 * link + k] = _parameters(pose @ pseudo_inertia(unit) @ pose.T)
+            functional[:, 10 * link + k] = parameters_of(pose @ pseudo_inertia(unit) @ pose.T)
     return functional
 
 
@@ -96,6 +96,7 @@ def pseudo_inertia(chi: FloatArray) -> FloatArray:
     return P
 
 
-def _parameters(P: FloatArray) -> FloatArray:
+def parameters_of(P: FloatArray) -> FloatArray:
+    """The ten standard parameters of a pseudo-inertia, (4, 4)."""
     inertia = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
     return np.concatenate([[P[3, 3]], P[:3, 3], elements(inertia)])

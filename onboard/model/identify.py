@@ -17,6 +17,7 @@ from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.model.base_parameters import BaseParameters
+from onboard.model.change import Change
 from onboard.model.errors import SignalError, UnknownFrameError
 from onboard.model.rows import BaseMotion, RowModel, joint_torque_row, skew
 from onboard.model.vehicle import Vehicle
@@ -28,6 +29,7 @@ BoolArray = NDArray[np.bool_]
 SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
 SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information
 _NOISE_TICKS = 8
+_SCALE_ROUNDS = 2
 _BATCH_TICKS = 64  # rows judged by one estimate before they change it
 
 
@@ -115,7 +117,7 @@ class RowObserver(Protocol):
         sigma: FloatArray,
         noise: FloatArray | None,
     ) -> None:
-        """Rows (m, p) of the base parameters, as :meth:`BlockScores.add` takes them; ``held`` (m,): with the payload."""
+        """Rows (m, p) of the base parameters, as :meth:`BlockScores.add` takes them; ``held`` (m,): payload there."""
 
 
 class Identifier:
@@ -162,8 +164,10 @@ class Identifier:
         self.memory = memory
         self._considered_rows = [rows.index(cause.row) for cause in considered]
         p = len(base.names)
-        known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # what is in no base parameter is known, or no matter
+        self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
+        known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
+        self.prior_sigma = prior_sigma
         self._prior_covariance = base.covariance(prior_sigma)
         self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
         self.rls.prior(base.value(model.chi), self._prior_covariance)
@@ -172,6 +176,29 @@ class Identifier:
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self.observer: RowObserver | None = None
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Of the columns of ``measured``."""
+        return tuple(row.name for row in self.model.rows)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Of the base parameters."""
+        return self.base.names
+
+    @property
+    def quantity_names(self) -> tuple[str, ...]:
+        """Of what is reported besides."""
+        return tuple(quantity.name for quantity in self.quantities)
+
+    def triangle(self) -> FloatArray:
+        """Square-root information ``[R z]`` of all parameters, considered ones included, (s, s)."""
+        return self.rls.state().triangle
+
+    def news(self) -> tuple[Change, ...]:
+        """Nothing: rows do not tell that the payload has changed."""
+        return ()
 
     @property
     def rls(self) -> SquareRootRls:
@@ -224,8 +251,11 @@ class Identifier:
         at = ticks + part.start
         motion = BaseMotion(*(v[at] for v in signals.motion))
         joints = signals.q[at], signals.dq[at], signals.ddq[at]
-        Y = self.model.regressor(*joints, motion, attached[at], readings=signals.measured[at], fold=self._fold)
+        none = np.zeros((at.size, len(self.model.rows)))
+        Y = self.model.regressor(*joints, motion, attached[at], predicted=none, fold=self._fold)
         use = reasons[ticks] == 0  # (t, m)
+        if self._scales:
+            self._fill_scales(Y, signals.measured[at], signals.sigma[at], use)
         rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
         sigma = signals.sigma[at][use]
         doubt = None
@@ -248,6 +278,23 @@ class Identifier:
             held = np.repeat(attached[at][:, None], use.shape[1], axis=1)[use][kept]
             self.observer(times[kept], held, rows[kept], y[kept], sigma[kept], None if doubt is None else doubt[kept])
         self.rows_used += int(kept.sum())
+
+    def _fill_scales(self, Y: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
+        """Fills the columns of the scales, (t, rows, p + 1), with what the sensors should read.
+
+        A scale multiplies its reading, so the rows are linear for a given prediction only. The prediction is that of
+        the estimate with these very rows taken in on trial: it must not be the one of a payload not yet known.
+        """
+        before = self.rls.state()
+        C = np.zeros((np.count_nonzero(use), len(self.considered))) if self.considered else None
+        unscaled, columns = Y.copy(), [column for _, column in self._scales]
+        unscaled[..., columns] = 0.0
+        for _ in range(_SCALE_ROUNDS):
+            self.rls.update(Y[..., :-1][use], (measured - Y[..., -1])[use], sigma[use], C)
+            predicted = unscaled @ [*self.rls.solve().mean, 1.0]  # (t, rows)
+            self.rls.restore(before)
+            for row, column in self._scales:
+                Y[:, row, column] = predicted[:, row]
 
     def _row_noise(self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
         """Change of the rows and of their left-hand sides per standard deviation of each motion signal.
@@ -286,9 +333,9 @@ class Identifier:
         f[force] += (R_BS * noise.specific_force[tick]).T
         w[rate] += w_noise
         dw[acceleration] += dw_noise
-        flags, read = np.full(s + 1, held), np.zeros((s + 1, len(self.model.rows)))
+        flags, none = np.full(s + 1, held), np.zeros((s + 1, len(self.model.rows)))
         joints_moved = moved[:, 0], moved[:, 1], moved[:, 2]
-        Y = self.model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, read, self._fold)
+        Y = self.model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, none, self._fold)
         change = (Y[:-1] - Y[-1]).transpose(1, 0, 2)
         change[..., -1] *= -1.0  # what is known goes to the other side
         return np.asarray(change, np.float64)

@@ -7,8 +7,9 @@ to move everything beyond the cut as it moves.
 - Joint torque: the cut is the joint, the axis is the joint's; with actuator inertia and friction columns if asked.
 - Base wrench: the cut is around the whole vehicle; what is known to be zero (free flight) gives rows ``0 = Y chi``.
 
-A reading may be off by a scale that is not known, ``(1 - scale) reading = Y chi + bias``: the calibration of a cell,
-the torque constant of a motor. Its column is the reading itself, so the rows stay linear.
+A reading may be off by a scale that is not known, ``reading = (1 + scale) (Y chi + bias)``: the calibration of a cell,
+the torque constant of a motor. Its column is what the sensor should read by the estimate so far. The reading itself
+would not do: it explains its own noise best by a scale of one.
 
 The base's motion comes from an IMU: angular rate, angular acceleration and specific force (a - g, not acceleration).
 With gravity zero in the model and the specific force as the base's acceleration, gravity, attitude and the base's
@@ -184,6 +185,7 @@ class RowModel:
         names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, ``scale_<row>``, then ``Ia_, Fv_,
             Fc_<joint>``, then ``zero_force_x, _y, _z``.
         chi: prior values of the columns: the URDF's, zero for the extra ones.
+        scales: row and column of each scale.
 
     Raises:
         UnknownFrameError: a row at a frame the URDF does not have.
@@ -195,16 +197,14 @@ class RowModel:
         self.rows = tuple(rows)
         names = [f"{parameter}_{link}" for link in vehicle.links for parameter in STANDARD]
         self._biases: list[tuple[int, int]] = []  # row, column
-        self._scales: list[tuple[int, int]] = []
         self._frictions: list[tuple[int, int, int]] = []  # row, joint, first column
         for index, row in enumerate(self.rows):
             if row.bias:
                 self._biases.append((index, len(names)))
                 names.append(f"bias_{row.name}")
-        for index, row in enumerate(self.rows):
-            if row.scale:
-                self._scales.append((index, len(names)))
-                names.append(f"scale_{row.name}")
+        scaled = [index for index, row in enumerate(self.rows) if row.scale]
+        self.scales = tuple((index, len(names) + k) for k, index in enumerate(scaled))
+        names += [f"scale_{self.rows[index].name}" for index in scaled]
         for index, row in enumerate(self.rows):
             if row.friction_joint is not None:
                 joint = vehicle.joints.index(vehicle.joint(row.friction_joint))
@@ -236,7 +236,7 @@ class RowModel:
         motion: BaseMotion,
         attached: ArrayLike | None = None,
         fill_zero_force: bool = True,
-        readings: ArrayLike | None = None,
+        predicted: ArrayLike | None = None,
         fold: RowFold | None = None,
     ) -> FloatArray:
         """The regressor Y, (n, rows, columns), or the combinations of its columns that ``fold`` stands for.
@@ -248,12 +248,11 @@ class RowModel:
             motion: of the base.
             attached: (n,) bool, whether the payload link is held; always, where not given.
             fill_zero_force: whether the ``zero_force`` columns are made, if the model has them; else they stay zero.
-            readings: (n, rows) what the rows' sensors read; needed where a scale is a parameter. A reading that is not
-                finite makes its own row so.
+            predicted: (n, rows) what the rows' sensors should read, scales aside; needed where a scale is a parameter.
             fold: which combinations of columns; every column by itself, where not given.
 
         Raises:
-            SignalError: shapes that do not fit, motion that is not finite, or a scale without readings.
+            SignalError: shapes that do not fit, motion that is not finite, or a scale without predictions.
         """
         nj = len(self.vehicle.joints)
         position, velocity, acceleration = (np.asarray(v, np.float64) for v in (q, dq, ddq))
@@ -280,12 +279,12 @@ class RowModel:
             self._fill_zero_force(extras[:, :, first : first + 3], states[0], held)
         for row, column in self._biases:
             extras[:, row, column - own] = 1.0
-        if self._scales:
-            read = np.asarray(() if readings is None else readings, np.float64)
-            if read.shape != (n, len(self.rows)):
-                raise SignalError(f"scales are parameters; give the readings, ({n}, {len(self.rows)})")
-            for row, column in self._scales:
-                extras[:, row, column - own] = read[:, row]
+        if self.scales:
+            expected = np.asarray(() if predicted is None else predicted, np.float64)
+            if expected.shape != (n, len(self.rows)):
+                raise SignalError(f"scales are parameters; give the predicted readings, ({n}, {len(self.rows)})")
+            for row, column in self.scales:
+                extras[:, row, column - own] = expected[:, row]
         for row, joint, column in self._frictions:
             extras[:, row, column - own] = acceleration[:, joint]
             extras[:, row, column - own + 1] = velocity[:, joint]

@@ -108,6 +108,27 @@ def test_regressor_noise_bias_is_taken_out_and_covered(rng):
     assert ((honest >= 0.91) & (honest <= 1.0)).all(), honest
 
 
+def test_noise_that_the_left_hand_side_shares_is_taken_out_of_it_too(rng):
+    """A known parameter's part, moved to the other side, carries the noise of the same motion as the row."""
+    at = np.arange(0, 40, PERIOD_S)
+    exact = motion(at)
+    noise = np.zeros((at.size, 1, 4))
+    noise[:, 0] = [0.35, 0.0, 0.0, -0.7]
+    means = []
+
+    def draw():
+        error = rng.normal(size=at.size)
+        Y = exact + 0.35 * error[:, None] * [1.0, 0.0, 0.0]
+        y = exact @ TRUTH - 0.7 * error + 0.05 * rng.normal(size=at.size)
+        found = estimate(at, Y, y, np.full(at.size, 1.4), PRIOR, noise=noise)
+        means.append(found.mean[0])
+        return found, TRUTH
+
+    honest, _ = coverage(draw, 200)
+    assert np.mean(means) == pytest.approx(2.0, abs=0.02)  # 0.98 where the shared noise is passed over
+    assert ((honest >= 0.91) & (honest <= 1.0)).all(), honest
+
+
 def test_not_knowing_the_noise_well_widens_what_it_biases(rng):
     """Power of the regressor's noise stated 20 % too low: the correction falls short, the interval knows."""
     at = np.arange(0, 40, PERIOD_S)

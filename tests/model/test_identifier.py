@@ -249,6 +249,27 @@ def test_a_window_forgets_what_was_held_and_an_identifier_for_ever_does_not(rng)
     assert not told["m_tip_mass"].supported
 
 
+def test_what_is_taken_for_exact_is_the_limit_of_a_small_sigma(rng):
+    """A zero sigma moves the arm's columns to the other side; the noise of its motion goes with them."""
+    _, model, _, _ = setup()
+    signals, held, _ = flight(rng)
+    found = []
+    for relative in (0.0, 1e-5):
+        links = {"plate": 1.0, "arm": relative, "tip_mass": 1.0}
+        sigma = named_relative_sigma(model, links, {"bias_load_cell": 1.0})
+        base = base_parameters(model, np.random.default_rng(0), known=sigma == 0.0)
+        one = Identifier(model, base, sigma, 5 * WIDTH_S, (), SCALE, imu_frame="imu_base")
+        feed(one, signals, held)
+        found.append(one.estimate())
+    assert set(found[0].names) < set(found[1].names)
+    assert not any("_arm" in name for name in found[0].names)
+    for name in ("ZZ_tip_mass_R", "bias_load_cell"):
+        exact, close = (one.mean[one.names.index(name)] for one in found)
+        assert exact == pytest.approx(close, rel=2e-3), name
+        exact, close = (one.sigma[one.names.index(name)] for one in found)
+        assert exact == pytest.approx(close, rel=0.1), name
+
+
 def test_outliers_that_the_gate_lets_pass_weigh_less_with_huber(rng):
     signals, held, _ = flight(rng)
     hit = rng.random(held.size) < 0.05

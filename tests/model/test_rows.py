@@ -128,6 +128,23 @@ def test_bias_and_friction_columns(rng):
     assert len(plain.names) == 30
 
 
+def test_a_fold_is_the_regressor_times_its_matrix(rng):
+    """Columns that are combined before they are made, with and without payload, link columns and extra ones."""
+    links = random_vehicle(rng, ["revolute", "prismatic", "fixed"])
+    vehicle = Vehicle(to_urdf(links), VehicleSpec(BaseKind.PRESCRIBED, "base", links[-1].name))
+    cells = [
+        load_cell_row("a", links[1].name, (1, 2, 3), "moment"),
+        load_cell_row("b", links[-1].name, (1, 0, 0), "force"),
+    ]
+    torques = [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints]
+    rows = RowModel(vehicle, [cells[0], *base_force_rows(vehicle), *torques, cells[1]], zero_force=True)
+    q, dq, ddq, motion = random_motion(rng, vehicle)
+    held = np.array([True, False, True, True, False, False])
+    mix = rng.normal(size=(len(rows.names), 4))
+    whole = rows.regressor(q, dq, ddq, motion, held)
+    np.testing.assert_allclose(rows.regressor(q, dq, ddq, motion, held, fold=rows.fold(mix)), whole @ mix, atol=1e-11)
+
+
 def test_zero_force_columns_are_the_response_to_a_wrong_specific_force(rng):
     links = random_vehicle(rng, ["revolute", "fixed"])
     vehicle = Vehicle(to_urdf(links), VehicleSpec(BaseKind.PRESCRIBED, "base", "link_2"))
