@@ -29,6 +29,7 @@ from onboard.ring import RingReader
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 WATCH_PERIOD_S = 0.05
+HUNG_S = 7.0  # without a beat of a worker's; the rings hold 10 s
 _LONGEST_PAUSE_S = 5.0  # before a worker that keeps dying is started again
 _STABLE_S = 30.0  # a worker that lived so long starts with a clean slate
 
@@ -55,7 +56,7 @@ class _Worker:
         self._context = multiprocessing.get_context("spawn")
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
-        self._started_s = self._due_s = 0.0
+        self._started_s = self._due_s = self._silent_until_s = 0.0
         self._pause_s = 0.0
 
     @property
@@ -78,6 +79,7 @@ class _Worker:
         self._process.start()
         end.close()
         self._started_s = time.monotonic()
+        self._silent_until_s = self._started_s + START_TIMEOUT_S
         self.died = False
 
     def wait_ready(self) -> None:
@@ -90,12 +92,13 @@ class _Worker:
             self._pipe.recv()
         except EOFError as error:
             raise FlightError(f"the {self.name} worker did not start; its message stands above") from error
+        self._silent_until_s = time.monotonic() + HUNG_S
 
     def watch(self) -> str:
-        """Start it again if it is dead and due; what there is to say of that."""
-        if not self.is_dead:
-            return ""
+        """Kill it if it hangs, start it again if it is dead and due; what there is to say of that."""
         now_s = time.monotonic()
+        if not self.is_dead:
+            return self._listen(now_s)
         if not self.died:
             self.died = True
             if now_s - self._started_s > _STABLE_S:
@@ -107,6 +110,19 @@ class _Worker:
             return ""
         self.start()
         return "restarted"
+
+    def _listen(self, now_s: float) -> str:
+        assert self._pipe is not None
+        assert self._process is not None
+        with contextlib.suppress(EOFError, OSError):  # it is just dying
+            while self._pipe.poll():
+                self._pipe.recv()
+                self._silent_until_s = now_s + HUNG_S
+        if now_s < self._silent_until_s:
+            return ""
+        self._silent_until_s = now_s + HUNG_S
+        self._process.kill()
+        return "hung"
 
     def finish(self) -> None:
         if self._process is None or self._pipe is None:
@@ -194,6 +210,8 @@ def _fly(
                 if happened == "died":
                     text = f"exit code {worker.exit_code}; the others go on, and it is started again"
                     tell(Severity.ERROR, "worker_died", worker.name, text)
+                elif happened == "hung":
+                    tell(Severity.ERROR, "worker_hung", worker.name, f"silent for {HUNG_S:g} s: it is killed")
                 elif happened:
                     restarted.append(worker.name)
                     tell(Severity.WARNING, "worker_restarted", worker.name, f"process {worker.pid}")

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 RECEIVE_TIMEOUT_S = 0.05
 REALTIME_PRIORITY = 50
+BEAT_S = 1.0  # a worker that has said nothing for several of these hangs
 ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
 CLOSE_S = 10.0  # for a disk that refuses at the end of a flight: what is left is harvested before the next
 
@@ -43,7 +44,7 @@ class Supervised:
     """
 
     def __init__(self, pipe: Connection, name: str) -> None:
-        self._pipe = pipe
+        self._pipe, self._beat_s = pipe, 0.0
         with contextlib.suppress(OSError):
             Path("/proc/self/comm").write_text(f"heft-{name}"[:15], encoding="ascii")
         self.stop, self.orphaned = threading.Event(), False
@@ -54,6 +55,14 @@ class Supervised:
     def ready(self) -> None:
         """Say that the worker is at work."""
         self._pipe.send(True)
+
+    def beat(self) -> None:
+        """Say, once in a while, that it has come round again."""
+        now_s = time.monotonic()
+        if now_s - self._beat_s > BEAT_S and not self.stop.is_set():
+            self._beat_s = now_s
+            with contextlib.suppress(OSError):  # the supervisor is gone: the other thread sees it
+                self._pipe.send(True)
 
     def _wait(self) -> None:
         try:
@@ -91,9 +100,10 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
     for thread in threads:
         thread.start()
     supervised.ready()
+    while not supervised.stop.wait(BEAT_S):  # with no bus at all there is still a flight to log
+        supervised.beat()
     for thread in threads:
         thread.join()
-    supervised.stop.wait()  # with no bus at all there is still a flight to log
     opened.close()
 
 
@@ -158,6 +168,7 @@ def estimate(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None
         next_ns = time.monotonic_ns()
         while not supervised.stop.is_set():
             worker.step(time.monotonic_ns())
+            supervised.beat()
             next_ns = _sleep_until(next_ns + period_ns)
         worker.finish(time.monotonic_ns())
 
@@ -176,6 +187,7 @@ def record(directory: Path, pipe: Connection) -> None:
         next_ns = time.monotonic_ns()
         while not supervised.stop.is_set():
             recorder.step(time.monotonic_ns())
+            supervised.beat()
             next_ns = _sleep_until(next_ns + period_ns)
         end_ns = time.monotonic_ns() + int(ORPHAN_S * 1e9) * supervised.orphaned
         while time.monotonic_ns() < end_ns:

@@ -109,6 +109,28 @@ def test_each_worker_killed_in_turn_is_started_again_and_the_log_replays(tmp_pat
 
 
 @pytest.mark.timeout(180)
+def test_a_worker_that_hangs_is_killed_and_started_again(tmp_path: Path, urls: list[str]) -> None:
+    log = tmp_path / "hung.mcap"
+    with flying(log, urls, 200) as flight:
+        for name in ("heft-record", "heft-estimate"):
+            victim = pids(flight.pid)[name]
+            os.kill(victim, signal.SIGSTOP)
+            deadline = time.monotonic() + 40
+            while pids(flight.pid).get(name, victim) == victim and time.monotonic() < deadline:
+                time.sleep(0.1)
+            assert pids(flight.pid)[name] != victim
+        time.sleep(2.0)
+        flight.send_signal(signal.SIGTERM)
+        _, err = flight.communicate(timeout=100)
+    assert flight.returncode == cli.OK, err
+    adds_up(log)
+    supervisor = LogReader(log).read("event_supervisor")
+    told = [(row["code"].decode(), row["source"].decode()) for row in supervisor]
+    assert [source for code, source in told if code == "worker_hung"] == ["recording", "estimation"]
+    assert cli.main(["replay", str(log)]) == cli.OK
+
+
+@pytest.mark.timeout(180)
 def test_everything_killed_at_once_is_harvested_by_the_next_start(tmp_path: Path, urls: list[str]) -> None:
     log, following = tmp_path / "dead.mcap", tmp_path / "next.mcap"
     with flying(log, urls, 100) as flight:
