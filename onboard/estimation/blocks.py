@@ -1,0 +1,86 @@
+"""Sums over rows by blocks of time, in constant memory."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.errors import RowError
+
+FloatArray = NDArray[np.float64]
+
+
+class TimeBlocks:
+    """Arrays of sums, one slot a block; when all slots are taken, neighbours are merged and blocks last twice as long.
+
+    Args:
+        block_s: first length of a block; take five kernel widths or more.
+        capacity: blocks kept before neighbours are merged.
+        shapes: of the sums of one block.
+
+    Attributes:
+        block_s: length of a block now.
+        sums: the arrays, (capacity, *shape) each.
+
+    Raises:
+        RowError: a length that is not positive, or a capacity below four.
+    """
+
+    def __init__(self, block_s: float, capacity: int, *shapes: tuple[int, ...]) -> None:
+        if not 0.0 < block_s < np.inf:
+            raise RowError(f"the block length is {block_s} s; give a positive one")
+        if capacity < 4:
+            raise RowError(f"a capacity of {capacity} blocks; give at least four")
+        self.block_s = block_s
+        self.sums = [np.zeros((capacity, *shape)) for shape in shapes]
+        self._slots: dict[int, int] = {}
+
+    @property
+    def count(self) -> int:
+        """Blocks that hold rows."""
+        return len(self._slots)
+
+    def split(self, times_s: FloatArray) -> list[tuple[int, slice | NDArray[np.intp]]]:
+        """Slots, and which of the rows go there; slots stay what they are until the next call.
+
+        Args:
+            times_s: (m,) on any axis that does not jump.
+        """
+        while True:
+            index = (times_s // self.block_s).astype(np.int64)
+            wanted = (
+                [int(index[0])] if index[0] == index[-1] and (index == index[0]).all() else np.unique(index).tolist()
+            )
+            missing = [number for number in wanted if number not in self._slots]
+            if self.count + len(missing) <= self.sums[0].shape[0]:
+                break
+            self._double()
+        for number in missing:
+            self._slots[number] = self.count
+        if len(wanted) == 1:
+            return [(self._slots[wanted[0]], slice(None))]
+        return [(self._slots[number], np.flatnonzero(index == number)) for number in wanted]
+
+    def fade(self, factor: float) -> None:
+        """Multiplies the weight of all rows so far by ``factor``, as the estimator does that forgets."""
+        for part in self.sums:
+            np.multiply(part, factor, out=part)
+
+    def keep_from(self, newest_s: float, blocks: int) -> None:
+        """Drops all but the block of ``newest_s`` and so many before it, as the estimator does that has a window."""
+        first = int(newest_s // self.block_s) - blocks
+        kept = [index for index in self._slots if index >= first]
+        if len(kept) < self.count:
+            self._regroup({index: index for index in kept})
+
+    def _double(self) -> None:
+        self.block_s *= 2.0
+        self._regroup({index: index // 2 for index in self._slots})
+
+    def _regroup(self, groups: dict[int, int]) -> None:
+        """Adds up blocks by the new index of each; those without one are dropped."""
+        slots: dict[int, int] = {}
+        sums = [np.zeros_like(part) for part in self.sums]
+        for index, group in groups.items():
+            new, old = slots.setdefault(group, len(slots)), self._slots[index]
+            for made, part in zip(sums, self.sums, strict=True):
+                made[new] += part[old]
+        self._slots, self.sums = slots, sums
