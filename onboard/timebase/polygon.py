@@ -53,9 +53,17 @@ def shear(polygon: Polygon, seconds: float) -> Polygon:
 
 
 def widen(polygon: Polygon, x: float, y: float) -> Polygon:
-    """Minkowski sum with the segment from (-x, -y) to (x, y)."""
-    points = [(px - x, py - y) for px, py in polygon] + [(px + x, py + y) for px, py in polygon]
-    return _hull(points)
+    """Minkowski sum with the segment from (-x, -y) to (x, y): each side moves out with it, two corners become sides."""
+    sides = zip([polygon[-1], *polygon], polygon, strict=False)
+    facing = [(by - ay) * x - (bx - ax) * y for (ax, ay), (bx, by) in sides]  # of outward normals along the segment
+    out = next((side > 0.0 for side in reversed(facing) if side != 0.0), True)
+    wider: Polygon = []
+    for (px, py), side, following in zip(polygon, facing, facing[1:] + facing[:1], strict=True):
+        out = out if side == 0.0 else side > 0.0
+        turned = out if following == 0.0 else following > 0.0
+        for forward in (out,) if turned is out else (out, turned):
+            wider.append((px + x, py + y) if forward else (px - x, py - y))
+    return wider if len(wider) <= _MOST_VERTICES else _hull(wider)
 
 
 def moments(polygon: Polygon) -> Moments:
