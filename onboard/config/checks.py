@@ -174,8 +174,31 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         fail(["estimation", "phases", "channel"], f"{what}; there are: {listed or 'none'}")
     if file.free_body and file.vehicle.base != "free":
         fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
+    if file.estimation.method == "exiddm":
+        _check_exiddm(vehicle, fail)
     for index, load in enumerate(file.free_body.load if file.free_body else ()):
         if load.role == "proof" and load.truth_kg_m2 is None:
             fail(["free_body", "load", str(index), "role"], "a proof body must be known; give truth_kg_m2")
     if not vehicle.urdf_path.is_file():
         fail(["vehicle", "urdf"], f"no file {vehicle.urdf_path}; put the URDF beside the vehicle file")
+
+
+def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
+    file, settings = vehicle.file, vehicle.file.estimation
+    where = ["estimation", "method"]
+    if file.vehicle.base != "free":
+        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free"')
+    if file.vehicle.payload_link is None:
+        fail(where, 'method "exiddm" finds the payload; name its payload_link')
+    others = {
+        "base_rows": settings.base_rows,
+        "masses": settings.masses,
+        "zero": settings.zero,
+        "zero_force_sigma_m_s2": settings.zero_force_sigma_m_s2,
+        "nuisance": settings.nuisance,
+    }
+    for key, given in others.items():
+        if given:
+            fail(["estimation", key], f'{key} is for method "rows"; leave it out')
+    if file.free_body:
+        fail(["free_body"], 'a free body is told from rows; leave method = "exiddm" out')

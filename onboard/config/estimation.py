@@ -93,7 +93,7 @@ class Doubt(Section):
 
 
 class Exiddm(Section):
-    """The non-linear estimator: what is held when the flight begins, how large a payload could be, how rarely it errs."""
+    """The non-linear estimator: what is held at the start, how large a payload could be, how rare a false alarm is."""
 
     held_at_start: bool = True
     false_alarms_per_hour: Positive = 0.1
@@ -105,8 +105,8 @@ class Exiddm(Section):
 class Estimation(Section):
     """The estimator's ticks, its smoothing kernel, its rows, its gates.
 
-    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "exiddm" predicts what the base IMU shows of a
-    free vehicle and finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and ``prior.link`` are its.
+    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "exiddm" predicts what the base IMU of a free
+    vehicle shows, finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and ``prior.link`` are its.
     ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.

@@ -37,7 +37,7 @@ def answer_rates_hz(estimator: Estimator) -> dict[str, float]:
     """How often rows of the estimation worker's channels come, at most."""
     settings = estimator.vehicle.file.estimation
     steps_hz = 1e3 / settings.step_ms
-    answers = len(estimator.parameter_names) + len(estimator.identifier.quantities)
+    answers = len(estimator.parameter_names) + len(estimator.online.quantity_names)
     return {
         "tick": steps_hz,
         "clock": steps_hz * len(estimator.inputs),

@@ -14,13 +14,15 @@ from onboard import channels, config
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.clocks import timebase_of
-from onboard.flight.identification import build_identifier
+from onboard.flight.identification import build_online
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import Signals
 from onboard.flight.zeroing import Zeroing
+from onboard.model.change import Change
 from onboard.model.identify import Estimate, Identifier, SignalNoise
 from onboard.model.identify import Signals as ModelSignals
+from onboard.model.online import OnlineIdentifier
 from onboard.model.rows import base_motion
 
 Floats = NDArray[np.float64]
@@ -35,7 +37,8 @@ class Estimator:
             one where not given.
 
     Attributes:
-        identifier: what has been learned.
+        online: what has been learned.
+        inflation: of the sigmas of rows, for the correlation of neighbouring ones.
         inputs: channels it consumes, in the order that TICK records count them.
         outputs: dtype of every channel it makes.
     """
@@ -44,8 +47,8 @@ class Estimator:
         self.vehicle = vehicle
         settings = vehicle.file.estimation
         self.inputs = tuple(vehicle.channels)
-        fresh, self.model = build_identifier(vehicle)
-        self.identifier = fresh if identifier is None else identifier
+        fresh, self.model = build_online(vehicle)
+        self.online: OnlineIdentifier = fresh if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
         self._signals = Signals(vehicle)
         self._phases = PhaseTrack(settings.phases)
@@ -54,14 +57,14 @@ class Estimator:
         self._period_ns = round(1e9 / settings.row_rate_hz)
         self._lag_ns = round(settings.lag_ms * 1e6)
         self._next_ns: int | None = None
-        self._inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz)
+        self.inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz)
         roles = roles_of(vehicle)
         self._imu = roles.imu
         self._joints = {joint.joint: joint for joint in roles.joints}
         self._cells = {cell.name: cell.channel for cell in roles.cells}
-        rows = len(self.identifier.model.rows)
-        parameters = len(self.identifier.base.names)
-        size = len(self.identifier.rls.state().triangle)
+        rows = len(self.online.row_names)
+        parameters = len(self.online.parameter_names)
+        size = len(self.online.triangle())
         self.outputs: dict[str, np.dtype[np.void]] = {
             "clock": channels.CLOCK,
             "row": channels.row_dtype(rows, len(self.model.joints)),
@@ -71,9 +74,21 @@ class Estimator:
         self._sequence = dict.fromkeys(self.outputs, 0)
 
     @property
+    def identifier(self) -> Identifier:
+        """What has been learned from rows.
+
+        Raises:
+            ConfigError: the vehicle's method has none.
+        """
+        if isinstance(self.online, Identifier):
+            return self.online
+        path, method = self.vehicle.path, self.vehicle.file.estimation.method
+        raise config.ConfigError(f'{path}: this needs rows; the method is "{method}"')
+
+    @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the base parameters, in the order of ESTIMATE's ``mean``."""
-        return self.identifier.base.names
+        """Names of the parameters, in the order of ESTIMATE's ``mean``."""
+        return self.online.parameter_names
 
     def go_on_from(self, sequences: Mapping[str, int]) -> None:
         """Number the rows of each output from here on: another estimator's came before."""
@@ -139,35 +154,40 @@ class Estimator:
             imu_sigma[:, :3],
             imu_rate_sigma[:, :3],
             imu_sigma[:, 3:],
-            self._inflation,
+            self.inflation,
         )
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
-        signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma * self._inflation, measured_rate, noise)
-        found = self.identifier.update(signals, self._phases.attached(at_ns), refused)
+        signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)
+        found = self.online.update(signals, self._phases.attached(at_ns), refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
-        if self.identifier.rows_used:
-            made += self._answers(now_ns, int(at_ns[-1]), self.identifier.estimate())
+        made += [_said(now_ns, change) for change in self.online.news()]
+        if self.online.rows_used:
+            made += self._answers(now_ns, int(at_ns[-1]), self.online.estimate())
         return made
 
     def _measured(
         self, at_ns: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
         """Left-hand sides of the rows, their rates, their sigmas, each (n, rows), and reasons (n,)."""
-        rows = self.identifier.model.rows
+        rows = self.online.row_names
         settings, n = self.vehicle.file.estimation, len(at_ns)
+        if settings.method == "exiddm":
+            means = self._signals.means(self._imu.channels, self._timebase, at_ns, self._period_ns)
+            (values,), (spread,) = means.derivatives, means.sigma
+            return values, np.zeros_like(values), spread, means.refused
         measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.zeros((n, len(rows)))
         refused = np.zeros(n, np.int64)
         for column, row in enumerate(rows):
-            if row.name in self._cells:
-                cell = self._signals.at(self._cells[row.name], self._timebase, at_ns, 1)
+            if row in self._cells:
+                cell = self._signals.at(self._cells[row], self._timebase, at_ns, 1)
                 measured[:, column], rate[:, column] = cell.derivatives[0][:, 0], cell.derivatives[1][:, 0]
                 sigma[:, column] = cell.sigma[0][:, 0]
                 refused |= cell.refused
             else:  # a base wrench that is zero, good to what is left of it when the motion is known
-                force = row.name.startswith("base_force")
+                force = row.startswith("base_force")
                 sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
-        return measured, rate, sigma, refused
+        return measured, rate, sigma * self.inflation, refused
 
     def _gates(self, at_ns: NDArray[np.int64], joints: Floats, specific_force: Floats) -> NDArray[np.int64]:
         settings = self.vehicle.file.estimation
@@ -222,7 +242,7 @@ class Estimator:
         state["host_ns"], state["vehicle_ns"] = now_ns, vehicle_ns
         state["rows_used"], state["rows_gated"] = estimate.rows_used, sum(estimate.refused.values())
         state["mean"] = estimate.mean
-        triangle = self.identifier.rls.state().triangle
+        triangle = self.online.triangle()
         state["triangle"] = triangle[np.triu_indices(len(triangle))]
         answers = np.zeros(len(estimate.names) + len(estimate.quantities), channels.QUANTITY)
         answers["host_ns"], answers["vehicle_ns"] = now_ns, vehicle_ns
@@ -242,3 +262,11 @@ class Estimator:
         rows["sequence"] = np.arange(first, first + len(rows), dtype=np.uint64)
         self._sequence[channel] = first + len(rows)
         return Batch(channel, rows)
+
+
+def _said(now_ns: int, change: Change) -> Batch:
+    """A change of the payload as an event."""
+    text = f"{change.kind} at {change.time_s:.2f} s"
+    if np.isfinite(change.score):
+        text += f", since {change.since_s:.2f} s or later; innovations {change.score:.1f} times what they should be"
+    return event(now_ns, Severity.INFO, change.kind, "estimation", text)

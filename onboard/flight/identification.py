@@ -8,8 +8,13 @@ from onboard.estimation.memory import Memory
 from onboard.flight.roles import Cell, Roles, roles_of
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import ModelError, UrdfError
+from onboard.model.exiddm import ImuDoubt
 from onboard.model.free_body import free_body_quantities
 from onboard.model.identify import Considered, Identifier, Quantity, mass_quantities
+from onboard.model.imu_prediction import ImuPredictor
+from onboard.model.online import ExiddmIdentifier, OnlineIdentifier
+from onboard.model.payload import standard_covariance
+from onboard.model.recursive_exiddm import RecursiveExiddm
 from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
 from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
 
@@ -26,6 +31,51 @@ def build_model(vehicle: config.Vehicle) -> Vehicle:
     section = vehicle.file.vehicle
     spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link)
     return Vehicle(vehicle.urdf_path.read_text(encoding="utf-8"), spec)
+
+
+def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle]:
+    """What flies, by the method that the vehicle file asks for, and the model under it.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    if vehicle.file.estimation.method == "rows":
+        return build_identifier(vehicle)
+    return build_exiddm(vehicle)
+
+
+def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
+    """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    settings, roles = vehicle.file.estimation, roles_of(vehicle)
+    asked, imu = settings.exiddm, roles.signals[roles.imu.channels[0]]
+    samples = round(1.0 / (imu.period_s * settings.row_rate_hz))
+    if samples < 2:
+        text = f"{imu.period_s * 1e3:g} ms between samples of {roles.imu.channels[0]!r}"
+        raise config.ConfigError(f"{vehicle.path}: {text}: lower row_rate_hz until two and more make a tick")
+    try:
+        model = build_model(vehicle)
+        _check_joints(roles, model)
+        covariance = {}
+        for link, sigma in settings.prior.link.items():
+            if link not in model.links:
+                raise UrdfError(f"prior.link names {link!r}; links with inertia are {', '.join(model.links)}")
+            own = 10 * model.links.index(link)
+            known = sigma.mass_relative, sigma.centre_m, sigma.inertia_relative
+            covariance[link] = standard_covariance(model.chi[own : own + 10], *known)
+        doubt = ImuDoubt(**settings.doubt.model_dump())
+        predictor = ImuPredictor(model, roles.imu.frame, 1.0 / settings.row_rate_hz, samples, covariance, doubt)
+        first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
+        payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
+        exiddm = RecursiveExiddm(
+            predictor, roles.imu.frame, payload_sigma, asked.held_at_start, asked.false_alarms_per_hour
+        )
+    except (ModelError, EstimationError) as error:
+        raise config.ConfigError(f"{vehicle.path}: {error}") from error
+    return ExiddmIdentifier(exiddm), model
 
 
 def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:

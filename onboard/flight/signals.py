@@ -133,6 +133,48 @@ class Signals:
             sigma_out[order] = np.hypot(sigma_out[order], moved)
         return Smoothed(tuple(values_out), tuple(sigma_out), refused)
 
+    def means(self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> Smoothed:
+        """Channels as means over the tick of ``period_ns`` about each of ``at_ns``, their columns side by side.
+
+        A tick with half of its samples or fewer has a gap; one with a sample that may not be used is refused. Samples
+        are hardly ever even about a tick's middle, so the mean is that of a straight line through them.
+        """
+        parts = [self._means_of(name, timebase, at_ns, period_ns) for name in names]
+        refused = np.bitwise_or.reduce([part.refused for part in parts])
+        values = np.hstack([part.derivatives[0] for part in parts])
+        return Smoothed((values,), (np.hstack([part.sigma[0] for part in parts]),), refused)
+
+    def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> Smoothed:
+        channel, history = self._signals[name], self._histories[name]
+        n, columns = len(at_ns), len(channel.noise)
+        values, sigma = np.full((2, n, columns), np.nan)
+        recent = slice(int(np.searchsorted(history.stamps["host_ns"], at_ns[0] - self._reach_ns)), None)
+        stamps = history.stamps[recent]
+        times_ns = timebase.time_ns(name, stamps) if len(stamps) > 1 else None
+        if times_ns is None:
+            reason = GateReason.GAP if len(stamps) < 2 else GateReason.NOT_SYNCHRONISED
+            return Smoothed((values,), (sigma,), np.full(n, int(reason)))
+        times_s = (times_ns - at_ns[0]) * 1e-9
+        kept = np.append(True, times_s[1:] > np.maximum.accumulate(times_s)[:-1]) & ~timebase.waited(name, stamps)
+        times_s, samples = times_s[kept], history.values[recent][kept]
+        unusable = np.append(0, np.cumsum(~history.valid[recent][kept]))
+        at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
+        refused = np.zeros(n, np.int64)
+        for delay_s, mine, noise in self._by_delay[name]:
+            t = times_s - delay_s
+            low, high = np.searchsorted(t, at_s - half_s), np.searchsorted(t, at_s + half_s)
+            refused |= reasons(high - low <= half_s / channel.period_s, GateReason.GAP)
+            refused |= reasons(unusable[high] > unusable[low], GateReason.SATURATED)
+            for tick in np.flatnonzero(refused == 0):
+                under = slice(low[tick], high[tick])
+                offset_s = t[under] - at_s[tick]
+                middle_s = offset_s.mean()
+                weights = 1.0 / len(offset_s) - middle_s * (offset_s - middle_s) / ((offset_s - middle_s) ** 2).sum()
+                values[tick, mine] = weights @ samples[under][:, mine]
+                sigma[tick, mine] = noise * np.sqrt(weights @ weights)
+        values[refused != 0] = sigma[refused != 0] = np.nan
+        return Smoothed((values,), (sigma,), refused)
+
     def _window(self, times_s: Floats, at_s: Floats, gap_s: float) -> Window:
         """The kernel over these samples; channels that were sampled together share one."""
         for window, key in self._windows:

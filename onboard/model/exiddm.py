@@ -23,8 +23,8 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, covariance_of, fit
 from onboard.model.composite import RigidBody
 from onboard.model.errors import SignalError, UnknownFrameError
-from onboard.model.floating import LinkMotion, cross, hat, link_motions
-from onboard.model.free_flight import BasePrediction, predict_base
+from onboard.model.floating import LinkMotion, hat, link_motions
+from onboard.model.free_flight import at_sensor, predict_base
 from onboard.model.free_rows import rough_payload
 from onboard.model.payload import BodyEstimate, body_estimate, standard_of
 from onboard.model.ticks import FlightSignals
@@ -230,7 +230,7 @@ class NonLinearExiddm:
     def _predict(self, x: FloatArray, ticks: int | None) -> tuple[FloatArray, FloatArray]:
         """What the IMU shows, (n, 6), and its derivative, (n, 6, all parameters)."""
         base = predict_base(_first(self._links, ticks), self.signals.period_s, self._chi(x), x[:3], self._free)
-        true, d_true = self._at_imu(base)
+        true, d_true = at_sensor(base, self._R, self._p)
         n = len(true)
         e = self._first_error
         gyro, accelerometer = x[e : e + 12].reshape(4, 3), x[e + 12 : e + 24].reshape(4, 3)
@@ -254,16 +254,6 @@ class NonLinearExiddm:
             jacobian[:, part, -2] = -change[:, part] @ E.T
             jacobian[:, part, -1] = -(time[:, None] * change[:, part] + (1 + k) * true[:, part]) @ E.T
         return _tick_mean(out, self.signals.samples), _tick_mean(jacobian, self.signals.samples)
-
-    def _at_imu(self, base: BasePrediction) -> tuple[FloatArray, FloatArray]:
-        """Rate and specific force at the IMU in its axes, (n, 6), and derivatives (n, 6, 3 + c)."""
-        R, p, w = self._R, self._p, base.rate
-        force = base.specific_force + cross(base.acceleration, p) + cross(w, cross(w, p))
-        # d(w x (w x p)) = (w x (dw x p)) + dw x (w x p) = -(hat(w) hat(p) + hat(w x p)) dw
-        bend = -(hat(w) @ hat(p) + hat(cross(w, p)))
-        d_force = base.d_specific_force - hat(p) @ base.d_acceleration + bend @ base.d_rate
-        values = np.concatenate([w @ R, force @ R], axis=1)
-        return values, np.concatenate([R.T @ base.d_rate, R.T @ d_force], axis=1)
 
 
 def _first(links: tuple[LinkMotion, ...], ticks: int | None) -> tuple[LinkMotion, ...]:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from onboard.model.errors import SignalError
 from onboard.model.floating import (
     LinkMotion,
-    composite_inertia,
+    composite_of,
+    cross,
     hat,
     momentum_columns,
+    stacked,
     turned,
     wrench_and_slope,
     wrench_columns,
@@ -38,6 +40,8 @@ class BasePrediction(NamedTuple):
     d_rate: FloatArray  # (n, 3, 3 + c); c columns of chi, those asked for
     d_acceleration: FloatArray
     d_specific_force: FloatArray
+    momentum: FloatArray  # (n, 3) N m s, angular, about the centre of mass
+    d_momentum: FloatArray  # (n, 3, 3 + c)
 
 
 def predict_base(
@@ -58,30 +62,51 @@ def predict_base(
     n = links[0].p.shape[0]
     if n < 4:
         raise SignalError(f"{n} ticks; predict four or more")
-    blocks = list(zip(links, chi.reshape(-1, 10), strict=True))
-    C = composite_inertia(links, chi)
+    every = stacked(links)
+    own = chi.reshape(-1, 10)
+    C = composite_of(every, chi)
     inverse = np.asarray(np.linalg.inv(C), np.float64)
-    zero = np.zeros((n, 3))
-    mu = sum((momentum_columns(link, zero, zero) @ own for link, own in blocks), start=np.zeros((n, 6)))
+    zero = np.zeros((n, 1, 3))
+    mu = np.einsum("nlip,lp->ni", momentum_columns(every, zero, zero), own)
     from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
     eta = _turn_momentum(from_eta[:, 3:], turned(inverse[:, 3:], mu), momentum, period_s)
     twist = turned(from_eta, eta) - turned(inverse, mu)
-    v, w = twist[:, :3], twist[:, 3:]
+    v, w = twist[:, None, :3], twist[:, None, 3:]  # (n, 1, 3)
 
-    bias = sum((wrench_and_slope(link, own, w, zero, zero)[0] for link, own in blocks), start=np.zeros((n, 6)))
+    bias = wrench_and_slope(every, own, w, zero, zero)[0].sum(axis=1)
     thrust = -turned(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
-    force, spin = thrust[:, :3], thrust[:, 3:]
-    slope = sum((wrench_and_slope(link, own, w, force, spin)[1] for link, own in blocks), start=np.zeros((n, 6, 3)))
-    H = np.concatenate([momentum_columns(links[k], v, w) for k in free], axis=2) if free else np.zeros((n, 6, 0))
-    W = np.concatenate([wrench_columns(links[k], w, force, spin) for k in free], axis=2) if free else H
+    force, spin = thrust[:, None, :3], thrust[:, None, 3:]
+    slope = wrench_and_slope(every, own, w, force, spin)[1].sum(axis=1)
+    doubted = stacked([links[k] for k in free]) if free else LinkMotion(*(part[:, :0] for part in every))
+    H = momentum_columns(doubted, v, w).swapaxes(1, 2).reshape(n, 6, -1)
+    W = wrench_columns(doubted, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
     at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
-    d_eta = _turn_sensitivity(w, eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, period_s)
+    d_eta = _turn_sensitivity(w[:, 0], eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, period_s)
     d_rate = from_eta[:, 3:] @ d_eta
     d_rate[:, :, 3:] += at_fixed_eta
     d_wrench = slope @ d_rate
     d_wrench[:, :, 3:] += W
     d_thrust = -(inverse @ d_wrench)
-    return BasePrediction(w, spin, force, d_rate, d_thrust[:, 3:], d_thrust[:, :3])
+    return BasePrediction(w[:, 0], spin[:, 0], force[:, 0], d_rate, d_thrust[:, 3:], d_thrust[:, :3], eta, d_eta)
+
+
+def at_sensor(base: BasePrediction, R: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rate and specific force at a place fixed in the base, in axes of its own.
+
+    Args:
+        base: its motion.
+        R: the axes, R_BS (3, 3).
+        p: the place, (3,) m.
+
+    Returns:
+        Values (n, 6) and derivatives (n, 6, 3 + c).
+    """
+    w = base.rate
+    force = base.specific_force + cross(base.acceleration, p) + cross(w, cross(w, p))
+    # d(w x (w x p)) = (w x (dw x p)) + dw x (w x p) = -(hat(w) hat(p) + hat(w x p)) dw
+    bend = -(hat(w) @ hat(p) + hat(cross(w, p)))
+    d_force = base.d_specific_force - hat(p) @ base.d_acceleration + bend @ base.d_rate
+    return np.concatenate([w @ R, force @ R], axis=1), np.concatenate([R.T @ base.d_rate, R.T @ d_force], axis=1)
 
 
 def _midpoints(x: FloatArray) -> FloatArray:
