@@ -4,7 +4,11 @@ Run ``python -m bench.identification CASE ...``:
 
 - ``noise``: a payload of 1, 5, 20 kg on a free-flyer's arm, base IMU at its datasheet's noise and nothing else wrong;
 - ``real``: the same with scale 0.3 %, axes 0.2 deg, bias and its drift, time, base mass 0.3 % and inertia 1 %, links
-  1 %, the shapes of the workshop tools scaled to 1 to 20 kg (data sets in $HEFT_DATASETS or ../shared/datasets).
+  1 %, the shapes of the workshop tools scaled to 1 to 20 kg (data sets in $HEFT_DATASETS or ../shared/datasets);
+- ``recursive``: the flights of both through the recursive estimator, beside the maximum likelihood; time of a tick;
+- ``capture``: a payload captured at a time that nobody tells, and hours in which nothing happens;
+- ``tools``: the 20 workshop tools in the gripper of an arm on a fixed base in gravity, a load cell in its wrist; as
+  many runs of each tool as there are seeds.
 """
 
 import os
@@ -15,11 +19,14 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.identification import free_flyer
+from bench.identification import capture, free_flyer, recursive, workshop
 
 CASES: dict[str, Callable[[argparse.Namespace], None]] = {
     "noise": free_flyer.noise,
     "real": free_flyer.real,
+    "recursive": recursive.run,
+    "capture": capture.run,
+    "tools": workshop.run,
 }
 
 

@@ -81,7 +81,8 @@ def tools(directory: Path) -> list[free_flyer.Body]:
     return found
 
 
-def _as_built(body: free_flyer.Body, sigma: tuple[float, float, float], rng: np.random.Generator) -> free_flyer.Body:
+def as_built(body: free_flyer.Body, sigma: tuple[float, float, float], rng: np.random.Generator) -> free_flyer.Body:
+    """A body that differs from its drawing by these sigmas: mass (relative), centre of mass (m), inertia (relative)."""
     mass, centre, inertia = sigma
     half_trace = 0.5 * np.trace(body.inertia_kg_m2)
     change = np.zeros((3, 3))
@@ -91,6 +92,12 @@ def _as_built(body: free_flyer.Body, sigma: tuple[float, float, float], rng: np.
         body.centre_of_mass_m + centre * rng.standard_normal(3),
         body.inertia_kg_m2 + change + np.triu(change, 1).T,
     )
+
+
+def vehicle_as_built(rng: np.random.Generator) -> tuple[free_flyer.Body, tuple[free_flyer.Body, ...]]:
+    """Base and arm as they came out, within what is known of them."""
+    base = as_built(free_flyer.BASE, BASE_SIGMA, rng)
+    return base, tuple(as_built(link, LINK_SIGMA, rng) for link in free_flyer.ARM)
 
 
 def _momentum(model: Vehicle, chi: Floats, signals: FlightSignals, rate: Floats) -> Floats:
@@ -125,57 +132,85 @@ def _rms(bound: BodyEstimate) -> Floats:
     return np.sqrt([variance[0] / bound.body.mass_kg**2, variance[1:4].sum(), TENSOR_WEIGHTS @ variance[4:] / norm**2])
 
 
-def fly(body: free_flyer.Body, real: bool, seed: int) -> Outcome:
-    """One flight from MuJoCo to the answer."""
+class Recorded(NamedTuple):
+    """One flight as it was, and what its sensors said of it."""
+
+    flight: free_flyer.Flight
+    signals: FlightSignals
+
+
+def record(body: free_flyer.Body, real: bool, seed: int) -> Recorded:
+    """One flight by MuJoCo, its vehicle built and its sensors read with the errors of the case."""
     rng = np.random.default_rng(seed)
-    base, arm = free_flyer.BASE, free_flyer.ARM
-    if real:
-        base = _as_built(base, BASE_SIGMA, rng)
-        arm = tuple(_as_built(link, LINK_SIGMA, rng) for link in arm)
+    base, arm = vehicle_as_built(rng) if real else (free_flyer.BASE, free_flyer.ARM)
     motion = free_flyer.JointMotion.draw(rng)
     flight = free_flyer.fly(free_flyer.world(body, base, arm), motion, rng.uniform(-0.05, 0.05, 3), DURATION_s)
     sampled = sample(flight, ERRORS if real else ImuErrors(), rng)
-    signals = tick_signals(*sampled[:4], sampled[4:], SAMPLES_PER_TICK, SMOOTHING_s)
+    return Recorded(flight, tick_signals(*sampled[:4], sampled[4:], SAMPLES_PER_TICK, SMOOTHING_s))
+
+
+def doubts(model: Vehicle, real: bool) -> tuple[dict[str, Floats], ImuDoubt]:
+    """What is known beforehand of the links, and what may be wrong with the IMU."""
+    if not real:
+        return {}, CERTAIN
+    covariance = {}
+    for index, link in enumerate(model.links[:-1]):
+        own = model.chi[10 * index : 10 * index + 10]
+        covariance[link] = standard_covariance(own, *(LINK_SIGMA if index else BASE_SIGMA))
+    doubt = ImuDoubt(
+        ERRORS.gyro_bias_rad_s,
+        ERRORS.gyro_drift_rad_s2,
+        ERRORS.scale,
+        ERRORS.turn_rad,
+        ERRORS.accelerometer_bias_m_s2,
+        ERRORS.accelerometer_drift_m_s3,
+        ERRORS.scale,
+        ERRORS.turn_rad,
+        ERRORS.delay_s,
+    )
+    return covariance, doubt
+
+
+def fly(body: free_flyer.Body, real: bool, seed: int) -> Outcome:
+    """One flight from MuJoCo to the answer."""
+    recorded = record(body, real, seed)
+    signals = recorded.signals
     model = vehicle()
-    covariance: dict[str, Floats] = {}
-    doubt = CERTAIN
-    if real:
-        doubt = ImuDoubt(
-            ERRORS.gyro_bias_rad_s,
-            ERRORS.gyro_drift_rad_s2,
-            ERRORS.scale,
-            ERRORS.turn_rad,
-            ERRORS.accelerometer_bias_m_s2,
-            ERRORS.accelerometer_drift_m_s3,
-            ERRORS.scale,
-            ERRORS.turn_rad,
-            ERRORS.delay_s,
-        )
-        for index, link in enumerate(model.links[:-1]):
-            own = model.chi[10 * index : 10 * index + 10]
-            covariance[link] = standard_covariance(own, *(LINK_SIGMA if index else BASE_SIGMA))
-    exiddm = NonLinearExiddm(model, "imu_base", signals, PAYLOAD_SIGMA, covariance, doubt)
+    exiddm = NonLinearExiddm(model, "imu_base", signals, PAYLOAD_SIGMA, *doubts(model, real))
     moved = measured_base(model, "imu_base", signals, ROW_SMOOTHING_s)
     Y, y = zero_wrench_rows(model, signals.q, signals.dq, signals.ddq, moved)
     whole = np.isfinite(y).all(axis=1)
     plain = np.linalg.lstsq(Y[whole].reshape(-1, 10), y[whole].ravel())[0]
+    plain_body = body_of(plain) if plain[0] > 0.0 else RigidBody(np.nan, np.full(3, np.nan), np.full((3, 3), np.nan))
     found = exiddm.fit()
-    truth = RigidBody(body.mass_kg, body.centre_of_mass_m, body.inertia_kg_m2)
-    # The bound: at the drawn values of all nuisances, which changes it by their own few per cent.
+    misfit = found.fit.residual_sum / found.freedom
+    return judged(body, found.payload, bound(exiddm, recorded, body), misfit, plain_body)
+
+
+def bound(exiddm: NonLinearExiddm, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:
+    """Cramer and Rao's, at the drawn values of all nuisances, which changes it by their own few per cent."""
+    model, signals, flight = exiddm.vehicle, recorded.signals, recorded.flight
     chi = model.chi.copy()
-    chi[model.payload_columns()] = standard_of(truth)
+    chi[model.payload_columns()] = standard_of(_rigid(body))
     first = round((DURATION_s - len(signals.q) * signals.period_s) / 2.0 / (flight.time_s[1] - flight.time_s[0]))
     rate = model.pose_in_base("imu_base")[0] @ flight.rate_rad_s[first]
-    bound = exiddm.bound(exiddm.parameters(_momentum(model, chi, signals, rate), truth))
-    payload = found.payload
-    spread = stdtrit(np.inf, 0.975) * np.sqrt(np.diag(payload.covariance))
-    inside = np.abs(_ten(payload.body) - _ten(truth)) <= spread
-    plain_body = body_of(plain) if plain[0] > 0.0 else RigidBody(np.nan, np.full(3, np.nan), np.full((3, 3), np.nan))
-    misfit = found.fit.residual_sum / found.freedom
-    return Outcome(_score(payload.body, truth), _rms(bound), _score(plain_body, truth), inside, misfit)
+    return exiddm.bound(exiddm.parameters(_momentum(model, chi, signals, rate), _rigid(body)))
 
 
-def _print(title: str, flown: Sequence[Outcome], limits: Sequence[float] | None) -> None:
+def judged(body: free_flyer.Body, found: BodyEstimate, least: BodyEstimate, misfit: float, plain: RigidBody) -> Outcome:
+    """An answer beside the truth and the bound."""
+    truth = _rigid(body)
+    spread = stdtrit(np.inf, 0.975) * np.sqrt(np.diag(found.covariance))
+    inside = np.abs(_ten(found.body) - _ten(truth)) <= spread
+    return Outcome(_score(found.body, truth), _rms(least), _score(plain, truth), inside, misfit)
+
+
+def _rigid(body: free_flyer.Body) -> RigidBody:
+    return RigidBody(body.mass_kg, body.centre_of_mass_m, body.inertia_kg_m2)
+
+
+def print_table(title: str, flown: Sequence[Outcome], limits: Sequence[float] | None) -> None:
+    """Errors beside their bound and their bars."""
     error, bound, plain = (np.array([one[k] for one in flown]) for k in range(3))
     inside = np.array([one.inside for one in flown])
     groups = (slice(0, 1), slice(1, 4), slice(4, 10))
@@ -201,20 +236,24 @@ def noise(arguments: argparse.Namespace) -> None:
     """Datasheet noise and nothing else wrong."""
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for mass, body in BOXES.items():
-            _print(f"noise only, {mass} kg", list(pool.map(partial(fly, body, False), _seeds(arguments))), None)
+            print_table(f"noise only, {mass} kg", list(pool.map(partial(fly, body, False), seeds(arguments))), None)
 
 
 def real(arguments: argparse.Namespace) -> None:
     """Real-life errors, tools of 1 to 20 kg."""
-    shapes = tools(arguments.datasets / "workshop_tools")
-    bodies = []
-    for seed in _seeds(arguments):
-        mass = float(np.exp(np.random.default_rng([seed]).uniform(0.0, np.log(20.0))))
-        bodies.append(shapes[seed % len(shapes)].grown(mass))
+    bodies = grown_tools(arguments)
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        flown = list(pool.map(fly, bodies, [True] * len(bodies), _seeds(arguments)))
-    _print("real-life errors, workshop tools of 1 to 20 kg", flown, (2.0, 5.0, 6.0))
+        flown = list(pool.map(fly, bodies, [True] * len(bodies), seeds(arguments)))
+    print_table("real-life errors, workshop tools of 1 to 20 kg", flown, (2.0, 5.0, 6.0))
 
 
-def _seeds(arguments: argparse.Namespace) -> range:
+def grown_tools(arguments: argparse.Namespace) -> list[free_flyer.Body]:
+    """A workshop tool for every seed, scaled to a mass of 1 to 20 kg."""
+    shapes = tools(arguments.datasets / "workshop_tools")
+    masses = [float(np.exp(np.random.default_rng([seed]).uniform(0.0, np.log(20.0)))) for seed in seeds(arguments)]
+    return [shapes[seed % len(shapes)].grown(mass) for seed, mass in zip(seeds(arguments), masses, strict=True)]
+
+
+def seeds(arguments: argparse.Namespace) -> range:
+    """Of the flights."""
     return range(arguments.first, arguments.first + arguments.seeds)

@@ -338,6 +338,10 @@ class Identifier:
         Y = self.model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, none, self._fold)
         change = (Y[:-1] - Y[-1]).transpose(1, 0, 2)
         change[..., -1] *= -1.0  # what is known goes to the other side
+        if self._scales:
+            predicted = change @ [*self.rls.solve().mean, -1.0]  # (rows, s)
+            for row, column in self._scales:
+                change[row, :, column] = predicted[row]
         return np.asarray(change, np.float64)
 
     def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:

@@ -32,8 +32,8 @@ def wrist_cell_rows(name: str, frame: str, bias: bool = True, scale: bool = Fals
 def motor_current_row(vehicle: Vehicle, joint: str, friction: bool = True, bias: bool = False) -> WrenchRow:
     """Row of a joint's motor current times the *nominal* torque constant, N m at the joint, that constant a parameter.
 
-    The constant is nominal times ``1 - scale_current_<joint>``. Torque and all inertia scale together: only a payload
-    or a link that is known otherwise, or the prior, tells the constant.
+    The constant is nominal over ``1 + scale_current_<joint>``. Torque and all inertia scale together: only a payload or
+    a link that is known otherwise, or the prior, tells the constant.
 
     Raises:
         UnknownFrameError: no such joint.

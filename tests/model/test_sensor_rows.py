@@ -55,19 +55,19 @@ def test_a_wrist_cell_in_gravity_reads_mujocos_force_and_torque(rng, links):
     np.testing.assert_allclose(found[:, 6:], torques, rtol=1e-9, atol=1e-9)
 
 
-def test_a_scale_is_a_column_of_readings(rng, links):
+def test_a_scale_is_a_column_of_what_the_cell_should_read(rng, links):
     vehicle = arm(links)
     joints, _, wrist = on_a_bench(rng, links)
     rows = RowModel(vehicle, wrist_cell_rows("wrist", "joint_link_4", scale=True))
     assert rows.names[-12::6] == ("bias_wrist_force_x", "scale_wrist_force_x")
     bias, scale = rng.normal(size=6), rng.uniform(-0.1, 0.1, 6)
-    readings = (wrist + bias) / (1.0 - scale)
-    Y = rows.regressor(*joints, standing(vehicle, TICKS), readings=readings)
-    np.testing.assert_allclose(Y @ np.r_[vehicle.chi, bias, scale], readings, rtol=1e-9, atol=1e-9)
-    with pytest.raises(SignalError, match="give the readings"):
+    Y = rows.regressor(*joints, standing(vehicle, TICKS), predicted=wrist + bias)
+    found = Y @ np.r_[vehicle.chi, bias, scale]
+    np.testing.assert_allclose(found, (wrist + bias) * (1.0 + scale), rtol=1e-9, atol=1e-9)
+    with pytest.raises(SignalError, match="give the predicted readings"):
         rows.regressor(*joints, standing(vehicle, TICKS))
-    with pytest.raises(SignalError, match="give the readings"):
-        rows.regressor(*joints, standing(vehicle, TICKS), readings=readings[:, :5])
+    with pytest.raises(SignalError, match="give the predicted readings"):
+        rows.regressor(*joints, standing(vehicle, TICKS), predicted=wrist[:, :5])
 
 
 def test_a_known_load_tells_the_torque_constants(rng, links):
@@ -81,19 +81,24 @@ def test_a_known_load_tells_the_torque_constants(rng, links):
     links_sigma = {"base": 1.0, "link_1": 1.0, "link_2": 1.0, "link_3": 1.0, "link_4": 1e-6}
     prior = named_relative_sigma(model, links_sigma, {name: 0.3 for name in model.names if name.startswith("scale")})
     scale = np.array([0.1, -0.05, 0.08])
-    read = torque / (1.0 - scale)  # current times the nominal constant
+    read = torque * (1.0 + scale)  # current times the nominal constant
     held = np.arange(len(read)) % 2 == 0
     without = [link for link in links if link.name != "link_4"]
     empty = to_mujoco(without)
     empty.opt.gravity[:] = GRAVITY
     still = np.zeros(3)
     for k in np.flatnonzero(~held):
-        read[k] = inverse_dynamics(empty, *(s[k] for s in joints), still, still, still, still)[2] / (1.0 - scale)
-    rows = base.reduce(model.regressor(*joints, standing(vehicle, len(read)), held, readings=read))
-    rls = SquareRootRls(len(base.names))
-    rls.prior(base.value(model.chi), base.covariance(prior) + 1e-12 * np.eye(len(base.names)))
-    rls.update(rows.reshape(-1, rows.shape[2]), read.ravel(), np.full(read.size, 1e-6))
-    found = dict(zip(base.names, rls.solve().mean, strict=True))
+        read[k] = inverse_dynamics(empty, *(s[k] for s in joints), still, still, still, still)[2] * (1.0 + scale)
+    mean = base.value(model.chi)
+    for _ in range(8):  # the rows are linear for a given prediction
+        motion = (*joints, standing(vehicle, len(read)), held)
+        drawn = base.reduce(model.regressor(*motion, predicted=np.zeros(read.shape))) @ mean
+        rows = base.reduce(model.regressor(*motion, predicted=drawn))
+        rls = SquareRootRls(len(base.names))
+        rls.prior(base.value(model.chi), base.covariance(prior) + 1e-12 * np.eye(len(base.names)))
+        rls.update(rows.reshape(-1, rows.shape[2]), read.ravel(), np.full(read.size, 1e-6))
+        mean = rls.solve().mean
+    found = dict(zip(base.names, mean, strict=True))
     np.testing.assert_allclose([found[f"scale_current_{j.name}"] for j in vehicle.joints], scale, atol=1e-4)
 
 
