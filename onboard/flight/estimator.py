@@ -23,7 +23,7 @@ from onboard.model.change import Change
 from onboard.model.identify import Estimate, Identifier, SignalNoise
 from onboard.model.identify import Signals as ModelSignals
 from onboard.model.online import OnlineIdentifier
-from onboard.model.rows import base_motion
+from onboard.model.rows import BaseMotion, base_motion
 
 Floats = NDArray[np.float64]
 
@@ -123,42 +123,34 @@ class Estimator:
         return at_ns
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64]) -> list[Batch]:
-        n = len(at_ns)
-        imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
-        refused = imu.refused.copy()
-        values, rates = imu.derivatives
         made: list[Batch] = []
-        known = self._zeroing.offset_m_s2 is not None
-        specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), refused == 0)
-        if not known and self._zeroing.offset_m_s2 is not None:
-            offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
-            text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
-            made.append(event(now_ns, Severity.INFO, "zeroed", self._imu.channels[0], text))
-        motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
-        joints: Floats = np.zeros((3, n, len(self.model.joints)))
-        joint_sigma: Floats = np.zeros_like(joints)
-        for column, joint in enumerate(self.model.joints):
-            sensor = self._joints[joint.name]
-            lowest = 1 if sensor.is_rate else 0
-            smoothed = self._signals.at(sensor.channel, self._timebase, at_ns, 2 - lowest)
-            for order, (value, spread) in enumerate(zip(smoothed.derivatives, smoothed.sigma, strict=True), lowest):
-                joints[order, :, column], joint_sigma[order, :, column] = value[:, 0], spread[:, 0]
-            refused |= smoothed.refused
-        measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
-        refused |= refused_rows | self._gates(at_ns, joints, specific_force)
-        imu_sigma, imu_rate_sigma = imu.sigma
-        noise = SignalNoise(
-            joint_sigma[0],
-            joint_sigma[1],
-            joint_sigma[2],
-            imu_sigma[:, :3],
-            imu_rate_sigma[:, :3],
-            imu_sigma[:, 3:],
-            self.inflation,
-        )
+        joints, joint_sigma, refused = self._at_joints(at_ns)
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
-        signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)
+        if self.vehicle.file.estimation.method == "exiddm":
+            means = self._signals.means(self._imu.channels, self._timebase, at_ns, self._period_ns)
+            (measured,), (sigma,) = means.derivatives, means.sigma
+            refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])
+            motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
+            signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma)
+        else:
+            imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
+            values, rates = imu.derivatives
+            known = self._zeroing.offset_m_s2 is not None
+            specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), imu.refused == 0)
+            if not known and self._zeroing.offset_m_s2 is not None:
+                offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
+                text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
+                made.append(event(now_ns, Severity.INFO, "zeroed", self._imu.channels[0], text))
+            motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
+            measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
+            refused |= imu.refused | refused_rows | self._gates(at_ns, joints, specific_force)
+            rate_sigma, acceleration_sigma, force_sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
+            q_sigma, dq_sigma, ddq_sigma = joint_sigma
+            noise = SignalNoise(
+                q_sigma, dq_sigma, ddq_sigma, rate_sigma, acceleration_sigma, force_sigma, self.inflation
+            )
+            signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)
         found = self.online.update(signals, self._phases.attached(at_ns), refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
         made += [_said(now_ns, change) for change in self.online.news()]
@@ -166,16 +158,27 @@ class Estimator:
             made += self._answers(now_ns, int(at_ns[-1]), self.online.estimate())
         return made
 
+    def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Angles, rates, accelerations of the joints and their sigmas, (3, n, joints) each, and reasons (n,)."""
+        joints, sigma = np.zeros((2, 3, len(at_ns), len(self.model.joints)))
+        refused = np.zeros(len(at_ns), np.int64)
+        sensors = [self._joints[joint.name] for joint in self.model.joints]
+        for lowest in (0, 1):
+            columns = [column for column, sensor in enumerate(sensors) if sensor.is_rate == bool(lowest)]
+            names = [sensors[column].channel for column in columns]
+            parts = self._signals.each(names, self._timebase, at_ns, 2 - lowest)
+            for column, smoothed in zip(columns, parts, strict=True):
+                for order, (value, spread) in enumerate(zip(smoothed.derivatives, smoothed.sigma, strict=True), lowest):
+                    joints[order, :, column], sigma[order, :, column] = value[:, 0], spread[:, 0]
+                refused |= smoothed.refused
+        return joints, sigma, refused
+
     def _measured(
         self, at_ns: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
         """Left-hand sides of the rows, their rates, their sigmas, each (n, rows), and reasons (n,)."""
         rows = self.online.row_names
         settings, n = self.vehicle.file.estimation, len(at_ns)
-        if settings.method == "exiddm":
-            means = self._signals.means(self._imu.channels, self._timebase, at_ns, self._period_ns)
-            (values,), (spread,) = means.derivatives, means.sigma
-            return values, np.zeros_like(values), spread, means.refused
         measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.zeros((n, len(rows)))
         refused = np.zeros(n, np.int64)
         for column, row in enumerate(rows):

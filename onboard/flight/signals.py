@@ -4,7 +4,6 @@ Samples keep their device ticks until the last moment: their times are taken fro
 better clock solution moves all of them together and no seam is left in a window.
 """
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -42,16 +41,13 @@ class Signals:
         self._histories = {
             name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
         }
-        self._by_delay = {name: _by_delay(signal) for name, signal in self._signals.items()}
         self._reach_ns = round(1.5e9 * self.width_s)
-        self._windows: deque[tuple[Window, tuple[Floats, Floats, float]]] = deque(maxlen=4)
         self._zero_lost: set[str] = set()
         self._told: set[tuple[str, str]] = set()
 
     def append(self, batches: Mapping[str, Rows]) -> dict[str, str]:
         """Take in what a step consumed; returns by channel what is newly wrong with it."""
         said = {}
-        self._windows.clear()
         for name, arrived in batches.items():
             if name not in self._signals or not len(arrived):
                 continue
@@ -81,57 +77,34 @@ class Signals:
         self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
     ) -> Smoothed:
         """Several channels at the same ticks, their columns side by side; a tick that one refuses is refused."""
-        parts = [self.at(name, timebase, at_ns, derivatives) for name in names]
-        refused = np.bitwise_or.reduce([part.refused for part in parts])
-        values, sigma = (
-            tuple(np.hstack(columns) for columns in zip(*sides, strict=True))
-            for sides in ([part.derivatives for part in parts], [part.sigma for part in parts])
-        )
-        return Smoothed(values, sigma, refused)
+        return _side_by_side(self.each(names, timebase, at_ns, derivatives))
 
     def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> Smoothed:
         """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,), evenly spaced."""
-        channel, history = self._signals[name], self._histories[name]
-        n, columns = len(at_ns), len(channel.noise)
-        # a sample is taken before it arrives: what arrived long before the window is not under it
-        recent = slice(int(np.searchsorted(history.stamps["host_ns"], at_ns[0] - self._reach_ns)), None)
-        stamps = history.stamps[recent]
-        times_ns = timebase.time_ns(name, stamps) if len(stamps) > 1 else None
-        if times_ns is None:
-            nothing = np.full((n, columns), np.nan)
-            reason = GateReason.GAP if len(stamps) < 2 else GateReason.NOT_SYNCHRONISED
-            return Smoothed((nothing,) * (derivatives + 1), (nothing,) * (derivatives + 1), np.full(n, int(reason)))
-        at_s = (at_ns - at_ns[0]) * 1e-9
-        times_s = (times_ns - at_ns[0]) * 1e-9
-        values, valid = history.values[recent], history.valid[recent]
-        later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
-        waited = timebase.waited(name, stamps)
-        if waited.any() or not later.all():
-            kept = np.append(True, later) & ~waited
-            times_s, values, valid = times_s[kept], values[kept], valid[kept]
-        longest_gap_s = (4.5 if waited.any() else 3.5) * channel.period_s
-        near = slice(*np.searchsorted(times_s, [at_s[0] - self.width_s, at_s[-1] + self.width_s]).tolist())
-        times_s, values, valid = times_s[near], values[near], valid[near]
-        refused = np.zeros(n, np.int64)
-        if not valid.all():
-            refused |= reasons(window_contains(times_s, ~valid, at_s, self.width_s), GateReason.SATURATED)
-        values_out: list[Floats] = [np.full((n, columns), np.nan) for _ in range(derivatives + 1)]
-        sigma_out = [np.full((n, columns), np.nan) for _ in range(derivatives + 1)]
-        for delay_s, mine, noise in self._by_delay[name]:
-            window = self._window(times_s - delay_s, at_s, longest_gap_s)
-            for order in range(derivatives + 1):
-                smoothed = window.apply(values[:, mine], order)
-                values_out[order][:, mine] = smoothed.values
-                sigma_out[order][:, mine] = smoothed.noise_gain[:, None] * noise
-            refused |= reasons(~smoothed.valid, GateReason.GAP)
-        # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
-        timing_s = timebase.sigma_ns(name, int(at_ns[n // 2])) * 1e-9
-        changes = [*values_out[1:], _rate_of_change(values_out[-1], at_s)]
-        noises = [*sigma_out[1:], sigma_out[-1] * (np.pi / self.width_s)]
-        for order, (change, noise) in enumerate(zip(changes, noises, strict=True)):
-            moved = timing_s * np.sqrt(np.maximum(change * change - noise * noise, 0.0))
-            sigma_out[order] = np.hypot(sigma_out[order], moved)
-        return Smoothed(tuple(values_out), tuple(sigma_out), refused)
+        [smoothed] = self.each([name], timebase, at_ns, derivatives)
+        return smoothed
+
+    def each(
+        self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
+    ) -> list[Smoothed]:
+        """As :meth:`at`, for several channels: those that were sampled together are smoothed together."""
+        found: dict[str, Smoothed] = {}
+        groups: list[dict[str, _Recent]] = []
+        for name in names:
+            recent = self._recent(name, timebase, at_ns)
+            if isinstance(recent, GateReason):
+                found[name] = _nothing(len(self._signals[name].noise), len(at_ns), derivatives, recent)
+                continue
+            for group in groups:
+                other = next(iter(group))
+                if self._signals[other].delays_s == self._signals[name].delays_s and group[other].is_with(recent):
+                    group[name] = recent
+                    break
+            else:
+                groups.append({name: recent})
+        for group in groups:
+            found |= self._smooth(group, at_ns, derivatives)
+        return [found[name] for name in names]
 
     def means(self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> Smoothed:
         """Channels as means over the tick of ``period_ns`` about each of ``at_ns``, their columns side by side.
@@ -139,56 +112,129 @@ class Signals:
         A tick with half of its samples or fewer has a gap; one with a sample that may not be used is refused. Samples
         are hardly ever even about a tick's middle, so the mean is that of a straight line through them.
         """
-        parts = [self._means_of(name, timebase, at_ns, period_ns) for name in names]
-        refused = np.bitwise_or.reduce([part.refused for part in parts])
-        values = np.hstack([part.derivatives[0] for part in parts])
-        return Smoothed((values,), (np.hstack([part.sigma[0] for part in parts]),), refused)
+        return _side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
 
-    def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> Smoothed:
-        channel, history = self._signals[name], self._histories[name]
-        n, columns = len(at_ns), len(channel.noise)
-        values, sigma = np.full((2, n, columns), np.nan)
+    def _recent(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64]) -> "_Recent | GateReason":
+        """What of a channel can be under the kernel at any of ``at_ns``."""
+        history = self._histories[name]
+        # a sample is taken before it arrives: what arrived long before the window is not under it
         recent = slice(int(np.searchsorted(history.stamps["host_ns"], at_ns[0] - self._reach_ns)), None)
         stamps = history.stamps[recent]
-        times_ns = timebase.time_ns(name, stamps) if len(stamps) > 1 else None
+        if len(stamps) < 2:
+            return GateReason.GAP
+        times_ns = timebase.time_ns(name, stamps)
         if times_ns is None:
-            reason = GateReason.GAP if len(stamps) < 2 else GateReason.NOT_SYNCHRONISED
-            return Smoothed((values,), (sigma,), np.full(n, int(reason)))
+            return GateReason.NOT_SYNCHRONISED
         times_s = (times_ns - at_ns[0]) * 1e-9
-        kept = np.append(True, times_s[1:] > np.maximum.accumulate(times_s)[:-1]) & ~timebase.waited(name, stamps)
-        times_s, samples = times_s[kept], history.values[recent][kept]
-        unusable = np.append(0, np.cumsum(~history.valid[recent][kept]))
+        values, valid = history.values[recent], history.valid[recent]
+        later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
+        waited = timebase.waited(name, stamps)
+        late = bool(waited.any())
+        if late or not later.all():
+            kept = np.append(True, later) & ~waited
+            times_s, values, valid = times_s[kept], values[kept], valid[kept]
+        last_s = (at_ns[-1] - at_ns[0]) * 1e-9
+        near = slice(*np.searchsorted(times_s, [-self.width_s, last_s + self.width_s]).tolist())
+        if near.stop - near.start < 2:
+            return GateReason.GAP
+        timing_s = timebase.sigma_ns(name, int(at_ns[len(at_ns) // 2])) * 1e-9
+        gap_s = (4.5 if late else 3.5) * self._signals[name].period_s
+        return _Recent(times_s[near], values[near], valid[near], gap_s, timing_s)
+
+    def _smooth(
+        self, group: Mapping[str, "_Recent"], at_ns: NDArray[np.int64], derivatives: int
+    ) -> dict[str, Smoothed]:
+        """Channels sampled together, with the same delays."""
+        first, one = next(iter(group.items()))
+        at_s = (at_ns - at_ns[0]) * 1e-9
+        values = np.hstack([recent.values for recent in group.values()])
+        noise = np.hstack([self._signals[name].noise for name in group])
+        delays_s = np.array(self._signals[first].delays_s * len(group))
+        out = np.full((derivatives + 1, len(at_ns), len(noise)), np.nan)
+        sigma = np.full_like(out, np.nan)
+        gaps = np.zeros(len(at_ns), np.int64)
+        for delay_s in dict.fromkeys(delays_s.tolist()):
+            mine = delays_s == delay_s
+            window = Window(one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s)
+            columns = values if mine.all() else values[:, mine]
+            for order in range(derivatives + 1):
+                smoothed = window.apply(columns, order)
+                out[order][:, mine] = smoothed.values
+                sigma[order][:, mine] = smoothed.noise_gain[:, None] * noise[mine]
+            gaps |= reasons(~window.valid, GateReason.GAP)
+        # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
+        change = np.concatenate([out[1:], _rate_of_change(out[-1], at_s)[None]])
+        of_change = np.concatenate([sigma[1:], sigma[-1:] * (np.pi / self.width_s)])
+        moved = one.timing_s * np.sqrt(np.maximum(change * change - of_change * of_change, 0.0))
+        sigma = np.hypot(sigma, moved)
+        found, column = {}, 0
+        for name, recent in group.items():
+            part = slice(column, column + recent.values.shape[1])
+            refused, column = gaps, part.stop
+            if not recent.valid.all():
+                held = window_contains(recent.times_s, ~recent.valid, at_s, self.width_s)
+                refused = gaps | reasons(held, GateReason.SATURATED)
+            found[name] = Smoothed(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused)
+        return found
+
+    def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> Smoothed:
+        channel, recent = self._signals[name], self._recent(name, timebase, at_ns)
+        n, columns = len(at_ns), len(channel.noise)
+        if isinstance(recent, GateReason):
+            return _nothing(columns, n, 0, recent)
+        values, sigma = np.full((2, n, columns), np.nan)
+        unusable = np.append(0, np.cumsum(~recent.valid))
         at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
         refused = np.zeros(n, np.int64)
-        for delay_s, mine, noise in self._by_delay[name]:
-            t = times_s - delay_s
+        delays_s, noise = np.array(channel.delays_s), np.array(channel.noise)
+        for delay_s in dict.fromkeys(channel.delays_s):
+            mine = delays_s == delay_s
+            t = recent.times_s - delay_s
             low, high = np.searchsorted(t, at_s - half_s), np.searchsorted(t, at_s + half_s)
             refused |= reasons(high - low <= half_s / channel.period_s, GateReason.GAP)
             refused |= reasons(unusable[high] > unusable[low], GateReason.SATURATED)
-            for tick in np.flatnonzero(refused == 0):
-                under = slice(low[tick], high[tick])
-                offset_s = t[under] - at_s[tick]
-                middle_s = offset_s.mean()
-                weights = 1.0 / len(offset_s) - middle_s * (offset_s - middle_s) / ((offset_s - middle_s) ** 2).sum()
-                values[tick, mine] = weights @ samples[under][:, mine]
-                sigma[tick, mine] = noise * np.sqrt(weights @ weights)
+            index = low[:, None] + np.arange(int((high - low).max(initial=1)))
+            under = index < high[:, None]
+            index = np.minimum(index, len(t) - 1)
+            count = np.maximum(under.sum(axis=1, keepdims=True), 1)
+            offset_s = np.where(under, t[index] - at_s[:, None], 0.0)  # (n, l)
+            middle_s = offset_s.sum(axis=1, keepdims=True) / count
+            away_s = np.where(under, offset_s - middle_s, 0.0)
+            spread = np.maximum((away_s * away_s).sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+            weights = np.where(under, 1.0 / count, 0.0) - middle_s * away_s / spread
+            values[:, mine] = (weights[:, None] @ recent.values[index][:, :, mine])[:, 0]
+            sigma[:, mine] = noise[mine] * np.sqrt((weights * weights).sum(axis=1, keepdims=True))
         values[refused != 0] = sigma[refused != 0] = np.nan
         return Smoothed((values,), (sigma,), refused)
 
-    def _window(self, times_s: Floats, at_s: Floats, gap_s: float) -> Window:
-        """The kernel over these samples; channels that were sampled together share one."""
-        for window, key in self._windows:
-            if key[2] == gap_s and np.array_equal(key[0], times_s) and np.array_equal(key[1], at_s):
-                return window
-        window = Window(times_s, at_s, self.width_s, max_gap_s=gap_s)
-        self._windows.append((window, (times_s, at_s, gap_s)))
-        return window
+
+class _Recent(NamedTuple):
+    """Samples of one channel that a step may need."""
+
+    times_s: Floats  # (k,) since the first tick, the filter's delay not removed
+    values: Floats  # (k, columns)
+    valid: NDArray[np.bool_]  # (k,)
+    gap_s: float  # longer ones between samples are gaps
+    timing_s: float  # sigma of the times, common to all
+
+    def is_with(self, other: "_Recent") -> bool:
+        """Whether both were sampled at the same times, as well known."""
+        return self[3:] == other[3:] and np.array_equal(self.times_s, other.times_s)
 
 
-def _by_delay(signal: Signal) -> list[tuple[float, list[int], Floats]]:
-    """The columns by their filter's delay, with their noise."""
-    groups = {d: [i for i, own in enumerate(signal.delays_s) if own == d] for d in signal.delays_s}
-    return [(delay_s, columns, np.array(signal.noise)[columns]) for delay_s, columns in groups.items()]
+def _nothing(columns: int, ticks: int, derivatives: int, reason: GateReason) -> Smoothed:
+    nothing = (np.full((ticks, columns), np.nan),) * (derivatives + 1)
+    return Smoothed(nothing, nothing, np.full(ticks, int(reason)))
+
+
+def _side_by_side(parts: Sequence[Smoothed]) -> Smoothed:
+    if len(parts) == 1:
+        return parts[0]
+    values, sigma = (
+        tuple(np.hstack(columns) for columns in zip(*sides, strict=True))
+        for sides in ([part.derivatives for part in parts], [part.sigma for part in parts])
+    )
+    return Smoothed(values, sigma, np.bitwise_or.reduce([part.refused for part in parts]))
 
 
 def _rate_of_change(values: Floats, at_s: Floats) -> Floats:
