@@ -5,16 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from hil_sim.plant import Plant
 from hil_sim.sensor_tables import MotorTorque
 from hil_sim.sensors import interpolate_one
+from hil_sim.world import Plant
 
 
 class MotorTorqueSensor:
     """The servo's torque by its motor current: gain and offset of the current measurement, and its noise."""
 
-    def __init__(self, plant: Plant, table: MotorTorque, rng: np.random.Generator) -> None:
+    def __init__(self, plant: Plant, table: MotorTorque, rng: np.random.Generator, at: str = "") -> None:
         self._plant = plant
+        self._torque_n_m = plant.servo_torque_n_m(at)
         self.gain = 1.0 + table.scale_sigma * rng.standard_normal()
         self.offset_Nm = table.offset_sigma_Nm * rng.standard_normal()
         self._noise = table.noise_rms_Nm * rng.standard_normal(plant.rows)
@@ -23,7 +24,7 @@ class MotorTorqueSensor:
         """Torque at ``time_s`` [N m], about the joint."""
         self._plant.require(time_s)
         position = time_s / self._plant.step_s
-        torque = interpolate_one(self._plant.history.servo_torque_n_m, position)
+        torque = interpolate_one(self._torque_n_m, position)
         noise = float(self._noise[min(max(round(position), 0), self._plant.rows - 1)])
         return float(self.gain * torque + self.offset_Nm + noise)
 

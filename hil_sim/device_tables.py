@@ -1,8 +1,8 @@
 """Tables of a scenario: the buses, ``[bus.NAME]``, and the devices on them, ``[device.NAME]``.
 
 A device is a twin of ``hil_sim.devices`` by ``kind``, on ``bus``; ``measures`` names the ``[sensor.*]`` table of its
-sensing element. Its name is the one that the flight computer records it under, and that faults, its clock and its
-random numbers go by.
+sensing element, and ``at`` the place in the plant where that sits, if there are several. Its name is the one that the
+flight computer records it under, and that faults, its clock and its random numbers go by.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
@@ -13,7 +13,8 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from hil_sim.sensor_tables import NonNegative, Quantity, Table
 
 DSC_BAUD_RATES = (2400, 4800, 9600, 19_200, 38_400, 57_600, 76_800, 115_200)  # by code
-_SCALARS: tuple[Quantity, ...] = ("joint_angle", "joint_moment", "servo_torque", "phase")
+_FORCES: tuple[Quantity, ...] = ("joint_moment", "force")
+_SCALARS: tuple[Quantity, ...] = ("joint_angle", *_FORCES, "servo_torque", "phase")
 
 
 class Signal(NamedTuple):
@@ -22,10 +23,12 @@ class Signal(NamedTuple):
     Attributes:
         sensor: Name of the table of its sensor.
         quantities: What that may be.
+        at: Where in the plant; "" where there is one place only.
     """
 
     sensor: str
     quantities: tuple[Quantity, ...]
+    at: str
 
 
 class I2cBusTable(Table):
@@ -90,11 +93,12 @@ class Device(Table):
 class _Measuring(Device):
     bus: str
     measures: str
-    quantity: ClassVar[Quantity]
+    at: str = ""
+    quantities: ClassVar[tuple[Quantity, ...]]
 
     def signals(self, name: str) -> dict[str, Signal]:
         """See ``Device``."""
-        return {name: Signal(self.measures, (self.quantity,))}
+        return {name: Signal(self.measures, self.quantities, self.at)}
 
 
 class _CanNode(_Measuring):
@@ -113,13 +117,14 @@ class _CanNode(_Measuring):
 class SyncBoxTable(Device):
     """The box that numbers time: pulses on ``line``, which also reaches every device with ``sync_input``.
 
-    On a CAN bus it sends SYNC too.
+    On a CAN bus it sends SYNC too, every ``period_ms``.
     """
 
     needs = "can"
 
     kind: Literal["sync_box"]
     line: str
+    period_ms: PositiveFloat = 5.0
     bus: str | None = None
 
     @property
@@ -132,7 +137,7 @@ class Mpu6050Table(_Measuring):
     """An MPU-6050. Its RC oscillator is the clock ``NAME_rc``."""
 
     needs = "i2c"
-    quantity = "inertial"
+    quantities = ("inertial",)
 
     kind: Literal["mpu6050"]
     address: Annotated[int, Field(ge=0x68, le=0x69)] = 0x68
@@ -151,7 +156,7 @@ class Mpu6050Table(_Measuring):
 class NimuTable(_Measuring):
     """A Memsense nIMU."""
 
-    quantity = "inertial"
+    quantities = ("inertial",)
 
     kind: Literal["nimu"]
     rate_Hz: PositiveFloat = 150.0
@@ -163,7 +168,7 @@ class QsbTable(_Measuring):
     """A US Digital QSB. It counts from 0 at power-up."""
 
     baud_rates = (230_400,)
-    quantity = "joint_angle"
+    quantities = ("joint_angle",)
 
     kind: Literal["qsb"]
     tick: Literal["1/512 s", "1.9 ms"] = "1/512 s"
@@ -173,7 +178,7 @@ class QsbTable(_Measuring):
 class Encoder406Table(_CanNode):
     """A CiA 406 encoder."""
 
-    quantity = "joint_angle"
+    quantities = ("joint_angle",)
 
     kind: Literal["encoder406"]
     zero_count: Annotated[int, Field(ge=0, lt=2**32)] = 0
@@ -182,7 +187,7 @@ class Encoder406Table(_CanNode):
 class Drive402Table(_CanNode):
     """A CiA 402 drive. ``torque`` names its motor's sensor; ``channels``: what is recorded beside the angle."""
 
-    quantity = "joint_angle"
+    quantities = ("joint_angle",)
 
     kind: Literal["drive402"]
     torque: str
@@ -193,13 +198,13 @@ class Drive402Table(_CanNode):
 
     def signals(self, name: str) -> dict[str, Signal]:
         """See ``Device``."""
-        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",))}
+        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",), self.at)}
 
 
 class LoadCell404Table(_CanNode):
     """A CiA 404 transmitter."""
 
-    quantity = "joint_moment"
+    quantities = _FORCES
 
     kind: Literal["loadcell404"]
     flags_overload: bool = False
@@ -208,7 +213,7 @@ class LoadCell404Table(_CanNode):
 class ModbusLoadCellTable(_Measuring):
     """A transmitter with the Laumas map; ``signs_in_status``: magnitudes, and their signs in the status word."""
 
-    quantity = "joint_moment"
+    quantities = _FORCES
 
     kind: Literal["modbus_load_cell"]
     station: Annotated[int, Field(ge=1, le=247)] = 1
@@ -221,7 +226,7 @@ class DscLoadCellTable(_Measuring):
     """A Mantracourt DSC; ``delay_ms``: shortest and longest time that it takes to answer."""
 
     baud_rates = DSC_BAUD_RATES
-    quantity = "joint_moment"
+    quantities = _FORCES
 
     kind: Literal["dsc_load_cell"]
     station: Annotated[int, Field(ge=1, le=999)] = 1
@@ -232,7 +237,7 @@ class DscLoadCellTable(_Measuring):
 class ArmControllerTable(_CanNode):
     """The arm controller that tells the phase."""
 
-    quantity = "phase"
+    quantities = ("phase",)
 
     kind: Literal["arm_controller"]
 
@@ -242,6 +247,7 @@ class NodeChannelTable(Table):
 
     name: Annotated[str, Field(min_length=1, max_length=16)]
     measures: str
+    at: str = ""
     unit: Annotated[str, Field(min_length=1, max_length=8)]
     type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "i64"]
     mantissa: int = 1
@@ -262,7 +268,7 @@ class NodeFrameTable(Device):
 
     def signals(self, name: str) -> dict[str, Signal]:
         """See ``Device``."""
-        return {f"{name}_{channel.name}": Signal(channel.measures, _SCALARS) for channel in self.channel}
+        return {f"{name}_{channel.name}": Signal(channel.measures, _SCALARS, channel.at) for channel in self.channel}
 
 
 DeviceTable = Annotated[

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from hil_sim.scenario import Mode, Reentry, Rocket, Scenario, Vibration
+from hil_sim.rocket_tables import Mode, Reentry, Rocket, RocketScenario, Vibration
 
 Floats = NDArray[np.float64]
 
@@ -36,16 +36,35 @@ class Reference(NamedTuple):
     accel_rad_s2: Floats
 
 
-class ArmProgram:
-    """The sequence table as commanded joint angle: minimum-jerk strokes and the phases they belong to.
+class Program:
+    """A sequence as a clock knows it.
 
     Attributes:
         spans: the steps in order, without gaps.
-        ejection_s: mission time at which the tip mass leaves; None when the sequence has no ejection.
-        duration_s: end of the last step.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    spans: tuple[PhaseSpan, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """End of the last step."""
+        return self.spans[-1].end_s
+
+    @property
+    def phase_changes(self) -> tuple[tuple[float, int], ...]:
+        """(mission time [s], phase code) of every change, the first at 0."""
+        first = [(self.spans[0].start_s, self.spans[0].code)]
+        return tuple(first + [(b.start_s, b.code) for a, b in pairwise(self.spans) if a.code != b.code])
+
+
+class ArmProgram(Program):
+    """The sequence table as commanded joint angle: minimum-jerk strokes and the phases they belong to.
+
+    Attributes:
+        ejection_s: mission time at which the tip mass leaves; None when the sequence has no ejection.
+    """
+
+    def __init__(self, scenario: RocketScenario) -> None:
         self._knots: list[tuple[float, float]] = [(0.0, 0.0)]  # (time, angle)
         spans: list[PhaseSpan] = []
         for step in scenario.sequence:
@@ -68,17 +87,10 @@ class ArmProgram:
                 self._go(0.0, step.duration_s)
             spans.append(PhaseSpan(step.phase, step.action, start_s, self._knots[-1][0]))
         self.spans = tuple(spans)
-        self.duration_s = spans[-1].end_s
         self.ejection_s = next((span.start_s for span in spans if span.action == "eject"), None)
 
     def _go(self, angle: float, duration_s: float) -> None:
         self._knots.append((round(self._knots[-1][0] + duration_s, 9), float(angle)))
-
-    @property
-    def phase_changes(self) -> tuple[tuple[float, int], ...]:
-        """(mission time [s], phase code) of every change, the first at 0."""
-        first = [(self.spans[0].start_s, self.spans[0].code)]
-        return tuple(first + [(b.start_s, b.code) for a, b in pairwise(self.spans) if a.code != b.code])
 
     def reference(self, times_s: Floats) -> Reference:
         """Commanded motion at ``times_s`` (n,): quintic of zero end rates and accelerations between two angles."""
@@ -104,7 +116,7 @@ class BaseMotion(NamedTuple):
     wind: Floats  # (n, 3): unit vector, the way the air moves past the plate
 
 
-def base_motion(scenario: Scenario, step_s: float, count: int, rng: np.random.Generator) -> BaseMotion:
+def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.random.Generator) -> BaseMotion:
     """Draw one flight of the rocket: free coning, structural vibration, re-entry.
 
     Args:

@@ -18,15 +18,17 @@ Known wart: forces that hang on the joint angle (drag's lever, ripple) foresee i
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
 
+from hil_sim import world
 from hil_sim.motion import ArmProgram, BaseMotion, base_motion
-from hil_sim.scenario import Body, Inertia, Scenario
+from hil_sim.rocket_tables import Body, Inertia, RocketScenario
+from hil_sim.scenario_tables import ScenarioError
 
 Floats = NDArray[np.float64]
 
@@ -34,10 +36,6 @@ _BASE_MASS_kg = 1e6
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _IMPEDANCE = 0.05  # of contacts: small, so that they are springs and dampers and add no inertia (5 % here)
-
-
-class NotYetComputedError(RuntimeError):
-    """A sensor was asked about the future."""
 
 
 class History(NamedTuple):
@@ -59,7 +57,7 @@ class MassProperties(NamedTuple):
     inertia_kg_m2: Floats  # (3, 3) about the origin of frame 3
 
 
-def mass_properties(scenario: Scenario, *, with_tip: bool) -> MassProperties:
+def mass_properties(scenario: RocketScenario, *, with_tip: bool) -> MassProperties:
     """Sum of arm and (with the tip) tip mass by the parallel-axis theorem: I_O = I_C + m (c.c 1 - c c')."""
     parts = [(scenario.body.arm, 0.0)]
     if with_tip:
@@ -76,8 +74,8 @@ def mass_properties(scenario: Scenario, *, with_tip: bool) -> MassProperties:
     return MassProperties(mass, first, inertia)
 
 
-class Plant:
-    """The world, computed chunk by chunk up to the time asked for.
+class Plant(world.Plant):
+    """The rocket's arm, computed chunk by chunk up to the time asked for.
 
     Args:
         scenario: the mission.
@@ -85,16 +83,11 @@ class Plant:
 
     Attributes:
         history: arrays of the whole mission, filled up to ``count`` rows.
-        count: rows computed; always whole chunks.
-        chunk: rows computed at a time.
-        rows: rows of the whole mission.
-        step_s: grid step h.
         base: the prescribed motion of the plate.
-        program: commanded motion and phases.
     """
 
-    def __init__(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        self.program = ArmProgram(scenario)
+    def __init__(self, scenario: RocketScenario, rng: np.random.Generator) -> None:
+        self.program: ArmProgram = ArmProgram(scenario)
         self.step_s = 1e-6 * scenario.physics.step_us
         self.chunk = scenario.physics.chunk_steps
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
@@ -116,24 +109,53 @@ class Plant:
         mujoco.mj_getState(self._model, self._data, self._state[0], _STATE)
         self._rollout = rollout.Rollout(nthread=0)
 
-    def advance(self, time_s: float) -> None:
-        """Compute until ``time_s`` (mission time) can be interpolated; at the end of the mission the last row stays."""
-        wanted = min(self.rows, int(max(0.0, time_s) / self.step_s) + 4)
-        while self.count < wanted:
-            for first, last in self._legs(self.count, self.count + self.chunk):
-                self._run(first, last)
+    def inertial(self, at: str) -> world.Inertial:
+        """See ``world.Plant``."""
+        self._only(at)
+        return world.Inertial(self.history.specific_force_imu_m_s2, self.history.rate_half_imu_rad_s, 0.5)
 
-    def require(self, time_s: float) -> None:
-        """Check that ``time_s`` can be interpolated.
+    def angle_rad(self, at: str) -> Floats:
+        """See ``world.Plant``."""
+        self._only(at)
+        return self.history.angle_rad
 
-        Raises:
-            NotYetComputedError: it lies ahead of the plant.
-        """
-        if self.count < self.rows and time_s / self.step_s >= self.count - 3:
-            raise NotYetComputedError(
-                f"mission time {time_s:.6f} s is ahead of the plant, which stands at {self.count * self.step_s:.6f} s; "
-                "advance the mission first"
-            )
+    def moment_n_m(self, at: str) -> Floats:
+        """See ``world.Plant``."""
+        self._only(at)
+        return self.history.moment_n_m
+
+    def force_n(self, at: str) -> Floats:
+        """See ``world.Plant``."""
+        raise ScenarioError(f"no force is known at {at!r}: the arm's cell feels the moment; measure joint_moment")
+
+    def servo_torque_n_m(self, at: str) -> Floats:
+        """See ``world.Plant``."""
+        self._only(at)
+        return self.history.servo_torque_n_m
+
+    def truth(self) -> dict[str, Any]:
+        """See ``world.Plant``; frame 3 where one matters."""
+        held, free = (mass_properties(self._scenario, with_tip=tip) for tip in (True, False))
+        return {
+            "m4_kg": free.mass_kg,
+            "m5_kg": held.mass_kg - free.mass_kg,
+            "m4_plus_m5_kg": held.mass_kg,
+            "ZZ_with_tip_kg_m2": float(held.inertia_kg_m2[2, 2]),
+            "ZZ_without_tip_kg_m2": float(free.inertia_kg_m2[2, 2]),
+            "first_moment_with_tip_kg_m": held.first_moment_kg_m,
+            "first_moment_without_tip_kg_m": free.first_moment_kg_m,
+            "inertia_with_tip_kg_m2": held.inertia_kg_m2,
+            "inertia_without_tip_kg_m2": free.inertia_kg_m2,
+            "ejection_s": self.program.ejection_s,
+        }
+
+    def _only(self, at: str) -> None:
+        if at:
+            raise ScenarioError(f"there is no {at!r}: one IMU, one joint, one cell are here; leave `at` out")
+
+    def _run_chunk(self) -> None:
+        for first, last in self._legs(self.count, self.count + self.chunk):
+            self._run(first, last)
 
     def _legs(self, first: int, last: int) -> Iterator[tuple[int, int]]:
         if first < self._ejection_row < last:
@@ -211,7 +233,7 @@ class Plant:
         return reference.angle_rad + torque / servo.stiffness_Nm_rad
 
 
-def _ejection_force(scenario: Scenario, first: int, rows: int, step_s: float) -> Floats:
+def _ejection_force(scenario: RocketScenario, first: int, rows: int, step_s: float) -> Floats:
     """Reaction of the ejection spring on the arm, frame 3 axes (rows, 3): a half-sine with the tip mass's momentum."""
     force = np.zeros((rows, 3))
     spring = scenario.ejection
@@ -229,11 +251,11 @@ def _mass_kg(body: Body) -> float:
     return 1e-3 * body.mass_g * body.as_built_factor
 
 
-def _tip_radius_m(scenario: Scenario) -> float:
+def _tip_radius_m(scenario: RocketScenario) -> float:
     return 1e-3 * (scenario.geometry.frame_4_a_mm + scenario.geometry.frame_5_a_mm)
 
 
-def build(scenario: Scenario, *, with_tip: bool) -> mujoco.MjModel:
+def build(scenario: RocketScenario, *, with_tip: bool) -> mujoco.MjModel:
     """The compiled world, its contacts as stiff and as damped as the scenario says.
 
     A contact of constant impedance d gives the force (k r + b v + a) / R with R = (1 - d) / d times MuJoCo's own
@@ -255,7 +277,7 @@ def build(scenario: Scenario, *, with_tip: bool) -> mujoco.MjModel:
     return model
 
 
-def mjcf(scenario: Scenario, *, with_tip: bool) -> str:
+def mjcf(scenario: RocketScenario, *, with_tip: bool) -> str:
     """The world as MJCF; the plate's body frame is frame 0, the arm's is frame 3."""
     g, joint, servo, stops = scenario.geometry, scenario.joint, scenario.servo, scenario.stops
     theta = np.deg2rad(g.frame_1_theta_deg)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, m
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
-Quantity = Literal["inertial", "joint_angle", "joint_moment", "servo_torque", "phase"]
+Quantity = Literal["inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase"]
 
 
 class Table(BaseModel):
@@ -71,12 +71,9 @@ class Encoder(Table):
     transmission_error_urad: NonNegative
 
 
-class LoadCell(Table):
-    """The moment about the joint's axis beyond the actuator, as a force on a lever."""
+class _Bridge(Table):
+    """A strain gauge bridge and its transmitter."""
 
-    quantity: Literal["joint_moment"]
-    lever_mm: PositiveFloat
-    lever_sigma_mm: NonNegative
     capacity_N: PositiveFloat
     scale_sigma: NonNegative
     nonlinearity_of_rated_output: NonNegative
@@ -89,6 +86,21 @@ class LoadCell(Table):
     delay_ms: PositiveFloat
     full_scale_readings_s: tuple[float, ...]
     full_scale_window_ms: PositiveFloat
+
+
+class LoadCell(_Bridge):
+    """The moment about the joint's axis beyond the actuator, as a force on a lever."""
+
+    quantity: Literal["joint_moment"]
+    lever_mm: PositiveFloat
+    lever_sigma_mm: NonNegative
+
+
+class ForceCell(_Bridge):
+    """The force in a flange along ``axis`` (flange axes), on everything beyond it."""
+
+    quantity: Literal["force"]
+    axis: Vector
 
 
 class MotorTorque(Table):
@@ -106,7 +118,7 @@ class Phase(Table):
     quantity: Literal["phase"]
 
 
-Sensor = Annotated[Imu | Encoder | LoadCell | MotorTorque | Phase, Field(discriminator="quantity")]
+Sensor = Annotated[Imu | Encoder | LoadCell | ForceCell | MotorTorque | Phase, Field(discriminator="quantity")]
 
 
 class Clock(Table):

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import optimize, signal, special
 
 from hil_sim.motion import STANDARD_GRAVITY
-from hil_sim.plant import Plant
-from hil_sim.sensor_tables import Axes, Clock, Encoder, Imu, LoadCell
+from hil_sim.sensor_tables import Axes, Clock, Encoder, ForceCell, Imu, LoadCell
+from hil_sim.world import Plant
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int16]
@@ -146,8 +146,9 @@ class Triad:
 class ImuSensor:
     """The MPU-6050's analogue side: specific force and angular rate to filtered, quantised, saturated words."""
 
-    def __init__(self, plant: Plant, table: Imu, rng: np.random.Generator) -> None:
+    def __init__(self, plant: Plant, table: Imu, rng: np.random.Generator, at: str = "") -> None:
         self._plant = plant
+        self._truth = plant.inertial(at)
         self._table = table
         mounting = np.deg2rad(table.mounting_sigma_deg) * rng.standard_normal(3)
         self.accel = Triad.draw(table.accel_g, mounting, rng)
@@ -179,8 +180,8 @@ class ImuSensor:
         gyro = self._stream("gyro", self._table.gyro_deg_s, dlpf_cfg, slice(3, 6))
         words = np.empty((len(times_s), 7))
         words[:, 0:3] = accel_lsb_per_g * interpolate(accel.values, (times_s - accel.response.pure_delay_s) / h)
-        # The plant's rates belong to half steps: row k is at t_k - h/2.
-        words[:, 4:7] = gyro_lsb_per_dps * interpolate(gyro.values, (times_s - gyro.response.pure_delay_s) / h + 0.5)
+        at = (times_s - gyro.response.pure_delay_s) / h + self._truth.rate_late
+        words[:, 4:7] = gyro_lsb_per_dps * interpolate(gyro.values, at)
         row = np.clip(times_s / h, 0, self._plant.rows - 1).astype(np.intp)
         words[:, 3] = 340.0 * (self.temperature_deg_c(times_s) - 36.53) + self._thermal[row]
         return np.clip(np.rint(words), -32768, 32767).astype(np.int16)
@@ -198,9 +199,8 @@ class ImuSensor:
 
     def _sense_rows(self, done: int, count: int) -> None:
         rows = slice(done, count)
-        history = self._plant.history
-        force_g = history.specific_force_imu_m_s2[rows] / STANDARD_GRAVITY
-        rate_deg_s = np.rad2deg(history.rate_half_imu_rad_s[rows])
+        force_g = self._truth.specific_force_m_s2[rows] / STANDARD_GRAVITY
+        rate_deg_s = np.rad2deg(self._truth.rate_rad_s[rows])
         rise = (
             self.temperature_deg_c(self._plant.step_s * np.arange(done, count, dtype=np.float64))
             - self._table.temperature_start_degC
@@ -238,9 +238,10 @@ class ImuSensor:
 class EncoderSensor:
     """A motor-side encoder seen through the gear: the joint angle with two cyclic errors, in whole counts."""
 
-    def __init__(self, plant: Plant, table: Encoder, rng: np.random.Generator) -> None:
+    def __init__(self, plant: Plant, table: Encoder, rng: np.random.Generator, at: str = "") -> None:
         self.counts_per_revolution = table.counts_per_revolution
         self._plant = plant
+        self._angle_rad = plant.angle_rad(at)
         self._table = table
         self._phase: list[float] = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
 
@@ -252,7 +253,7 @@ class EncoderSensor:
     def analog_rad(self, time_s: float) -> float:
         """Angle before quantisation [rad]."""
         self._plant.require(time_s)
-        angle = interpolate_one(self._plant.history.angle_rad, time_s / self._plant.step_s)
+        angle = interpolate_one(self._angle_rad, time_s / self._plant.step_s)
         turn = self._table.gear_ratio * angle
         once = self._table.eccentricity_urad * math.sin(turn + self._phase[0])  # per motor turn
         twice = self._table.transmission_error_urad * math.sin(2.0 * turn + self._phase[1])  # two lobes
@@ -264,14 +265,24 @@ class EncoderSensor:
 
 
 class LoadCellSensor:
-    """Moment over a lever, through a bridge and a transmitter: force with scale, zero, creep, filter and noise."""
+    """A force along an axis, or a moment over a lever, through a bridge and a transmitter.
 
-    def __init__(self, plant: Plant, table: LoadCell, rng: np.random.Generator) -> None:
+    It comes out with scale, zero, creep, filter and noise. ``lever_m`` is None where the force itself is measured.
+    """
+
+    def __init__(self, plant: Plant, table: LoadCell | ForceCell, rng: np.random.Generator, at: str = "") -> None:
         self.capacity_N = table.capacity_N
         self._plant = plant
         self._table = table
         h = plant.step_s
-        self.lever_m = 1e-3 * (table.lever_mm + table.lever_sigma_mm * rng.standard_normal())
+        self.lever_m: float | None = None
+        self._axis = np.ones(1)
+        if isinstance(table, LoadCell):
+            self.lever_m = 1e-3 * (table.lever_mm + table.lever_sigma_mm * rng.standard_normal())
+            self._load = plant.moment_n_m(at)[:, None]
+        else:
+            self._load = plant.force_n(at)
+            self._axis = np.asarray(table.axis) / np.linalg.norm(table.axis)
         self.gain = 1.0 + table.scale_sigma * rng.standard_normal()
         self.nonlinearity = table.nonlinearity_of_rated_output * rng.uniform(-1.0, 1.0)
         self.zero_N = table.zero_sigma_N * rng.standard_normal()
@@ -305,18 +316,19 @@ class LoadCellSensor:
         if done == count:
             return
         rows = slice(done, count)
-        force = self._plant.history.moment_n_m[rows] / self.lever_m
+        force = self._load[rows] @ self._axis
+        if self.lever_m is not None:
+            force = force / self.lever_m
         crept, self._creep_state = signal.lfilter(*self._creep, force, zi=self._creep_state)
         capacity = self._table.capacity_N
         bridge = force + self._table.creep_fraction * crept + self.nonlinearity * capacity * (force / capacity) ** 3
         self._stream.extend((self.gain * bridge + self._zero[rows] + self._noise[rows])[:, None])
 
     def truth(self) -> dict[str, Any]:
-        """The errors drawn; ``moment_per_newton`` is the factor that turns a small reading into the true moment."""
-        return {
-            "lever_m": self.lever_m,
+        """The errors drawn; ``moment_Nm_per_N`` is the factor that turns a small reading into the true moment."""
+        lever = {} if self.lever_m is None else {"lever_m": self.lever_m, "moment_Nm_per_N": self.lever_m / self.gain}
+        return lever | {
             "gain": self.gain,
-            "moment_Nm_per_N": self.lever_m / self.gain,
             "nonlinearity_of_rated_output": self.nonlinearity,
             "zero_N": self.zero_N,
             "drift_N_s": self.drift_N_s,

@@ -40,28 +40,32 @@ from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, Qsb
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync_box import SYNC_COB_ID, Pin, SyncBox
 from hil_sim.faults import DeviceFaults, FaultError
-from hil_sim.plant import Plant
 from hil_sim.scenario import Scenario, ScenarioError
-from hil_sim.sensor_tables import Encoder, Imu, LoadCell, MotorTorque, Phase
+from hil_sim.sensor_tables import Encoder, ForceCell, Imu, LoadCell, MotorTorque, Phase
 from hil_sim.sensor_tables import Sensor as SensorTable
 from hil_sim.sensors import EncoderSensor, ImuSensor, LoadCellSensor
 from hil_sim.serial_bus import SerialBus
+from hil_sim.world import Plant
 
 Sensor = ImuSensor | EncoderSensor | LoadCellSensor | MotorTorqueSensor | PhaseSensor
 Kind = TypeVar("Kind")
 
 
-def sensor(plant: Plant, table: SensorTable, rng: np.random.Generator) -> Sensor:
-    """An example of the sensor that ``table`` describes."""
+def sensor(plant: Plant, table: SensorTable, rng: np.random.Generator, at: str) -> Sensor:
+    """An example of the sensor that ``table`` describes, at a place in the plant.
+
+    Raises:
+        ScenarioError: no such place.
+    """
     match table:
         case Imu():
-            return ImuSensor(plant, table, rng)
+            return ImuSensor(plant, table, rng, at)
         case Encoder():
-            return EncoderSensor(plant, table, rng)
-        case LoadCell():
-            return LoadCellSensor(plant, table, rng)
+            return EncoderSensor(plant, table, rng, at)
+        case LoadCell() | ForceCell():
+            return LoadCellSensor(plant, table, rng, at)
         case MotorTorque():
-            return MotorTorqueSensor(plant, table, rng)
+            return MotorTorqueSensor(plant, table, rng, at)
         case Phase():
             return PhaseSensor(plant)
 
@@ -133,7 +137,8 @@ class Twins:
         return counts
 
     def _sync_box(self, name: str, table: SyncBoxTable) -> tuple[SyncBox, PulseLine]:
-        box = SyncBox(self._clocks[name], self._start_ns, faults=self._faults(name))
+        period_ns = round(table.period_ms * 1e6)
+        box = SyncBox(self._clocks[name], self._start_ns, period_ns=period_ns, faults=self._faults(name))
         line = self._bus(table.line, PulseLine)
         if table.bus is None:
             line.drive(box)

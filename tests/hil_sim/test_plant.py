@@ -7,8 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from hil_sim.plant import NotYetComputedError, Plant, build, mass_properties
+from hil_sim.plant import Plant, build, mass_properties
 from hil_sim.scenario import load
+from hil_sim.world import NotYetComputedError
 
 ARM_kg, TIP_kg = 0.23313, 0.06627
 ARM_COM_m = np.array([39.75, 1.41, 5.00]) * 1e-3

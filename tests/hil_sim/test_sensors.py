@@ -1,14 +1,12 @@
 """Sensor models against the figures their datasheets promise, on a world made of known signals."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from hil_sim.plant import NotYetComputedError, Plant
+from hil_sim.plant import Plant
 from hil_sim.scenario import load
 from hil_sim.sensors import (
     DriftingClock,
@@ -20,6 +18,7 @@ from hil_sim.sensors import (
     low_pass,
     within_limits,
 )
+from hil_sim.world import Inertial, NotYetComputedError
 
 STEP_S = 5e-4
 G = 9.80665
@@ -64,12 +63,17 @@ class World:
         self.rows = self.count = round(seconds / STEP_S / self.chunk) * self.chunk
         times = STEP_S * np.arange(self.rows)
         three, one = (lambda t: np.zeros((len(t), 3))), (lambda t: np.zeros(len(t)))
-        self.history = SimpleNamespace(
-            specific_force_imu_m_s2=(force_m_s2 or three)(times),
-            rate_half_imu_rad_s=(rate_rad_s or three)(times - 0.5 * STEP_S),
-            moment_n_m=(moment_n_m or one)(times),
-            angle_rad=(angle_rad or one)(times),
-        )
+        self._inertial = Inertial((force_m_s2 or three)(times), (rate_rad_s or three)(times - 0.5 * STEP_S), 0.5)
+        self._moment, self._angle = (moment_n_m or one)(times), (angle_rad or one)(times)
+
+    def inertial(self, at: str) -> Inertial:
+        return self._inertial
+
+    def angle_rad(self, at: str):
+        return self._angle
+
+    def moment_n_m(self, at: str):
+        return self._moment
 
     def require(self, time_s: float) -> None:
         """All of it is there."""
