@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
     preflight.set_defaults(command=_preflight)
 
     hil = commands.add_parser("hil", help="fly a scenario against simulated devices")
-    hil.add_argument("scenario", help="a packaged scenario: rocksat")
+    hil.add_argument("scenario", help="a packaged scenario: rocksat, dymaflex, ...")
     hil.add_argument("--seed", type=int, default=1, help="of everything random in the scenario (default 1)")
     hil.add_argument("--realtime", action="store_true", help="devices and flight app as processes, on the real clock")
     hil.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
@@ -124,6 +124,7 @@ def _hil(arguments: argparse.Namespace) -> int:
     result = table.result(flown)
     shown.print(table.render(result))
     shown.print(f"log: {log}", soft_wrap=True)
+    shown.print(f"next: heft report {log}, heft info {log}, heft replay {log}", soft_wrap=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return OK if result["identified"] and result["accounted"] else FAILED

@@ -1,6 +1,8 @@
 """A flight's answer beside the truth and beside what was published: the table that ``heft hil`` ends with.
 
 The numbers are the last the onboard estimator said before it landed, read back from the log; nothing is computed again.
+What is compared stands in the packaged vehicle's ``published.toml``: masses (``row``), centres of mass (``centre``) and
+``inertia``, each with the unit that it is shown in, and what somebody else found, where somebody has.
 """
 
 import tomllib
@@ -43,7 +45,10 @@ def result(flown: Flown) -> Result:
     name = log.metadata["flight"]["vehicle"]
     published = tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
     answers = last_answers(log)
-    masses = [_compared(row, answers, flown.truth) for row in published["row"]]
+    masses, centres, inertias = (
+        [_compared(shown | row, answers, flown.truth) for row in published.get(section, [])]
+        for section, shown in _SHOWN.items()
+    )
     channels = dict(_accounts(log, flown.produced))
     return {
         "vehicle": name,
@@ -51,22 +56,24 @@ def result(flown: Flown) -> Result:
         "seed": flown.truth["seed"],
         "log": str(flown.log),
         "masses": masses,
-        "inertias": [_compared(row, answers, flown.truth) for row in published["inertia"]],
+        "centres": centres,
+        "inertias": inertias,
         "channels": channels,
         "identified": all(mass["supported"] for mass in masses),
         "accounted": all(c["recorded"] + c["missing"] == c["produced"] for c in channels.values()),
         "events": _troubles(log),
+        "capture": _capture(log, flown.truth),
     }
 
 
 def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: dict[str, Any]) -> dict[str, Any]:
     answer = answers.get(row["quantity"])
     supported = answer is not None and answer["supported"]
-    true = float(truth[row["truth"]])
+    true = float(truth[row["truth"]] if "truth" in row else truth["quantities"][row["quantity"]])
     made: dict[str, Any] = {**row, "truth": true, "supported": supported}
     if answer is not None and supported:
         made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "unit")}
-        made["our_error_percent"] = 100 * (answer["value"] / true - 1)
+        made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true else None
         made["covered"] = answer["low"] <= true <= answer["high"]
     return made
 
@@ -85,6 +92,14 @@ def _accounts(log: LogReader, produced: dict[str, int]) -> Iterator[tuple[str, d
         yield name, {"produced": count, "recorded": recorded[name], "missing": missing[name]}
 
 
+def _capture(log: LogReader, truth: dict[str, Any]) -> dict[str, Any] | None:
+    """When a payload was caught, and when the flight computer said so, s of mission time; None where none was."""
+    if not truth.get("capture_s"):
+        return None
+    said = [row for _, rows in log.batches() if rows.dtype == records.EVENT for row in rows[rows["code"] == b"capture"]]
+    return {"true_s": truth["capture_s"], "said_s": [1e-9 * (int(row["host_ns"]) - truth["start_ns"]) for row in said]}
+
+
 def _troubles(log: LogReader) -> list[str]:
     """Warnings and errors, as sentences."""
     return [
@@ -98,16 +113,23 @@ def _troubles(log: LogReader) -> list[str]:
 def render(table: Result) -> RenderableType:
     """The table as people see it; 80 columns are enough."""
     title = f"{table['title']} (seed {table['seed']})"
+    published = any("identified_g" in row for row in table["masses"])
     shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     shown.add_column("", no_wrap=True)
-    for heading in ("truth", "theirs", "err %", "heft", "95 % interval", "err %"):
+    for heading in ("truth", *(("theirs", "err %") if published else ()), "heft", "95 % interval", "err %"):
         shown.add_column(heading, justify="right", no_wrap=True)
-    for row in table["masses"]:
-        theirs = f"{row['identified_g']:.1f}", f"{row['error_percent']:.2f}"
-        shown.add_row(f"{row['label']}, g", f"{1e3 * row['truth']:.1f}", *theirs, *_ours(row, 1e3, 1))
-    shown.add_section()
-    for row in table["inertias"]:
-        shown.add_row(f"{row['label']}, g m²", f"{1e3 * row['truth']:.3f}", "", "", *_ours(row, 1e3, 3))
+    for section in ("masses", "centres", "inertias"):
+        for row in table[section]:
+            theirs = ("", "") if published else ()
+            if "identified_g" in row:
+                theirs = f"{row['identified_g']:.1f}", f"{row['error_percent']:.2f}"
+            truth = f"{row['factor'] * row['truth']:.{row['digits']}f}"
+            shown.add_row(f"{row['label']}, {row['shown_in']}", truth, *theirs, *_ours(row))
+        shown.add_section()
+    lines: list[Text] = []
+    if capture := table["capture"]:
+        said = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "not at all"
+        lines.append(Text(f"caught at {capture['true_s']:.2f} s, which nobody told; noticed: {said}"))
     counted = ", ".join(
         f"{name} {c['recorded']}" + (f" (and {c['missing']} missing)" if c["missing"] else "")
         for name, c in table["channels"].items()
@@ -116,11 +138,19 @@ def render(table: Result) -> RenderableType:
     troubles = [Text(f"! {text}", style="yellow") for text in table["events"][:8]]
     if len(table["events"]) > len(troubles):
         troubles.append(Text(f"! and {len(table['events']) - len(troubles)} more: heft info", style="yellow"))
-    return Group(shown, Text(f"{verdict}: {counted}"), *troubles)
+    return Group(shown, *lines, Text(f"{verdict}: {counted}"), *troubles)
 
 
-def _ours(row: dict[str, Any], factor: float, digits: int) -> tuple[str, str, str]:
+def _ours(row: dict[str, Any]) -> tuple[str, str, str]:
     if not row["supported"] or not np.isfinite(row["value"]):
         return "—", "not determined", ""
-    value, low, high = (f"{factor * row[key]:.{digits}f}" for key in ("value", "low", "high"))
-    return value, f"{low} .. {high}", f"{row['our_error_percent']:+.2f}"
+    value, low, high = (f"{row['factor'] * row[key]:.{row['digits']}f}" for key in ("value", "low", "high"))
+    percent = row["our_error_percent"]
+    return value, f"{low} .. {high}", "" if percent is None else f"{percent:+.2f}"
+
+
+_SHOWN: dict[str, dict[str, Any]] = {
+    "row": {"shown_in": "g", "factor": 1e3, "digits": 1},
+    "centre": {"shown_in": "mm", "factor": 1e3, "digits": 2},
+    "inertia": {"shown_in": "g m²", "factor": 1e3, "digits": 3},
+}

@@ -55,7 +55,7 @@ def truths_of(story: Story) -> dict[str, float]:
         return {}
     truths: dict[str, float] = dict(story.truth.get("quantities", {}))
     for row in _published(story.name):
-        if row["truth"] in story.truth:
+        if row.get("truth") in story.truth:
             truths.setdefault(row["quantity"], float(story.truth[row["truth"]]))
     for name in story.quantities:  # the same mass, from the rows with the payload held alone
         if name.removesuffix("_held") in truths:
@@ -72,4 +72,4 @@ def _published(vehicle: str) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    return [*tables.get("row", []), *tables.get("inertia", [])]
+    return [row for section in ("row", "centre", "inertia") for row in tables.get(section, [])]

@@ -1,0 +1,92 @@
+"""The free-flyer catches something in mid-flight, short and in virtual time: from bus bytes to what it is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onboard import config
+from onboard.offline.replay import replay
+from tests.flight.missions import Result, fly
+
+SEED = 2
+SWING = {
+    "phase": 1,
+    "action": "swing",
+    "duration_s": 11.0,
+    "ramp_s": 1.5,
+    "swing_deg": 20.0,
+    "tones": 3,
+    "band_Hz": [0.1, 0.6],
+}
+SHORT = {
+    "sequence": [
+        {"phase": 0, "action": "hold", "duration_s": 1.0},
+        SWING,
+        {"phase": 9, "action": "hold", "duration_s": 0.5},
+    ],
+    "capture": {"earliest_s": 4.0, "latest_s": 5.0},
+}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return fly(tmp_path_factory.mktemp("dymaflex") / "flight.mcap", SEED, vehicle="dymaflex", **SHORT)
+
+
+def test_every_sample_of_every_channel_is_accounted_for(flown: Result) -> None:
+    assert flown.table["accounted"], flown.table["channels"]
+    assert set(flown.table["channels"]) == set(config.load(config.packaged("dymaflex")).channels)
+    recorded = {name: counted["recorded"] for name, counted in flown.table["channels"].items()}
+    seconds = flown.flown.truth["duration_s"]
+    for name in ("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "load_cell", "can_sync"):
+        assert recorded[name] == pytest.approx(500 * seconds, rel=0.02)
+    for name in ("imu_base", "imu_2"):
+        assert recorded[name] == pytest.approx(1000 * seconds, rel=0.03)
+
+
+def test_the_capture_is_found_and_told(flown: Result) -> None:
+    rows = flown.log.read("event_estimation")
+    captures = rows[rows["code"] == b"capture"]
+    assert len(captures) == 1
+    told_s = 1e-9 * (int(captures["host_ns"][0]) - flown.flown.truth["start_ns"]) - flown.flown.truth["capture_s"]
+    lag_s, step_s = 0.3, 0.25
+    assert 0.0 < told_s < 0.5 + lag_s + step_s
+
+
+def test_the_intervals_hold_what_was_caught(flown: Result) -> None:
+    assert flown.table["identified"]
+    mass = flown.mass("m_payload")
+    assert mass["covered"]
+    assert abs(mass["our_error_percent"]) < 5.0
+    told = [row for group in ("masses", "centres", "inertias") for row in flown.table[group]]
+    assert len(told) == 10
+    assert all(row["supported"] for row in told)
+    assert sum(row["covered"] for row in told) >= 8
+
+
+def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
+    found = replay(flown.path)
+    assert found.identical, found.summary
+
+
+def test_the_second_imu_is_recorded_and_the_first_one_has_the_marks(flown: Result) -> None:
+    base, other = flown.log.read("imu_base"), flown.log.read("imu_2")
+    R = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # base axes to the first one's
+    flipped = np.diag([1.0, -1.0, -1.0])  # base axes to the second one's
+    rate, again = (
+        (rows["gyro_raw"] * rows["gyro_scale_rad_s"][:, None])[: 50 * (len(rows) // 50)].reshape(-1, 50, 3).mean(axis=1)
+        for rows in (base, other)
+    )
+    n = min(len(rate), len(again))
+    two_biases_of_a_degree_and_a_percent_of_time = 0.05
+    difference = rate[:n] @ R - again[:n] @ flipped
+    assert np.abs(rate).max() > 0.2
+    assert np.abs(difference).max() < two_biases_of_a_degree_and_a_percent_of_time
+    assert np.count_nonzero(base["sync"]) > 100
+    assert not other["sync"].any()
+
+
+def test_one_seed_one_log(flown: Result, tmp_path: Path) -> None:
+    again = fly(tmp_path / "again.mcap", SEED, vehicle="dymaflex", **SHORT)
+    assert again.path.read_bytes() == flown.path.read_bytes()
