@@ -17,6 +17,9 @@ _HEAD = mcap_format.RECORD_HEAD
 _KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: alike for all messages of a run
 
 
+_FEW = 16
+
+
 class KnownChannel(NamedTuple):
     """A channel as its definitions describe it."""
 
@@ -40,11 +43,18 @@ def rows_of(runs: list[Run]) -> Rows:
     return rows
 
 
-def _run_length(keys: NDArray[np.uint8]) -> int:
-    """How many of ``keys`` (n, key size), from the first on, are alike; looks ever further ahead."""
-    done, ahead = 1, 16
-    while done < len(keys):
-        same = (keys[done : done + ahead] == keys[0]).all(axis=1)
+def _run_length(records: bytes, at: int, size: int) -> int:
+    """How many messages of ``size`` bytes begin alike, from the one at ``at`` on; looks ever further ahead."""
+    key, end, done = records[at : at + _KEY_BYTES], len(records) - size, 1
+    here = at + size
+    while here <= end and done < _FEW and records.startswith(key, here):
+        done, here = done + 1, here + size
+    if done < _FEW:
+        return done
+    count, ahead, first = (len(records) - at) // size, 4 * _FEW, np.frombuffer(key, np.uint8)
+    keys = np.frombuffer(records, np.uint8, count * size, at).reshape(count, size)[:, :_KEY_BYTES]
+    while done < count:
+        same = (keys[done : done + ahead] == first).all(axis=1)
         if not same.all():
             return done + int(np.argmin(same))
         done, ahead = done + len(same), ahead * 4
@@ -76,7 +86,6 @@ class Decoder:
             LogFormatError: the records contradict each other or the definitions.
         """
         runs: list[Run] = []
-        data = np.frombuffer(records, np.uint8)
         at = 0
         while at < len(records):
             if len(records) - at < _HEAD.size:
@@ -86,25 +95,24 @@ class Decoder:
             if end > len(records):
                 raise LogFormatError("chunk ends inside a record")
             if opcode == Opcode.MESSAGE:
-                runs.append(self._run(data[at:], int(end - at)))
+                runs.append(self._run(records, at, int(end - at)))
                 at += runs[-1].records.size
             else:
                 self._learn(opcode, records[at + _HEAD.size : end])
                 at = end
         return runs
 
-    def _run(self, data: NDArray[np.uint8], size: int) -> Run:
-        number = int.from_bytes(data[_HEAD.size : _KEY_BYTES].tobytes(), "little")
+    def _run(self, records: bytes, at: int, size: int) -> Run:
+        number = int.from_bytes(records[at + _HEAD.size : at + _KEY_BYTES], "little")
         channel = self._by_number.get(number)
         if channel is None:
             raise LogFormatError(f"message of channel {number}, which the chunk does not define")
         if size != BODY_AT + channel.dtype.itemsize:
             raise LogFormatError(f"channel {channel.name!r}: message and definition differ in size")
-        records = data[: len(data) // size * size].reshape(-1, size)
-        records = records[: _run_length(records[:, :_KEY_BYTES])]
-        if records[0, BODY_AT - len(CDR_HEADER) : BODY_AT].tobytes() != CDR_HEADER:
+        if records[at + BODY_AT - len(CDR_HEADER) : at + BODY_AT] != CDR_HEADER:
             raise LogFormatError(f"channel {channel.name!r}: message is not little-endian CDR")
-        return Run(channel, records)
+        count = _run_length(records, at, size)
+        return Run(channel, np.frombuffer(records, np.uint8, count * size, at).reshape(count, size))
 
     def _learn(self, opcode: int, body: bytes) -> None:
         key = bytes([opcode]) + body
