@@ -33,6 +33,10 @@ def add(commands: Commands) -> None:
     identify.add_argument(
         "--parameters", action="store_true", help="show the base parameters of the vehicle, written with its lengths"
     )
+    identify.add_argument(
+        "--method", choices=("rows", "exiddm"), help="by rows, or by maximum likelihood (default: the vehicle file's)"
+    )
+    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies that one log shows")
     identify.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
     identify.set_defaults(command=_identify)
 
@@ -64,21 +68,27 @@ def _reestimate(arguments: argparse.Namespace) -> int:
 
 
 def _identify(arguments: argparse.Namespace) -> int:
-    from onboard.offline import identify
+    from onboard.offline import identify, identify_view
 
     vehicle = load_vehicle(arguments.vehicle)
     if arguments.parameters:
         return _parameters(vehicle, arguments)
+    if arguments.method:
+        vehicle = vehicle.by_method(arguments.method)
     if not arguments.logs:
         raise ValueError("no log to identify from; name one, or ask for --parameters")
+    if arguments.urdf and len(arguments.logs) > 1:
+        raise ValueError("a URDF holds what one log says; give --urdf with one log")
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs))
         found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
-    console().print(identify.render(found))
+    console().print(identify_view.render(found))
     if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     warn(found.damage)
-    if not found.supported:
+    if arguments.urdf and found.usable:
+        arguments.urdf.write_text(identify.urdf(vehicle, found.logs[0]), encoding="utf-8")
+    if not found.usable:
         return FAILED
     return DAMAGED if found.damage else OK
 

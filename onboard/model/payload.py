@@ -11,11 +11,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from onboard.estimation.maximum_likelihood import fit
+from onboard.estimation.errors import ConvergenceError
 from onboard.model.composite import RigidBody, elements, parallel_axis, pseudo_inertia, symmetric
 from onboard.model.errors import SignalError
 
 FloatArray = NDArray[np.float64]
+
+_CERTAIN = 1e-9  # of the largest
+_BARRIER = 0.1
+_NEWTON_STEPS = 100
+_WORTH_A_STEP = 1e-6
 
 
 class BodyEstimate(NamedTuple):
@@ -102,32 +107,59 @@ def from_log_cholesky(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
-    """The likeliest body that can exist: maximum likelihood on log-Cholesky parameters.
+    """The likeliest body that can exist.
 
-    Where the estimate itself can exist, it is that. Else it lies on the border of what can, in the metric of the
-    covariance; a weak prior on the three lengths (1 cm to 1 m) says where on a border that is never reached.
+    Where the estimate itself can exist, it is that. Else it lies just inside the border of what can: the minimum of
+    half the squared distance in the metric of the covariance, less a tenth of the logarithm of the pseudo-inertia's
+    determinant. That is a convex problem (the pseudo-inertia is linear in the standard parameters), and the logarithm
+    costs a tenth of a sigma.
 
     Args:
         chi: estimate of the standard parameters, (10,).
-        covariance: its covariance, (10, 10), positive definite.
+        covariance: its covariance, (10, 10).
 
     Raises:
         SignalError: a mass that is not positive.
-        ConvergenceError: see :func:`onboard.estimation.maximum_likelihood.fit`.
+        ConvergenceError: no minimum was found, which is a bug.
     """
     body = body_of(chi)
     if np.linalg.eigvalsh(pseudo_inertia(chi))[0] > 0.0:
         return body
-    factor = np.linalg.cholesky(covariance)
+    start = standard_of(_nearby(body))
+    sigma = np.sqrt(np.diag(covariance))
+    sigma = np.maximum(sigma, _CERTAIN * np.abs(start).max())  # what is taken for exact may give way by nothing much
+    values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    L = sigma[:, None] * vectors * np.sqrt(np.maximum(values, _CERTAIN))
+    P0, basis = pseudo_inertia(chi), np.array([pseudo_inertia(column) for column in L.T])  # (10, 4, 4)
 
-    def predict(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        own, D = from_log_cholesky(theta)
-        return np.linalg.solve(factor, own - chi), np.linalg.solve(factor, D)
+    def cost(z: FloatArray, barrier: float) -> float:
+        P = P0 + np.tensordot(z, basis, 1)
+        inside = np.linalg.eigvalsh(P)[0] > 0.0
+        return float(0.5 * z @ z - barrier * np.linalg.slogdet(P)[1]) if inside else np.inf
 
-    lengths = np.arange(1, 4)
-    centre, information = np.zeros(10), np.zeros((10, 10))
-    centre[lengths] = np.log(0.1)
-    information[lengths, lengths] = 1.0 / np.log(10.0) ** 2
-    start = log_cholesky(RigidBody(body.mass_kg, body.centre_of_mass_m, 2e-2 * body.mass_kg * np.eye(3)))
-    found = fit(predict, start, centre, information, iterations=200)
-    return body_of(from_log_cholesky(found.x)[0])
+    z = np.linalg.solve(L, start - chi)
+    barrier = max(_BARRIER, float(z @ z))  # first into the middle, then as far out as it goes
+    for _ in range(_NEWTON_STEPS):
+        turned = np.linalg.inv(P0 + np.tensordot(z, basis, 1)) @ basis  # (10, 4, 4)
+        gradient = z - barrier * np.trace(turned, axis1=1, axis2=2)
+        hessian = np.eye(10) + barrier * np.einsum("iab,jba->ij", turned, turned)
+        scale = np.sqrt(np.diag(hessian))
+        step = -np.linalg.solve(hessian / np.outer(scale, scale), gradient / scale) / scale
+        promised, now, length = float(-gradient @ step), cost(z, barrier), 1.0
+        if barrier > _BARRIER and promised < 0.1 * barrier:
+            barrier = max(_BARRIER, 0.1 * barrier)
+            continue
+        if promised < _WORTH_A_STEP * max(1.0, now):
+            return body_of(chi + L @ z)
+        while cost(z + length * step, barrier) > now - 0.1 * length * promised and length > _WORTH_A_STEP:
+            length *= 0.5
+        z = z + length * step
+    raise ConvergenceError("the likeliest possible body was not found")
+
+
+def _nearby(body: RigidBody) -> RigidBody:
+    """One that can exist: no thinner than a centimetre in any direction."""
+    second = 0.5 * np.trace(body.inertia_kg_m2) * np.eye(3) - body.inertia_kg_m2  # of mass about its centre
+    values, vectors = np.linalg.eigh(second)
+    second = vectors * np.maximum(values, 1e-4 * body.mass_kg) @ vectors.T
+    return body._replace(inertia_kg_m2=np.trace(second) * np.eye(3) - second)

@@ -4,74 +4,32 @@ For any vehicle these are the last quantities with their intervals, as the onboa
 free body (``[free_body]`` in the vehicle file) the load is told from them, and loads of known truth are summed up.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
+import numpy as np
 
+from drivers.records import Rows
 from onboard import config
 from onboard.flight.estimator import Estimator
-from onboard.model.identify import Identifier
+from onboard.flight.identification import build_model
+from onboard.model.essential import essential
+from onboard.model.held_out import RowBlocks
+from onboard.model.identify import SUPPORTED_SHRINKAGE, Estimate, Identifier
+from onboard.model.standard import identified_links, without_rotors
+from onboard.model.subspace import subspace
+from onboard.model.urdf import with_bodies
+from onboard.model.verdict import Evidence, Level, verdict
 from onboard.offline import throws
+from onboard.offline.exiddm_log import identify_exiddm
 from onboard.offline.feed import check_channels, feed
-from onboard.offline.throws import Calibration, Summary, Throw
+from onboard.offline.identified import Answer, Identified
+from onboard.offline.throws import Calibration, Summary
 from onboard.recording.reader import LogReader
 
-PER_KG_MM2 = 1e6
-
-
-class Answer(NamedTuple):
-    """The last QUANTITY of one name; numbers are NaN where the data do not support it."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-    low: float
-    high: float
-    supported: bool
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values, None for what is no number."""
-        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
-
-
-@dataclass(frozen=True)
-class Identified:
-    """One log's answer."""
-
-    log: Path
-    answers: tuple[Answer, ...]  # base parameters without a unit, then the quantities
-    rows_used: int
-    refused: dict[str, int]  # rows by reason
-    damage: tuple[object, ...]
-    throw: Throw | None
-
-    @property
-    def supported(self) -> bool:
-        """Whether the log answers what the vehicle was flown for: its load, or at least one quantity."""
-        if self.throw is not None:
-            return self.throw.body is not None
-        asked = [answer for answer in self.answers if answer.unit] or self.answers
-        return any(answer.supported for answer in asked)
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "log": str(self.log),
-            "supported": self.supported,
-            "rows_used": self.rows_used,
-            "refused": self.refused,
-            "damage": [str(one) for one in self.damage],
-            "quantities": [answer.as_json() for answer in self.answers],
-            "throw": self.throw.as_json() if self.throw else None,
-        }
+ROWS = "rows"
 
 
 @dataclass(frozen=True)
@@ -86,6 +44,11 @@ class Identification:
     def supported(self) -> bool:
         """Whether every log answers."""
         return all(log.supported for log in self.logs)
+
+    @property
+    def usable(self) -> bool:
+        """Whether every log answers, and nothing speaks against any answer."""
+        return all(log.usable for log in self.logs)
 
     @property
     def damage(self) -> tuple[str, ...]:
@@ -129,8 +92,9 @@ def identify(
     loads = [throws.load_of(vehicle, log) if vehicle.file.free_body else None for log in logs]
     calibration: dict[str, Identifier] = {}
     found = []
+    by_rows = vehicle.file.estimation.method == ROWS
     for reader, load in zip(readers, loads, strict=True):
-        found.append(_one(vehicle, reader, load))
+        found.append(_one(vehicle, reader, load) if by_rows else identify_exiddm(vehicle, reader))
         if load is not None and load.role != "load":
             again = Estimator(vehicle, calibration.get(load.role))
             calibration[load.role] = again.identifier
@@ -143,11 +107,71 @@ def identify(
 
 def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:
     estimator = Estimator(vehicle)
+    who = estimator.identifier
+    seen = RowBlocks(len(who.base.names), who.blocks.block_s)
+    who.observer = seen
     last = None
     for channel, rows in feed(estimator, log):
         if channel == "quantity":
             last = rows
-    answers = tuple(
+    refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}
+    if last is None:
+        nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
+        none = throws.throw(vehicle, load, who, None) if load else None
+        return Identified(log.path, ROWS, (), who.rows_used, refused, log.damage, nothing, none)
+    estimate = who.estimate()
+    answers = _answers(last, who)
+    thrown = throws.throw(vehicle, load, who, estimate) if load else None
+    names = _asked_names(vehicle, who)
+    if thrown is not None:  # few independent blocks of time make an interval wide, and it says so
+        told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
+    else:
+        told = {answer.name: answer.supported for answer in answers}
+    held_out = seen.held_out(who)
+    links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
+    asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
+    evidence = Evidence(who.rows_used, refused, asked, held_out, estimator.inflation**2, away)
+    return Identified(
+        log.path,
+        ROWS,
+        answers,
+        who.rows_used,
+        refused,
+        log.damage,
+        verdict(evidence),
+        thrown,
+        held_out,
+        subspace=subspace(who.rls.observability(), who.base.names),
+        essential=_essential(who, estimate),
+        links=links,
+    )
+
+
+def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
+    """Of the base parameters that the data determine, those that differ from nothing."""
+    told = np.flatnonzero(estimate.supported)
+    if not told.size:
+        return ()
+    honest = who.honest()
+    kept = essential(honest.mean[told], honest.covariance[np.ix_(told, told)]).kept
+    return tuple(estimate.names[k] for k in told[kept])
+
+
+def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
+    """What a vehicle was flown for: its quantities; where it has none, the payload's base parameters, or else all."""
+    if who.quantities:
+        return [quantity.name for quantity in who.quantities]
+    names = [name for name in who.base.names if name not in vehicle.file.estimation.nuisance]
+    payload = who.model.vehicle.spec.payload_link
+    own = [name for name in names if payload is not None and name.removesuffix("_R").endswith(f"_{payload}")]
+    return own or names
+
+
+def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
+    """The last QUANTITY rows, with the bound of each."""
+    weights = np.vstack([np.eye(len(who.base.names)), *(quantity.weights for quantity in who.quantities)])
+    bounds = np.sqrt(who.honest().formal_variance(weights))
+    return tuple(
         Answer(
             row["name"].decode(),
             row["unit"].decode(),
@@ -156,88 +180,24 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
             float(row["low"]),
             float(row["high"]),
             bool(row["supported"]),
+            float(bound),
         )
-        for row in (last if last is not None else ())
+        for row, bound in zip(rows, bounds, strict=True)
     )
-    who = estimator.identifier
-    refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}
-    load_found = throws.throw(vehicle, load, who, who.estimate() if who.rows_used else None) if load else None
-    return Identified(log.path, answers, who.rows_used, refused, log.damage, load_found)
 
 
-def render(found: Identification) -> RenderableType:
-    """What people see; 80 columns are enough."""
-    if not any(log.throw for log in found.logs):
-        return Group(*(part for log in found.logs for part in (_quantities(log), _account(log))))
-    parts: list[RenderableType] = []
-    for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
-        parts.append(_throws([log for log in found.logs if log.throw and log.throw.load.name == name]))
-    if found.summaries:
-        parts.append(_summary(found.summaries))
-    if found.calibration:
-        rotor = found.calibration.rotor
-        text = (
-            f"calibration from the throws above: the rotor's inertia in {found.vehicle.file.vehicle.urdf} times "
-            f"{rotor.factor:.4f} ± {rotor.sigma:.4f} (sigma), misfit {100 * rotor.misfit:.2f} %; for the vehicle file:"
-        )
-        parts += [Text(text), Text(f"\n{found.calibration.as_toml()}\n")]
-    return Group(*parts)
+def urdf(vehicle: config.Vehicle, found: Identified) -> str:
+    """The vehicle's URDF with the bodies that a log has shown.
 
-
-def _table(title: str, *headings: str) -> Table:
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(headings[0], no_wrap=True)
-    for heading in headings[1:]:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
-
-
-def _quantities(log: Identified) -> Table:
-    table = _table(str(log.log), "", "unit", "value", "sigma", "95 % interval")
-    for answer in log.answers:
-        numbers = ("—", "", "not determined")
-        if answer.supported:
-            numbers = (f"{answer.value:.4g}", f"{answer.sigma:.1g}", f"{answer.low:.4g} .. {answer.high:.4g}")
-        table.add_row(answer.name, answer.unit, *numbers)
-    return table
-
-
-def _account(log: Identified) -> Text:
-    why = ", ".join(f"{count} {reason}" for reason, count in log.refused.items())
-    return Text(f"{log.rows_used} rows used; left out: {why or 'none'}")
-
-
-def _throws(logs: Sequence[Identified]) -> Table:
-    """One load's throws."""
-    stems = [log.log.stem for log in logs]
-    heads = {stem[: stem.rfind("_") + 1] for stem in stems}  # all alike: said by the title already
-    shared = len(heads.pop()) if len(heads) == 1 else 0
-    load = next(log.throw.load for log in logs if log.throw)
-    title = f"{load.name}, {1e3 * load.mass_kg:g} g: principal moments ± 95 %, kg mm²"
-    table = _table(title, "", "I1", "I2", "I3", "err %")
-    for log, stem in zip(logs, stems, strict=True):
-        principal = log.throw.principal if log.throw else None
-        if log.throw is None or principal is None:
-            table.add_row(stem[shared:], "—", "not determined", "—", "")
-            continue
-        shown = [
-            f"{PER_KG_MM2 * value:.1f} ± {PER_KG_MM2 * (high - value):.1f}"
-            for value, high in zip(principal.moments, principal.high, strict=True)
-        ]
-        error = log.throw.error_percent
-        table.add_row(stem[shared:], *shown, "" if error is None else f"{error:.2f}")
-    if load.truth_kg_m2:
-        table.add_section()
-        table.add_row("truth", *(f"{PER_KG_MM2 * value:.1f}" for value in sorted(load.truth_kg_m2)), "")
-    return table
-
-
-def _summary(summaries: Sequence[Summary]) -> Table:
-    title = "error of the principal moments, norm over norm of the truth"
-    table = _table(title, "", "throws", "mean %", "bar", "worst %", "bar", "in interval")
-    for one in summaries:
-        mean_bar, worst_bar = (f"{bar:g}" for bar in one.load.bars_percent) if one.load.bars_percent else ("", "")
-        throws_said = f"{one.throws}" if one.answered == one.throws else f"{one.answered} of {one.throws}"
-        mean, worst = f"{one.mean_percent:.2f}", f"{one.worst_percent:.2f}"
-        table.add_row(one.load.name, throws_said, mean, mean_bar, worst, worst_bar, f"{one.covered_percent:.0f} %")
-    return table
+    Raises:
+        ValueError: the verdict is not to use them, or there is none.
+    """
+    if found.verdict.level is Level.DO_NOT_USE:
+        raise ValueError(f"{found.log}: {found.verdict.text}; no URDF is made of it")
+    bodies = {one.link: one.body for one in found.links if one.body is not None}
+    if not bodies:
+        raise ValueError(f"{found.log} determines no link of the URDF; there is nothing to write")
+    if found.throw is not None:
+        model = build_model(vehicle)
+        bodies = {link: without_rotors(model, body) for link, body in bodies.items()}
+    return with_bodies(vehicle.urdf_path.read_text(encoding="utf-8"), bodies)

@@ -5,6 +5,7 @@ is (``[free_body.carrier]``). Where throws of the carrier alone and of the proof
 numbers are found anew from them, in the form that the vehicle file takes.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -26,12 +27,18 @@ from onboard.model.free_body import (
     without_carrier,
 )
 from onboard.model.identify import SUPPORTED_SHRINKAGE, Estimate, Identifier
+from onboard.model.standard import LinkEstimate, whole_estimate
 
 FloatArray = NDArray[np.float64]
 
 
 class LoadError(ValueError):
     """Nobody can tell what flew in a log."""
+
+
+def plain(value: float) -> float | None:
+    """None for what is no number."""
+    return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,12 @@ class Throw:
     load: config.Load
     body: RigidBody | None  # in base axes; None where the data do not support it
     principal: PrincipalMoments | None
+    whole: LinkEstimate | None = None  # carrier and load, the rotors locked
+
+    @property
+    def links(self) -> tuple[LinkEstimate, ...]:
+        """The whole as one link, where it is determined."""
+        return () if self.whole is None else (self.whole,)
 
     @property
     def error_percent(self) -> float | None:
@@ -95,7 +108,7 @@ class Summary(NamedTuple):
         """Plain values."""
         return {
             "load": self.load.name,
-            **{field: getattr(self, field) for field in self._fields[1:]},
+            **{field: plain(getattr(self, field)) for field in self._fields[1:]},
             "bars_percent": self.load.bars_percent,
             "within_bars": self.within_bars,
         }
@@ -189,7 +202,9 @@ def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier, es
         return Throw(load, None, None)
     carrier = None if load.role == "carrier" else carrier_of(vehicle)
     mass = load.mass_kg + (carrier.body.mass_kg if carrier else 0.0)
-    return Throw(load, *without_carrier(whole_body(identifier, mass), carrier, section.rotor_sigma))
+    whole = whole_body(identifier, mass)
+    found = without_carrier(whole, carrier, section.rotor_sigma)
+    return Throw(load, *found, whole_estimate(vehicle.file.vehicle.base_link, whole, section.rotor_sigma))
 
 
 def summaries(throws: Sequence[Throw]) -> list[Summary]:

@@ -3,7 +3,8 @@
 import pytest
 
 from onboard import config
-from onboard.offline.identify import identify, render
+from onboard.offline.identify import identify
+from onboard.offline.identify_view import render
 from onboard.offline.table import last_answers
 from tests.flight.missions import Result
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from onboard.model.composite import RigidBody, pseudo_inertia
@@ -75,6 +76,26 @@ def test_what_cannot_exist_becomes_the_likeliest_that_can(rng):
     np.testing.assert_allclose(found.centre_of_mass_m, impossible.centre_of_mass_m, atol=5e-4)
     away = np.linalg.solve(np.linalg.cholesky(covariance), standard_of(found) - chi)
     assert 1.0 < np.linalg.norm(away) < 3.0
+
+
+def test_nothing_that_can_exist_is_likelier_by_much(rng):
+    """Half the squared distance is at most 0.1 x 4 above the least (a barrier of 0.1, 4 x 4 matrices)."""
+    for _ in range(20):
+        R = Rotation.random(rng=rng).as_matrix()
+        moments = R @ np.diag(rng.normal(size=3) * 10.0 ** rng.uniform(-4, 0)) @ R.T
+        chi = standard_of(RigidBody(rng.uniform(0.1, 20.0), rng.normal(scale=0.3, size=3), moments))
+        root = 10.0 ** rng.uniform(-3, -1) * rng.normal(size=(10, 10))
+        found = standard_of(possible_body(chi, root @ root.T))
+        assert np.linalg.eigvalsh(pseudo_inertia(found))[0] > 0.0
+
+        def half(theta, chi=chi, root=root):
+            away = np.linalg.solve(root, from_log_cholesky(theta)[0] - chi)
+            return 0.5 * away @ away, away @ np.linalg.solve(root, from_log_cholesky(theta)[1])
+
+        start = log_cholesky(body_of(found))
+        with np.errstate(all="ignore"):
+            better = minimize(half, start, jac=True, method="BFGS", options={"maxiter": 300}).fun
+        assert half(start)[0] - better < 0.4
 
 
 def test_no_mass_is_no_body():

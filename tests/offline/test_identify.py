@@ -13,7 +13,8 @@ from onboard.flight.estimator import Estimator
 from onboard.model.composite import RigidBody, parallel_axis, symmetric
 from onboard.model.free_body import FREE_BODY, whole_body
 from onboard.offline.feed import feed
-from onboard.offline.identify import identify, render
+from onboard.offline.identify import identify
+from onboard.offline.identify_view import render
 from onboard.offline.importer import import_recordings
 from onboard.offline.throws import LoadError, carrier_of, load_of
 from onboard.recording.errors import ChannelError
