@@ -7,8 +7,10 @@ Run ``python -m bench.identification CASE ...``:
   1 %, the shapes of the workshop tools scaled to 1 to 20 kg (data sets in $HEFT_DATASETS or ../shared/datasets);
 - ``recursive``: the flights of both through the recursive estimator, beside the maximum likelihood; time of a tick;
 - ``capture``: a payload captured at a time that nobody tells, and hours in which nothing happens;
+- ``linear``: the flights of ``noise`` by rows: plain least squares, less the known noise, instrumental variables;
 - ``tools``: the 20 workshop tools in the gripper of an arm on a fixed base in gravity, a load cell in its wrist; as
-  many runs of each tool as there are seeds.
+  many runs of each tool as there are seeds;
+- ``planar``: 5 kg on an air-bearing table, wrong all that ``real`` has, the table's level, and a puck that drags.
 """
 
 import os
@@ -19,14 +21,16 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.identification import capture, free_flyer, recursive, workshop
+from bench.identification import capture, free_flyer, linear, planar, recursive, workshop
 
 CASES: dict[str, Callable[[argparse.Namespace], None]] = {
     "noise": free_flyer.noise,
     "real": free_flyer.real,
     "recursive": recursive.run,
     "capture": capture.run,
+    "linear": linear.linear,
     "tools": workshop.run,
+    "planar": planar.run,
 }
 
 

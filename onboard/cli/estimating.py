@@ -34,7 +34,9 @@ def add(commands: Commands) -> None:
         "--parameters", action="store_true", help="show the base parameters of the vehicle, written with its lengths"
     )
     identify.add_argument(
-        "--method", choices=("rows", "exiddm"), help="by rows, or by maximum likelihood (default: the vehicle file's)"
+        "--method",
+        choices=("rows", "instrumental", "exiddm"),
+        help="by rows, with instruments, or by maximum likelihood (default: the vehicle file's)",
     )
     identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies that one log shows")
     identify.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
@@ -71,10 +73,10 @@ def _identify(arguments: argparse.Namespace) -> int:
     from onboard.offline import identify, identify_view
 
     vehicle = load_vehicle(arguments.vehicle)
+    if arguments.method:
+        vehicle = identify.by_method(vehicle, arguments.method)
     if arguments.parameters:
         return _parameters(vehicle, arguments)
-    if arguments.method:
-        vehicle = vehicle.by_method(arguments.method)
     if not arguments.logs:
         raise ValueError("no log to identify from; name one, or ask for --parameters")
     if arguments.urdf and len(arguments.logs) > 1:

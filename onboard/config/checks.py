@@ -176,6 +176,12 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
     if file.estimation.method == "exiddm":
         _check_exiddm(vehicle, fail)
+    if file.estimation.method == "instrumental":
+        where = ["estimation", "method"]
+        if file.vehicle.base != "free":
+            fail(where, f'the base is {file.vehicle.base!r}; method "instrumental" is for base = "free"')
+        if set(file.estimation.base_rows) != {"force", "moment"}:
+            fail(where, 'method "instrumental" needs base_rows = ["force", "moment"]')
     for index, load in enumerate(file.free_body.load if file.free_body else ()):
         if load.role == "proof" and load.truth_kg_m2 is None:
             fail(["free_body", "load", str(index), "role"], "a proof body must be known; give truth_kg_m2")
@@ -199,6 +205,8 @@ def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     }
     for key, given in others.items():
         if given:
-            fail(["estimation", key], f'{key} is for method "rows"; leave it out')
+            fail(["estimation", key], f"{key} is for the methods of rows; leave it out")
+    if settings.phases and settings.phases.payload_taken is not None and settings.exiddm.held_at_start:
+        fail(["estimation", "phases", "payload_taken"], "nothing is held before it; give exiddm.held_at_start = false")
     if file.free_body:
         fail(["free_body"], 'a free body is told from rows; leave method = "exiddm" out')

@@ -8,10 +8,14 @@ from onboard.config.types import NotNegative, Positive, Section
 
 
 class Phases(Section):
-    """Which phases of the mission are for identification, as told by a channel."""
+    """Which phases of the mission are for identification, as told by a channel.
+
+    The payload is held from the phase ``payload_taken`` on, from the start where not given, to ``payload_gone``.
+    """
 
     channel: str
     identify: list[int]
+    payload_taken: int | None = None
     payload_gone: int | None = None
     end: int | None = None
     settle_ms: NotNegative = 300
@@ -105,15 +109,17 @@ class Exiddm(Section):
 class Estimation(Section):
     """The estimator's ticks, its smoothing kernel, its rows, its gates.
 
-    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "exiddm" predicts what the base IMU of a free
-    vehicle shows, finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and ``prior.link`` are its.
+    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "instrumental" the same of a free base with
+    instrumental variables (rows rebuilt from predicted motion), which noise does not bias; "exiddm" predicts what the
+    base IMU of a free vehicle shows, finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and
+    ``prior.link`` are its.
     ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
     ``nuisance`` names base parameters that take up what is not theirs: estimated, and never reported as supported.
     """
 
-    method: Literal["rows", "exiddm"] = "rows"
+    method: Literal["rows", "instrumental", "exiddm"] = "rows"
     step_ms: Positive = 50
     row_rate_hz: Positive = 100
     lag_ms: Positive = 200

@@ -156,11 +156,7 @@ class HonestEstimate:
         level: float = 0.95,
         noise_sigma: float = 0.2,
     ) -> None:
-        sigma = np.atleast_1d(np.asarray(considered_sigma, np.float64))
-        if sigma.shape != (rls.considered,) or not (sigma >= 0.0).all():
-            raise RowError(f"{rls.considered} considered parameters need as many sigmas, none negative")
-        if not 0.0 < level < 1.0:
-            raise RowError(f"the level is {level}; give one between 0 and 1")
+        sigma = self._checked(rls, considered_sigma, level)
         plain = rls.solve()
         self.level = level
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
@@ -190,6 +186,15 @@ class HonestEstimate:
         rest = np.diag(np.where(signal, keep, 1.0)) - H + np.eye(x.size) * 1e-12
         self._moves = np.linalg.solve(rest, scores[..., None])[..., 0] @ T.T  # (b, p)
         self._shares = self._root @ H @ self._root.T  # (b, p, p) of the formal covariance, by block
+
+    @staticmethod
+    def _checked(rls: SquareRootRls, considered_sigma: ArrayLike, level: float) -> FloatArray:
+        sigma = np.atleast_1d(np.asarray(considered_sigma, np.float64))
+        if sigma.shape != (rls.considered,) or not (sigma >= 0.0).all():
+            raise RowError(f"{rls.considered} considered parameters need as many sigmas, none negative")
+        if not 0.0 < level < 1.0:
+            raise RowError(f"the level is {level}; give one between 0 and 1")
+        return sigma
 
     def _rows_weight(self) -> float:
         b = self._moves.shape[0]

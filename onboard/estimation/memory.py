@@ -102,7 +102,7 @@ class RecursiveLeastSquares:
             factor = float(np.exp(-max(times_s[-1] - self._last_s, 0.0) / self.memory.forgetting_s))
         self.rls.update(Y, y, sigma, C, factor)
         if factor < 1.0:
-            self.blocks.fade(factor)
+            self._fade(factor)
         self.blocks.add(times_s, Y, y, sigma, noise)
         self._last_s = float(times_s[-1])
 
@@ -122,13 +122,20 @@ class RecursiveLeastSquares:
             steps = 0 if self._last_s is None else int(number - np.floor(self._last_s / self.blocks.block_s))
             for _ in range(min(max(steps, 0), self.rls.blocks + 1)):
                 self.rls.close_block()
-            self.rls.update(Y[mine], y[mine], sigma[mine], None if C is None else C[mine])
+            columns, doubt = (None if part is None else part[mine] for part in (C, noise))
+            self.rls.update(Y[mine], y[mine], sigma[mine], columns)
             # A log that begins anew goes on in the newest block.
             newest_s = float(times_s[mine][-1]) if self._last_s is None or steps > 0 else self._last_s
             at_s = np.full(int(mine.sum()), newest_s)
-            self.blocks.add(at_s, Y[mine], y[mine], sigma[mine], None if noise is None else noise[mine])
+            self.blocks.add(at_s, Y[mine], y[mine], sigma[mine], doubt)
             self._last_s = newest_s
-            self.blocks.keep_from(newest_s, self.rls.blocks)
+            self._keep_from(newest_s, self.rls.blocks)
+
+    def _fade(self, factor: float) -> None:
+        self.blocks.fade(factor)
+
+    def _keep_from(self, newest_s: float, blocks: int) -> None:
+        self.blocks.keep_from(newest_s, blocks)
 
     def honest(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> HonestEstimate:
         """The estimate with its honest covariance; see :class:`HonestEstimate`."""

@@ -1,6 +1,7 @@
 """From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from onboard import config
 from onboard.estimation.errors import EstimationError
@@ -17,6 +18,8 @@ from onboard.model.payload import standard_covariance
 from onboard.model.recursive_exiddm import RecursiveExiddm
 from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
 from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
+
+FloatArray = NDArray[np.float64]
 
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
@@ -39,9 +42,9 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle]:
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    if vehicle.file.estimation.method == "rows":
-        return build_identifier(vehicle)
-    return build_exiddm(vehicle)
+    if vehicle.file.estimation.method == "exiddm":
+        return build_exiddm(vehicle)
+    return build_identifier(vehicle)
 
 
 def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
@@ -59,23 +62,34 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
     try:
         model = build_model(vehicle)
         _check_joints(roles, model)
-        covariance = {}
-        for link, sigma in settings.prior.link.items():
-            if link not in model.links:
-                raise UrdfError(f"prior.link names {link!r}; links with inertia are {', '.join(model.links)}")
-            own = 10 * model.links.index(link)
-            known = sigma.mass_relative, sigma.centre_m, sigma.inertia_relative
-            covariance[link] = standard_covariance(model.chi[own : own + 10], *known)
-        doubt = ImuDoubt(**settings.doubt.model_dump())
+        covariance, doubt, payload_sigma = exiddm_prior(vehicle, model)
         predictor = ImuPredictor(model, roles.imu.frame, 1.0 / settings.row_rate_hz, samples, covariance, doubt)
-        first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
-        payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
         exiddm = RecursiveExiddm(
             predictor, roles.imu.frame, payload_sigma, asked.held_at_start, asked.false_alarms_per_hour
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
     return ExiddmIdentifier(exiddm), model
+
+
+def exiddm_prior(vehicle: config.Vehicle, model: Vehicle) -> tuple[dict[str, FloatArray], ImuDoubt, FloatArray]:
+    """What is known before a flight: covariances of links, what may be wrong with the IMU, sigmas of a payload (10,).
+
+    Raises:
+        UrdfError: a link that the URDF does not have, or has no inertia.
+    """
+    settings = vehicle.file.estimation
+    covariance = {}
+    for link, sigma in settings.prior.link.items():
+        if link not in model.links:
+            raise UrdfError(f"prior.link names {link!r}; links with inertia are {', '.join(model.links)}")
+        own = 10 * model.links.index(link)
+        known = sigma.mass_relative, sigma.centre_m, sigma.inertia_relative
+        covariance[link] = standard_covariance(model.chi[own : own + 10], *known)
+    asked = settings.exiddm
+    first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
+    payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
+    return covariance, ImuDoubt(**settings.doubt.model_dump()), payload_sigma
 
 
 def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
@@ -119,6 +133,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
             Memory(settings.memory.forgetting_s, settings.memory.window_s),
             settings.gates.huber_sigma,
             imu_frame=roles.imu.frame,
+            instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error

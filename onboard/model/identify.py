@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from onboard.estimation.consistency import BlockScores, HonestEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
+from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.model.base_parameters import BaseParameters
 from onboard.model.change import Change
 from onboard.model.errors import SignalError, UnknownFrameError
+from onboard.model.instruments import Instruments, MotionRows
 from onboard.model.rows import BaseMotion, RowModel, joint_torque_row, skew
 from onboard.model.vehicle import Vehicle
 
@@ -134,6 +136,9 @@ class Identifier:
         memory: how long rows count.
         huber_sigma: innovations beyond so many sigmas weigh less (Huber); none do, where not given.
         imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
+        instruments_lag_s: with instrumental variables, for a free base: the smoothing kernel's width, so that motion
+            predicted from what was measured so long ago shares no noise with what is measured. Plain least squares
+            where not given.
 
     Raises:
         UnknownFrameError: a considered row that the model does not have, or an IMU frame that the base does not have.
@@ -152,6 +157,7 @@ class Identifier:
         memory: Memory = FOR_EVER,
         huber_sigma: float | None = None,
         imu_frame: str | None = None,
+        instruments_lag_s: float | None = None,
     ) -> None:
         rows = [row.name for row in model.rows]
         for cause in considered:
@@ -169,7 +175,13 @@ class Identifier:
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
         self.prior_sigma = prior_sigma
         self._prior_covariance = base.covariance(prior_sigma)
-        self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
+        self._instruments: Instruments | None = None
+        if instruments_lag_s is None:
+            self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
+        else:
+            instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
+            self._recursion = instrumental
+            self._instruments = Instruments(instrumental, model, self._fold, base, prior_sigma, instruments_lag_s)
         self.rls.prior(base.value(model.chi), self._prior_covariance)
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._imu_pose = model.vehicle.pose_in_base(imu_frame or model.vehicle.spec.base_link)
@@ -266,18 +278,30 @@ class Identifier:
         innovation, spread = self.rls.innovation(rows, y, sigma)
         verdict = self.gate.check(innovation, spread)
         kept = verdict == 0
-        sigma = sigma * self.gate.widening(innovation, spread)
+        widening = self.gate.widening(innovation, spread)
+        sigma = sigma * widening
         block = reasons[ticks]
         block[use] |= verdict
         reasons[ticks] = block
+        if not kept.any():
+            return
+        use[use] = kept
+        tick = np.nonzero(use)[0]  # (r,) of each row
+        times = signals.time_s[at][tick]
         C = self._considered_columns(signals, at, use)
-        times = np.repeat(signals.time_s[at][:, None], use.shape[1], axis=1)[use]
-        own = (None if part is None else part[kept] for part in (C, doubt))
-        self._recursion.add(times[kept], rows[kept], y[kept], sigma[kept], *own)
+        rows, y, sigma = rows[kept], y[kept], sigma[kept]
+        doubt = None if doubt is None else doubt[kept]
+        self._recursion.add(times, rows, y, sigma, C, doubt)
+        if self._instruments is not None:
+            own = signals.sigma[at][use] * widening[kept]
+            noise = None if doubt is None or signals.noise is None else doubt * signals.noise.inflation
+            taken = MotionRows(
+                signals.time_s[at], *joints, motion.rate_rad_s, attached[at], use, rows, y, own, noise, C
+            )
+            self._instruments.take(taken)
         if self.observer is not None:
-            held = np.repeat(attached[at][:, None], use.shape[1], axis=1)[use][kept]
-            self.observer(times[kept], held, rows[kept], y[kept], sigma[kept], None if doubt is None else doubt[kept])
-        self.rows_used += int(kept.sum())
+            self.observer(times, attached[at][tick], rows, y, sigma, doubt)
+        self.rows_used += y.size
 
     def _fill_scales(self, Y: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
         """Fills the columns of the scales, (t, rows, p + 1), with what the sensors should read.
@@ -285,14 +309,14 @@ class Identifier:
         A scale multiplies its reading, so the rows are linear for a given prediction only. The prediction is that of
         the estimate with these very rows taken in on trial: it must not be the one of a payload not yet known.
         """
-        before = self.rls.state()
+        before, trial = self.rls.state(), SquareRootRls(self.rls.parameters, self.rls.considered)
         C = np.zeros((np.count_nonzero(use), len(self.considered))) if self.considered else None
         unscaled, columns = Y.copy(), [column for _, column in self._scales]
         unscaled[..., columns] = 0.0
         for _ in range(_SCALE_ROUNDS):
-            self.rls.update(Y[..., :-1][use], (measured - Y[..., -1])[use], sigma[use], C)
-            predicted = unscaled @ [*self.rls.solve().mean, 1.0]  # (t, rows)
-            self.rls.restore(before)
+            trial.restore(before)
+            trial.update(Y[..., :-1][use], (measured - Y[..., -1])[use], sigma[use], C)
+            predicted = unscaled @ [*trial.solve().mean, 1.0]  # (t, rows)
             for row, column in self._scales:
                 Y[:, row, column] = predicted[:, row]
 

@@ -1,0 +1,153 @@
+"""Linear estimators on a free-flyer's rows: what noise in the regressor does to them; the truth is MuJoCo's.
+
+The identifier as it flies, ten parameters of the payload unknown, the rest exact: plain least squares, the same with
+the known power of the noise taken out, and instrumental variables.
+"""
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.identification.free_flyer import BOXES, PAYLOAD_SIGMA, DURATION_s, vehicle
+from hil_sim import free_flyer
+from hil_sim.free_flyer_sensors import ImuErrors, Samples, sample
+from onboard.estimation.consistency import HonestEstimate
+from onboard.estimation.smoothing import Window, correlation_inflation
+from onboard.model.base_parameters import base_parameters
+from onboard.model.composite import RigidBody
+from onboard.model.identify import Identifier, SignalNoise, Signals
+from onboard.model.payload import standard_of
+from onboard.model.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, base_motion
+from onboard.model.vehicle import Vehicle
+
+Floats = NDArray[np.float64]
+
+ROW_s, STEP_TICKS, SMOOTHING_s = 0.01, 5, 0.2
+ENCODER_rad = 2.0 * np.pi / 500_000 / np.sqrt(12.0)
+EQUATION_SIGMA = np.array([1e-3] * 3 + [1e-4] * 3)  # N, N m: what is left of the rows with exact signals
+METHODS = ("least squares", "less known noise", "instrumental")
+
+
+class Answer(NamedTuple):
+    """One method's answer to one flight."""
+
+    mass: float  # relative error
+    centre: float  # m
+    inertia: float  # relative to the norm, about the centre of mass
+    inside: Floats  # (10,) whether the 95 % interval of each standard parameter holds
+
+
+def identifier(model: Vehicle, instruments: bool, smoothing_s: float = SMOOTHING_s) -> Identifier:
+    """Six zero-wrench rows of the free-flyer, all but the payload taken for exact."""
+    rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])
+    sigma = np.zeros(len(rows.names))
+    sigma[model.payload_columns()] = PAYLOAD_SIGMA
+    base = base_parameters(rows, np.random.default_rng(0), known=sigma == 0.0)
+    lag_s = smoothing_s if instruments else None
+    return Identifier(rows, base, sigma, 5 * smoothing_s, imu_frame="imu_base", instruments_lag_s=lag_s)
+
+
+def signals_of(model: Vehicle, samples: Samples, smoothing_s: float = SMOOTHING_s) -> Signals:
+    """Every signal through the flight's kernel at the row rate, with its noise."""
+    t = samples.time_s
+    at = np.arange(t[0] + 0.5 * smoothing_s + ROW_s, t[-1] - 0.5 * smoothing_s, ROW_s)
+    window = Window(t, at, smoothing_s)
+    joints = [window.apply(samples.angle_rad, derivative) for derivative in range(3)]
+    imu = [
+        window.apply(samples.rate_rad_s),
+        window.apply(samples.rate_rad_s, 1),
+        window.apply(samples.specific_force_m_s2),
+    ]
+    spread = (samples.rate_sigma_rad_s, samples.rate_sigma_rad_s, samples.specific_force_sigma_m_s2)
+    q_sigma, dq_sigma, ddq_sigma = (
+        np.repeat(one.noise_gain[:, None] * ENCODER_rad, free_flyer.JOINTS, axis=1) for one in joints
+    )
+    w_sigma, dw_sigma, f_sigma = (
+        np.repeat(one.noise_gain[:, None] * sigma, 3, axis=1) for one, sigma in zip(imu, spread, strict=True)
+    )
+    inflation = correlation_inflation(smoothing_s, ROW_s)
+    noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, w_sigma, dw_sigma, f_sigma, inflation)
+    motion = base_motion(model, "imu_base", *(one.values for one in imu))
+    rows = np.zeros((at.size, 6))
+    q, dq, ddq = (one.values for one in joints)
+    return Signals(at, q, dq, ddq, motion, rows, rows + EQUATION_SIGMA, None, noise)
+
+
+def part(signals: Signals, which: slice) -> Signals:
+    """Some of the ticks."""
+    noise = signals.noise
+    arrays = {name: getattr(signals, name)[which] for name in ("time_s", "q", "dq", "ddq", "measured", "sigma")}
+    if noise is not None:
+        own = {name: value[which] for name, value in noise._asdict().items() if name != "inflation"}
+        noise = noise._replace(**own)
+    return signals._replace(**arrays, motion=BaseMotion(*(v[which] for v in signals.motion)), noise=noise)
+
+
+def feed(one: Identifier, signals: Signals) -> None:
+    """Steps of 50 ms, as they come in flight."""
+    for first in range(0, len(signals.time_s), STEP_TICKS):
+        step = part(signals, slice(first, first + STEP_TICKS))
+        n = len(step.time_s)
+        one.update(step, np.ones(n, bool), np.zeros(n, np.int64))
+
+
+def _answer(honest: HonestEstimate, truth: RigidBody) -> Answer:
+    true, found = standard_of(truth), honest.mean
+    interval = honest.combination(np.eye(10))
+    inside = ((interval.low <= true) & (true <= interval.high)).astype(float)
+    m, c = found[0], found[1:4] / found[0]
+    xx, xy, yy, xz, yz, zz = found[4:]
+    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (c @ c * np.eye(3) - np.outer(c, c))
+    inertia = np.linalg.norm(about - truth.inertia_kg_m2) / np.linalg.norm(truth.inertia_kg_m2)
+    return Answer(m / true[0] - 1.0, float(np.linalg.norm(c - truth.centre_of_mass_m)), float(inertia), inside)
+
+
+def fly(mass: int, smoothing_s: float, seed: int) -> tuple[Answer, ...]:
+    """One flight, every method."""
+    rng, body = np.random.default_rng(seed), BOXES[mass]
+    motion = free_flyer.JointMotion.draw(rng)
+    flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), DURATION_s)
+    model = vehicle()
+    signals = signals_of(model, sample(flight, ImuErrors(), rng), smoothing_s)
+    truth = RigidBody(body.mass_kg, body.centre_of_mass_m, body.inertia_kg_m2)
+    one = identifier(model, True, smoothing_s)
+    feed(one, signals)
+    plain = identifier(model, False, smoothing_s)
+    feed(plain, signals._replace(noise=None, sigma=_mean_sigma(plain, signals, truth)))
+    corrected = HonestEstimate(one.rls, one.blocks)
+    return _answer(plain.honest(), truth), _answer(corrected, truth), _answer(one.honest(), truth)
+
+
+def _mean_sigma(one: Identifier, signals: Signals, truth: RigidBody) -> Floats:
+    """What a plain least squares may know: each row's error by sensor noise, the same all along."""
+    noise = signals.noise
+    assert noise is not None
+    mass = one.model.vehicle.chi[::10].sum() + truth.mass_kg
+    force = mass * float(np.mean(noise.specific_force))
+    return np.broadcast_to([force] * 3 + [0.2 * force] * 3, signals.measured.shape)
+
+
+def linear(arguments: argparse.Namespace) -> None:
+    """Print the table."""
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    print(f"\nlinear estimators, {len(seeds)} flights of {DURATION_s:g} s, datasheet noise, kernel {SMOOTHING_s:g} s")
+    print(f"{'':24}{'mass, %':>20}{'centre, mm':>12}{'inertia, %':>12}{'covered':>9}")
+    print(f"{'':24}{'bias':>10}{'rms':>10}{'rms':>12}{'rms':>12}{'95 %':>9}")
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        for mass in BOXES:
+            flown = list(pool.map(partial(fly, mass, SMOOTHING_s), seeds))
+            for k, method in enumerate(METHODS):
+                error = np.array([answers[k][:3] for answers in flown])
+                inside = np.mean([answers[k].inside for answers in flown])
+                rms = np.sqrt(np.mean(error**2, axis=0))
+                print(
+                    f"{mass:3d} kg, {method:16}{100 * error[:, 0].mean():+10.3f}{100 * rms[0]:10.3f}"
+                    f"{1e3 * rms[1]:12.3f}{100 * rms[2]:12.3f}{100 * inside:8.1f}%"
+                )

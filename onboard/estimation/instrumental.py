@@ -1,0 +1,192 @@
+"""Recursive instrumental variables: what least squares becomes when the regressor is made of noisy signals.
+
+Noise in Y is part of ``Y' W Y``, so a least squares is biased, and no amount of rows helps. Instruments Z are rows that
+follow the true ones as closely as they can and share none of their noise; then
+
+    Z' W y = Z' W Y chi + Z' W e,    chi = (Z' W Y + L)^-1 (Z' W y + L chi_0)
+
+is consistent (L, chi_0: the prior). Here Z is made of motion that the estimate so far predicts (Gilbert et al.; Janot,
+Vandanjon and Gautier, IEEE Trans. Control Systems Technology 22 (2014) 132).
+
+All that is kept are sums by blocks of time, so the recursion is exact under every :class:`Memory`, and the interval is
+made honest as that of the least squares is: by taking out one block after the other. Rows go into the least squares as
+well: its innovations are what gates look at, and its answer is what this one is shown against.
+
+Known warts: sums of products lose half the digits that a triangle keeps; ten parameters or some dozen, in units of
+their prior, do not need them. An estimate without information along a direction is the prior's; with instruments that
+have nothing to do with the rows it is nothing, and its interval says so.
+"""
+
+import copy
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from onboard.estimation.blocks import TimeBlocks
+from onboard.estimation.consistency import HonestEstimate
+from onboard.estimation.errors import RowError, SingularError
+from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
+from onboard.estimation.rls import SquareRootRls
+
+FloatArray = NDArray[np.float64]
+
+
+class InstrumentBlocks(TimeBlocks):
+    """``Z' W Y``, ``Z' W [C y]`` and ``Z' W Z`` by blocks of time.
+
+    Args:
+        parameters: p.
+        considered: k.
+        block_s: first length of a block.
+        capacity: blocks kept before neighbours are merged.
+    """
+
+    def __init__(self, parameters: int, considered: int, block_s: float, capacity: int = 64) -> None:
+        square = (parameters, parameters)
+        super().__init__(block_s, capacity, square, (parameters, considered + 1), square)
+
+    def add(self, times_s: FloatArray, Y: FloatArray, Cy: FloatArray, sigma: FloatArray, Z: FloatArray) -> None:
+        """Adds rows.
+
+        Args:
+            times_s: (m,).
+            Y: (m, p).
+            Cy: (m, k + 1) columns of the considered parameters, and the left-hand sides last.
+            sigma: (m,).
+            Z: (m, p) instruments.
+
+        Raises:
+            RowError: a shape that does not fit, or a number that is not finite.
+        """
+        if Z.shape != Y.shape:
+            raise RowError(f"instruments of shape {Z.shape} for rows of {Y.shape}; give one of each")
+        weighted, rows, right = (part / sigma[:, None] for part in (Z, Y, Cy))
+        if not (np.isfinite(weighted).all() and np.isfinite(rows).all() and np.isfinite(right).all()):
+            raise RowError("rows and instruments must be finite; gate them before they come here")
+        for slot, mine in self.split(times_s):
+            cross, moment, square = (part[slot] for part in self.sums)
+            cross += weighted[mine].T @ rows[mine]
+            moment += weighted[mine].T @ right[mine]
+            square += weighted[mine].T @ weighted[mine]
+
+
+class RecursiveInstrumental(RecursiveLeastSquares):
+    """Instrumental variables under any :class:`Memory`; arguments as of :class:`RecursiveLeastSquares`."""
+
+    def __init__(self, parameters: int, considered: int, block_s: float, memory: Memory = FOR_EVER) -> None:
+        super().__init__(parameters, considered, block_s, memory)
+        self.instruments = InstrumentBlocks(parameters, considered, block_s, self.blocks.sums[0].shape[0])
+        self._settled = copy.deepcopy(self.instruments)
+
+    def add_instruments(
+        self,
+        times_s: FloatArray,
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        Z: FloatArray,
+        C: FloatArray | None = None,
+        settled: bool = True,
+    ) -> None:
+        """Takes rows that went to the least squares by :meth:`add`, now that there are instruments for them.
+
+        Args:
+            times_s: (m,).
+            Y: (m, p).
+            y: (m,).
+            sigma: (m,).
+            Z: (m, p).
+            C: (m, k) columns of the considered parameters, if any.
+            settled: whether they stay; else :meth:`unsettle` takes them out again.
+
+        Raises:
+            RowError: see :meth:`InstrumentBlocks.add`.
+        """
+        if y.shape[0]:
+            Cy = y[:, None] if C is None else np.column_stack([C, y])
+            self.instruments.add(times_s, Y, Cy, sigma, Z)
+            if settled:
+                self._settled.add(times_s, Y, Cy, sigma, Z)
+
+    def unsettle(self) -> None:
+        """Takes out the rows whose instruments were not settled: better ones are to follow."""
+        self.instruments = copy.deepcopy(self._settled)
+
+    def _fade(self, factor: float) -> None:
+        super()._fade(factor)
+        self.instruments.fade(factor)
+        self._settled.fade(factor)
+
+    def _keep_from(self, newest_s: float, blocks: int) -> None:
+        super()._keep_from(newest_s, blocks)
+        self.instruments.keep_from(newest_s, blocks)
+        self._settled.keep_from(newest_s, blocks)
+
+    @property
+    def mean(self) -> FloatArray:
+        """The estimate so far, (p,).
+
+        Raises:
+            SingularError: rows and prior determine none.
+        """
+        A, b = (part[: self.instruments.count].sum(axis=0) for part in self.instruments.sums[:2])
+        information, right = self.rls.prior_equations()
+        return _solved(A + information, b[:, -1] + right)
+
+    def least_squares(self) -> FloatArray:
+        """What the least squares says, its regressor's noise taken out as far as it is known, (p,); to predict with."""
+        return super().honest(np.zeros(self.rls.considered)).mean
+
+    def honest(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> "InstrumentalEstimate":
+        """The estimate with its honest covariance."""
+        return InstrumentalEstimate(self.rls, self.instruments, considered_sigma, level)
+
+
+class InstrumentalEstimate(HonestEstimate):
+    """An estimate by instruments, with the intervals of :class:`HonestEstimate`.
+
+    Args:
+        rls: has the prior.
+        blocks: the rows and their instruments.
+        considered_sigma: (k,).
+        level: coverage of the two-sided intervals.
+
+    Raises:
+        SingularError: rows and prior determine no estimate.
+        RowError: a wrong number of considered sigmas, or a level outside (0, 1).
+    """
+
+    def __init__(
+        self, rls: SquareRootRls, blocks: InstrumentBlocks, considered_sigma: ArrayLike = (), level: float = 0.95
+    ) -> None:
+        sigma = self._checked(rls, considered_sigma, level)
+        H, g, G = (part[: blocks.count] for part in blocks.sums)
+        information, right = rls.prior_equations()
+        A, b = H.sum(axis=0) + information, g.sum(axis=0)
+        inverse = np.asarray(_solved(A, np.eye(len(A))), np.float64)
+        self.level = level
+        self.mean = inverse @ (b[:, -1] + right)
+        self._root = inverse @ _factor(G.sum(axis=0) + information)
+        self._common = inverse @ b[:, :-1] * sigma
+        self._prior_half = inverse @ _factor(information)
+        scores = g[..., -1] - H @ self.mean  # (b, p)
+        rest = A - H + np.eye(len(A)) * (1e-12 * np.abs(np.diag(A)))
+        self._moves = np.linalg.solve(rest, scores[..., None])[..., 0]
+        self._shares = inverse @ G @ inverse.T
+
+
+def _solved(A: FloatArray, b: FloatArray) -> FloatArray:
+    """``A^-1 b`` in the units that make A's diagonal one."""
+    scale = np.sqrt(np.abs(np.diag(A)))
+    if not (scale > 0.0).all():
+        raise SingularError("neither rows nor prior determine every parameter; give a prior, or move more")
+    try:
+        solved = np.linalg.solve(A / np.outer(scale, scale), (b.T / scale).T)
+    except np.linalg.LinAlgError as error:
+        raise SingularError("the instruments do not determine the parameters; give a prior, or move more") from error
+    return np.asarray((solved.T / scale).T, np.float64)
+
+
+def _factor(matrix: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), np.float64)
