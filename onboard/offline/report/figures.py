@@ -53,6 +53,13 @@ def _lanes(story: Story) -> list[tuple[str, list[Span]]]:
     lanes: list[tuple[str, list[Span]]] = []
     if story.phases:
         lanes.append(("phase", [_phase_span(story, number) for number in range(len(story.phases))]))
+    if story.changes:
+        ends_s = [float(story.seconds(told_ns)) for told_ns, _ in story.changes[1:]] + [story.info.duration_s]
+        held = [
+            (float(story.seconds(told_ns)), end_s, COLOUR["d"] if kind == "capture" else COLOUR["idle"], kind)
+            for (told_ns, kind), end_s in zip(story.changes, ends_s, strict=True)
+        ]
+        lanes.append(("payload, as noticed", held))
     if story.gates is not None:
         at_s = story.seconds(story.gates["vehicle_ns"])
         used = (story.gates["gate"] == 0).any(axis=1)

@@ -12,6 +12,8 @@ from onboard.estimation.gates import GateReason
 from onboard.model.errors import ModelError
 from onboard.offline.report import answers, figures, html, theme
 from onboard.offline.report.alone import Alone, alone
+from onboard.offline.report.base_rate import base_rate
+from onboard.offline.report.base_rate import draw as draw_base_rate
 from onboard.offline.report.compared import Compared, compared, truths_of
 from onboard.offline.report.html import Cell
 from onboard.offline.report.story import Story
@@ -43,6 +45,7 @@ def _sections(story: Story) -> Iterator[tuple[str, str]]:
         + draw(figures.sweeps(story), "The same, sweep by sweep."),
     )
     yield "Accelerations and rates", _imus(story, draw)
+    yield "Base rate", _base_rate(story, draw)
     yield "Torque and acceleration", _torques(story, draw)
     yield "Sweep by sweep", _by_sweep(story, draw, truths)
     yield (
@@ -197,6 +200,19 @@ def _imus(story: Story, draw: _Gallery) -> str:
     if len(names) > 1:
         body += draw(figures.magnitudes(story, names), "Magnitude of the specific force of every IMU.")
     return body
+
+
+def _base_rate(story: Story, draw: _Gallery) -> str:
+    found = base_rate(story)
+    if found is None:
+        return ""
+    rms = ", ".join(f"{value:.3f}" for value in np.degrees(found.rms))
+    swing = ", ".join(f"{value:.1f}" for value in np.degrees(np.ptp(found.measured, axis=0)))
+    return draw(
+        draw_base_rate(found),
+        "Predicted from joints, the vehicle as drawn and the payload as said last. Left of the dashed line momentum "
+        f"and gyro offset are fitted; right of it nothing is: rms {rms} deg/s in x, y, z, of swings of {swing}.",
+    )
 
 
 def _torques(story: Story, draw: _Gallery) -> str:

@@ -10,7 +10,7 @@ from rich.progress import Progress
 
 from drivers.records import EVENT, GAP, IMU, SCALAR, Batch, Rows, Severity
 from onboard import channels, config
-from onboard.flight.identification import KERNELS_PER_BLOCK, build_identifier
+from onboard.flight.identification import KERNELS_PER_BLOCK, build_online
 from onboard.flight.roles import Roles, roles_of
 from onboard.model.errors import ModelError
 from onboard.model.identify import Identifier
@@ -24,6 +24,7 @@ from onboard.offline.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
 
 _EVENTS_KEPT = 200
+_CHANGES = (b"capture", b"ejection")
 _GAPS_KEPT = 2000
 _SWEEPS_DETAILED = 8
 _PENDING_ROWS = 8192
@@ -68,6 +69,7 @@ class Story:
     rows_used: int = 0
     events: list[Rows] = field(default_factory=list)
     gaps: list[Rows] = field(default_factory=list)
+    changes: list[tuple[int, str]] = field(default_factory=list)  # of what is held: host time told, capture or ejection
 
     @property
     def name(self) -> str:
@@ -107,7 +109,8 @@ def _begin(log: LogReader, about: LogInfo) -> Story:
     with tempfile.TemporaryDirectory() as directory:
         try:
             vehicle = vehicle_of(log, Path(directory))
-            identifier, model = build_identifier(vehicle)
+            online, model = build_online(vehicle)
+            identifier = online if isinstance(online, Identifier) else None
         except (config.ConfigError, ModelError, OSError) as error:
             notes.append(
                 f"The log carries no vehicle that this version can use, so nothing is said of the model: {error}"
@@ -168,6 +171,8 @@ class _Reader:
             case "gap" if sum(map(len, self._story.gaps)) < _GAPS_KEPT:
                 self._story.gaps.append(batch.rows)
             case "event":
+                changes = batch.rows[np.isin(batch.rows["code"], _CHANGES)]
+                self._story.changes += [(int(row["host_ns"]), row["code"].decode()) for row in changes]
                 loud = batch.rows[batch.rows["severity"] >= Severity.WARNING]
                 if sum(map(len, self._story.events)) < _EVENTS_KEPT and len(loud):
                     self._story.events.append(loud)
