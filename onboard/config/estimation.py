@@ -96,6 +96,20 @@ class Doubt(Section):
     delay_s: NotNegative = 0.0
 
 
+class Carried(Section):
+    """What an earlier flight had learned when its log ended, in place of the prior; ``heft fly --continue`` writes it.
+
+    ``covariance`` of the parameters in ``names``; ``sensitivity`` of each to what is considered (a load cell's scale,
+    its delay), which is no part of it.
+    """
+
+    log: str
+    names: list[str]
+    mean: list[float]
+    covariance: list[list[float]]
+    sensitivity: list[list[float]]
+
+
 class Exiddm(Section):
     """The non-linear estimator: what is held at the start, how large a payload could be, how rare a false alarm is."""
 
@@ -113,9 +127,12 @@ class Estimation(Section):
     instrumental variables (rows rebuilt from predicted motion), which noise does not bias; "exiddm" predicts what the
     base IMU of a free vehicle shows, finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and
     ``prior.link`` are its.
+    ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal), or
+    its smoother; see :mod:`onboard.estimation.kinematics`.
     ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
+    ``carried`` is for a flight that goes on where another one ended, with the same payload.
     ``nuisance`` names base parameters that take up what is not theirs: estimated, and never reported as supported.
     """
 
@@ -124,6 +141,7 @@ class Estimation(Section):
     row_rate_hz: Positive = 100
     lag_ms: Positive = 200
     smoothing_ms: Positive = 100
+    smoothing: Literal["spline", "filter", "smoother"] = "spline"
     block_ms: Positive | None = None
     base_rows: list[Literal["force", "moment"]] = Field(default_factory=list)
     base_force_sigma_N: Positive = 0.1  # noqa: N815
@@ -136,5 +154,6 @@ class Estimation(Section):
     prior: Prior = Prior()
     masses: Masses | None = None
     nuisance: list[str] = Field(default_factory=list)
+    carried: Carried | None = None
     exiddm: Exiddm = Exiddm()
     doubt: Doubt = Doubt()

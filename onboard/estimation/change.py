@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 _WINDOWS = (1, 2, 4, 8)
 _SUSPICION = 1e-4  # by chance, of one batch
-_GLITCH = 1e-7  # by chance, of one tick
+_GLITCH = 10.0  # times as likely by chance as an alarm: what a single tick counts for at most
 
 
 class Verdict(NamedTuple):
@@ -42,7 +42,7 @@ class ChangeDetector:
     def __init__(self, false_alarms_per_hour: float, batches_per_hour: float, width: int) -> None:
         self._chance = false_alarms_per_hour / (batches_per_hour * len(_WINDOWS))
         self._width = width
-        self._glitch = float(chdtri(width, _GLITCH))
+        self._glitch = float(chdtri(width, _GLITCH * self._chance))
         self._recent: deque[tuple[float, int]] = deque(maxlen=max(_WINDOWS))
 
     def forget(self) -> None:
@@ -63,9 +63,7 @@ class ChangeDetector:
         chances = np.array([chdtrc(freedom[k - 1], sums[k - 1]) for k in spans])
         worst = int(chances.argmin())
         span = spans[worst]
-        lone = (
-            glitches.sum() == 1 and chdtrc(max(freedom[0] - self._width, 1), bounded.sum() - self._glitch) > _SUSPICION
-        )
+        rest = bounded[~glitches] if glitches.sum() == 1 else bounded
+        suspect = rest.size > 0 and bool(chdtrc(self._width * rest.size, rest.sum()) < _SUSPICION)
         alarm = bool(chances[worst] < self._chance)
-        suspect = bool(chances[0] < _SUSPICION) and not lone
         return Verdict(glitches, suspect, alarm, float(sums[span - 1] / freedom[span - 1]), span)

@@ -1,8 +1,8 @@
 """What the mission is doing, as a channel tells it; and what follows: is the payload held, is the IMU zeroed.
 
 Phase changes are events on a bus, stamped on arrival: good to some milliseconds, which the settling time covers. That
-the payload is gone is believed for good, so it takes two readings in succession: a driver of event-driven objects reads
-each change back.
+the payload is taken or gone is believed for good, so it takes two readings in succession: a driver of event-driven
+objects reads each change back.
 """
 
 from collections.abc import Mapping
@@ -21,6 +21,7 @@ class PhaseTrack:
         self._settings = settings
         self._times_ns: list[int] = []
         self._codes: list[int] = []
+        self._taken_ns: int | None = None
         self._gone_ns: int | None = None
 
     def update(self, batches: Mapping[str, Rows]) -> list[str]:
@@ -37,6 +38,8 @@ class PhaseTrack:
                 said.append(f"phase {code}")
             elif self._settings and code == self._settings.payload_gone and self._gone_ns is None:
                 self._gone_ns = self._times_ns[-1]
+            elif self._settings and code == self._settings.payload_taken and self._taken_ns is None:
+                self._taken_ns = self._times_ns[-1]
         return said
 
     @property
@@ -52,6 +55,9 @@ class PhaseTrack:
 
     def attached(self, at_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether the payload is held at each tick, (n,)."""
-        if self._gone_ns is None:
-            return np.ones(len(at_ns), np.bool_)
-        return np.asarray(at_ns < self._gone_ns, np.bool_)
+        held = np.ones(len(at_ns), np.bool_)
+        if self._settings and self._settings.payload_taken is not None:
+            held[:] = False if self._taken_ns is None else at_ns >= self._taken_ns
+        if self._gone_ns is not None:
+            held &= at_ns < self._gone_ns
+        return held

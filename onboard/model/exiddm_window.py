@@ -128,18 +128,20 @@ class Window:
             fitted = None if found is None else self._fit(problem, found, use, 1e-2)
             if fitted is None:
                 return None
-            squares = (self._residuals(problem, use, fitted.x)[0].reshape(-1, 6) ** 2).sum(axis=1)
-            glitches = squares > chdtri(6.0, _GLITCH)
-            if 0 < glitches.sum() <= _FEW * len(squares):
-                use[np.flatnonzero(use)[glitches]] = False
+            glitches = 0
+            while glitches < _FEW * len(use):  # the worst bends the fit, and others with it: one at a time
+                squares = (self._residuals(problem, use, fitted.x)[0].reshape(-1, 6) ** 2).sum(axis=1)
+                worst = int(squares.argmax())
+                if squares[worst] < chdtri(6.0, _GLITCH):
+                    break
+                use[np.flatnonzero(use)[worst]] = False
+                glitches += 1
                 fitted = self._fit(problem, problem.state(fitted.x), use, 1e-2)
             found = problem.state(fitted.x)
             end = self._predictor.predict(self._links, found)
             F = end.transition[:, active]
             chance = float(chdtrc(6.0 * use.sum(), fitted.residual_sum))
-            return Solved(
-                found, end.state, F @ fitted.covariance @ F.T, int(use.sum()), int(len(squares) - use.sum()), chance
-            )
+            return Solved(found, end.state, F @ fitted.covariance @ F.T, int(use.sum()), glitches, chance)
         return None
 
     def _from_guesses(self, problem: "_Problem", story: Story, use: NDArray[np.bool_]) -> FloatArray | None:

@@ -19,6 +19,13 @@ from onboard.model.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 
+_NOWHERE = pin.SE3.Identity()
+_HAT = np.zeros((3, 9))  # of a vector's elements, where each stands in its cross-product matrix
+_HAT[[0, 0, 1, 1, 2, 2], [7, 5, 2, 6, 3, 1]] = 1.0, -1.0, 1.0, -1.0, 1.0, -1.0
+_TENSOR = np.zeros((3, 18))  # and in a product with a symmetric tensor, by the columns of XX XY YY XZ YZ ZZ
+_TENSOR[[0, 1, 2, 0, 1, 2, 0, 1, 2], [0, 1, 3, 7, 8, 10, 15, 16, 17]] = 1.0
+_SYMMETRIC = np.array([4, 5, 7, 5, 6, 8, 7, 8, 9])  # XX XY YY XZ YZ ZZ of standard parameters as a tensor
+
 
 class LinkMotion(NamedTuple):
     """One link frame relative to the base, in base axes; or several, their axis after that of the ticks."""
@@ -35,14 +42,18 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross product along the last axis; NumPy's own takes three times as long."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     u, v, w = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+    first = y * w - z * v
+    out = np.empty((*first.shape, 3))
+    out[..., 0] = first
+    out[..., 1] = z * u - x * w
+    out[..., 2] = x * v - y * u
+    return out
 
 
 def hat(a: FloatArray) -> FloatArray:
     """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*a.shape, 3)
+    out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)
+    return out
 
 
 def turned(R: FloatArray, a: FloatArray) -> FloatArray:
@@ -102,6 +113,8 @@ def frame_motions(
 
 def _fixed(parent: LinkMotion, placement: pin.SE3) -> LinkMotion:
     """A frame that stands still in its parent."""
+    if placement == _NOWHERE:
+        return parent
     arm = turned(parent.R, np.asarray(placement.translation))
     swing = cross(parent.w, arm)
     return LinkMotion(
@@ -121,10 +134,8 @@ def stacked(links: Sequence[LinkMotion]) -> LinkMotion:
 
 def _inertia_columns(x: FloatArray) -> FloatArray:
     """``I x`` as columns of ``XX XY YY XZ YZ ZZ``, (..., 3, 6)."""
-    a, b, c = x[..., 0], x[..., 1], x[..., 2]
-    o = np.zeros_like(a)
-    rows = np.stack([a, b, o, c, o, o, o, a, b, o, c, o, o, o, o, a, b, c], axis=-1)
-    return rows.reshape(*x.shape[:-1], 3, 6)
+    columns: FloatArray = (x @ _TENSOR).reshape(*x.shape[:-1], 3, 6)
+    return columns
 
 
 def momentum_columns(link: LinkMotion, v: FloatArray, w: FloatArray) -> FloatArray:
@@ -172,36 +183,59 @@ def wrench_columns(link: LinkMotion, w: FloatArray, f: FloatArray, dw: FloatArra
     return W
 
 
-def wrench_and_slope(
-    link: LinkMotion, own: FloatArray, w: FloatArray, f: FloatArray, dw: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """``wrench_columns @ own``, (n, 6), at a third of the price, and its derivative with respect to w, (n, 6, 3).
+class Bodies(NamedTuple):
+    """Links with their standard parameters, in base axes, each about its own origin."""
 
-    Of several links at once with ``own`` (links, 10) and base motion (n, 1, 3): (n, links, 6) and (n, links, 6, 3).
+    motion: LinkMotion  # stacked
+    mass: FloatArray  # (links, 1)
+    first: FloatArray  # (n, links, 3) first moment
+    inertia: FloatArray  # (n, links, 3, 3)
+    arm: FloatArray  # (n, links, 3, 3) cross-product matrix of where it is
+    offset: FloatArray  # (n, links, 3, 3) and of its first moment
+
+
+def bodies_of(links: LinkMotion, chi: FloatArray) -> Bodies:
+    """Links that are :func:`stacked`, with their standard parameters, (10 x links,)."""
+    own, R = chi.reshape(-1, 10), links.R
+    tensor = own[:, _SYMMETRIC].reshape(-1, 3, 3)
+    first = turned(R, own[:, 1:4])
+    return Bodies(links, own[:, :1], first, R @ tensor @ R.swapaxes(-1, -2), hat(links.p), hat(first))
+
+
+def relative_momentum(bodies: Bodies) -> FloatArray:
+    """Momentum that the links have when the base is at rest, (n, 6)."""
+    links, m, h = bodies.motion, bodies.mass, bodies.first
+    linear = m * links.v + cross(links.w, h)
+    angular = cross(h, links.v) + turned(bodies.inertia, links.w) + cross(links.p, linear)
+    return np.concatenate([linear.sum(axis=1), angular.sum(axis=1)], axis=1)
+
+
+def wrench_and_slope(bodies: Bodies, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Wrench on all links while the base only turns, (n, 6), and its derivative with respect to w, (n, 6, 3).
+
+    The base's specific force and angular acceleration add to the wrench what does not depend on w.
+
+    Args:
+        bodies: the links.
+        w: rate of the base, (n, 1, 3).
     """
-    R, p = link.R, link.p
-    m, h = own[..., :1], turned(R, own[..., 1:4])
-    I = _in_base_axes(R, own)  # noqa: E741
-    wi = link.w + w
-    dwi = dw + link.dw + cross(w, link.w)
-    sweep = cross(w, p) + 2.0 * link.v
-    fi = f + cross(dw, p) + cross(w, sweep) + link.a
+    links, m, h, I = bodies.motion, bodies.mass, bodies.first, bodies.inertia  # noqa: E741
+    P, H = bodies.arm, bodies.offset
+    wi = links.w + w
+    dwi = links.dw + cross(w, links.w)
+    sweep = cross(w, links.p) + 2.0 * links.v
+    fi = cross(w, sweep) + links.a
     turning, along = cross(wi, h), turned(I, wi)
     out = np.empty((*wi.shape[:-1], 6))
-    out[..., :3] = m * fi + cross(dwi, h) + cross(wi, turning)
-    out[..., 3:] = cross(h, fi) + turned(I, dwi) + cross(wi, along) + cross(p, out[..., :3])
-    H, P, Wi, relative = hat(h), hat(p), hat(wi), hat(link.w)
+    force = out[..., :3]
+    force[:] = m * fi + cross(dwi, h) + cross(wi, turning)
+    out[..., 3:] = cross(h, fi) + turned(I, dwi) + cross(wi, along) + cross(links.p, force)
+    Wi, relative = hat(wi), hat(links.w)
     d_fi = -hat(sweep) - hat(w) @ P
     slope = np.empty((*wi.shape[:-1], 6, 3))
     slope[..., :3, :] = m[..., None] * d_fi + H @ relative - hat(turning) - Wi @ H
     slope[..., 3:, :] = H @ d_fi - I @ relative - hat(along) + Wi @ I + P @ slope[..., :3, :]
-    return out, slope
-
-
-def _in_base_axes(R: FloatArray, own: FloatArray) -> FloatArray:
-    """Inertia tensors of links in base axes, about each one's own origin."""
-    tensor = own[..., [4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(*own.shape[:-1], 3, 3)
-    return np.asarray(R @ tensor @ R.swapaxes(-1, -2), np.float64)
+    return out.sum(axis=1), slope.sum(axis=1)
 
 
 def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArray:
@@ -211,19 +245,17 @@ def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArra
         links: motions, in the order of the columns.
         chi: standard parameters, (10 x links,).
     """
-    return composite_of(stacked(links), chi)
+    return composite_of(bodies_of(stacked(links), chi))
 
 
-def composite_of(link: LinkMotion, chi: FloatArray) -> FloatArray:
-    """:func:`composite_inertia` of links that are :func:`stacked`."""
-    own = chi.reshape(-1, 10)
-    m, h = own[:, :1], turned(link.R, own[:, 1:4])  # (links, 1), (n, links, 3)
-    P = hat(link.p)
-    shift = P @ hat(h)
-    tensor = _in_base_axes(link.R, own) - shift - shift.swapaxes(-1, -2) - m[..., None] * P @ P
-    C = np.zeros((len(link.p), 6, 6))
+def composite_of(bodies: Bodies) -> FloatArray:
+    """:func:`composite_inertia` of bodies."""
+    m, P = bodies.mass, bodies.arm
+    shift = P @ bodies.offset
+    tensor = bodies.inertia - shift - shift.swapaxes(-1, -2) - m[..., None] * P @ P
+    C = np.zeros((len(P), 6, 6))
     C[:, :3, :3] = m.sum() * np.eye(3)
-    C[:, 3:, :3] = hat((h + m * link.p).sum(axis=1))
+    C[:, 3:, :3] = hat((bodies.first + m * bodies.motion.p).sum(axis=1))
     C[:, :3, 3:] = -C[:, 3:, :3]
     C[:, 3:, 3:] = tensor.sum(axis=1)
     return C

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from onboard.model.errors import SignalError
 from onboard.model.floating import (
     LinkMotion,
+    bodies_of,
     composite_of,
     cross,
     hat,
     momentum_columns,
+    relative_momentum,
     stacked,
     turned,
     wrench_and_slope,
@@ -63,21 +65,18 @@ def predict_base(
     if n < 4:
         raise SignalError(f"{n} ticks; predict four or more")
     every = stacked(links)
-    own = chi.reshape(-1, 10)
-    C = composite_of(every, chi)
-    inverse = np.asarray(np.linalg.inv(C), np.float64)
-    zero = np.zeros((n, 1, 3))
-    mu = np.einsum("nlip,lp->ni", momentum_columns(every, zero, zero), own)
+    bodies = bodies_of(every, chi)
+    inverse = np.asarray(np.linalg.inv(composite_of(bodies)), np.float64)
+    mu = relative_momentum(bodies)
     from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
     eta = _turn_momentum(from_eta[:, 3:], turned(inverse[:, 3:], mu), momentum, period_s)
     twist = turned(from_eta, eta) - turned(inverse, mu)
     v, w = twist[:, None, :3], twist[:, None, 3:]  # (n, 1, 3)
 
-    bias = wrench_and_slope(every, own, w, zero, zero)[0].sum(axis=1)
+    bias, slope = wrench_and_slope(bodies, w)  # (n, 6), (n, 6, 3)
     thrust = -turned(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
     force, spin = thrust[:, None, :3], thrust[:, None, 3:]
-    slope = wrench_and_slope(every, own, w, force, spin)[1].sum(axis=1)
-    doubted = stacked([links[k] for k in free]) if free else LinkMotion(*(part[:, :0] for part in every))
+    doubted = LinkMotion(*(part[:, list(free)] for part in every))
     H = momentum_columns(doubted, v, w).swapaxes(1, 2).reshape(n, 6, -1)
     W = wrench_columns(doubted, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
     at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)

@@ -31,6 +31,8 @@ SOLVED_AT_s = (1.0, 2.0, 4.0)  # after the start or a change: the window so far,
 BATCH_TICKS = 10
 _DRIFT_MEMORY_s = 300.0  # a drift goes on for so long; then another one
 _LONGEST_HOLE_s = 1.0  # in the joints, that the momentum is carried over
+_LONGEST_WAIT_s = 8.0  # between windows that nothing explains
+_DETERMINED = 0.1  # sigma of the payload's mass by itself: from there on a linear step will do
 _BELIEVED = 1e-6  # by chance: a window whose misfit is less likely is not explained
 _SNAPSHOTS = 12  # batches: what is kept at a change is as it was before
 
@@ -124,7 +126,7 @@ class RecursiveExiddm:
 
     def _open(self, stories: tuple[Story, ...], mean: FloatArray, covariance: FloatArray) -> None:
         """Begin a window of which the momentum is not known, and of the rest this."""
-        self._stories, self._prior, self._solves = stories, (mean, covariance), 0
+        self._stories, self._prior, self._solves, self._wait = stories, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._pending = Ticks.none(len(self.predictor.vehicle.joints))
         self._detector.forget()
@@ -145,34 +147,46 @@ class RecursiveExiddm:
         """Ticks until there is something to do."""
         whole = BATCH_TICKS + 2
         if self._stories:
-            whole = round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
+            whole = self._window_ticks() + self._wait
         return whole - len(self._pending.time_s)
 
+    def _window_ticks(self) -> int:
+        return round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
+
     def _solve_window(self) -> None:
-        ticks = self._pending
+        ticks = self._pending.part(slice(-self._window_ticks(), None))
         window = Window(self.predictor, self._imu_frame, self.payload_sigma, ticks, *self._prior)
         for story in self._stories:
             solved = window.solve(story, self._start)
             if solved is not None and solved.chance > _BELIEVED:
                 break
         else:  # contact may not be over; what is known of the rest stays
-            half = len(ticks.time_s) // 2
-            self.state, self.held = None, None
-            self._open(self._stories, *self._prior)
-            self._pending = ticks.part(slice(half, None))
+            longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
+            self.state, self.held, self._start, self._solves = None, None, None, 0
+            self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
+            self._pending = ticks.part(slice(-self._window_ticks(), None))
             return
         now_s = float(ticks.time_s[-1])
         if len(self._stories) > 1 and story is not Story.NEW and self._before == (story is Story.SAME):
             self.changes.append(Change("contact", now_s, float(ticks.time_s[0]), np.nan))
         self.held = story is not Story.NOTHING
         self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
-        self.ticks_used = solved.used
-        self.glitches += solved.glitches
-        self._solves = self._solves + 1 if story is Story.NEW else len(SOLVED_AT_s)
-        self._stories = (story,)
-        if self._solves == len(SOLVED_AT_s):
+        self.ticks_used, self._stories, self._wait = solved.used, (story,), 0
+        if story is Story.NEW and self._solves + 1 < len(SOLVED_AT_s):
+            self._solves += 1
+            self._pending = ticks  # without what was waited out
+        elif story is Story.NEW and not self._determined():  # the arm is still, it seems
+            self._start = None
+            self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
+        else:
+            self.glitches += solved.glitches
             self._stories = ()
             self._pending = ticks.part(slice(-2, None))
+
+    def _determined(self) -> bool:
+        assert self.state is not None
+        mass_kg = self.state[PAYLOAD.start]
+        return bool(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]) < _DETERMINED * mass_kg)
 
     # ------------------------------------------------------------------ a batch, as a step
 

@@ -63,6 +63,17 @@ def test_phases_are_told_once_and_the_payload_goes_when_they_say() -> None:
     assert PhaseTrack(None).attached(at).all()
 
 
+def test_a_payload_that_is_taken_in_flight_is_not_held_before() -> None:
+    settings = ROCKSAT.file.estimation.phases
+    assert settings is not None
+    track = PhaseTrack(settings.model_copy(update={"payload_taken": 3}))
+    at = np.array([5, 15, 25, 35])
+    track.update({"arm_phase": phase_rows((10, 0), (11, 0), (20, 3))})
+    assert not track.attached(at).any()  # until it is read back
+    track.update({"arm_phase": phase_rows((21, 3), (30, 5), (31, 5))})
+    assert track.attached(at).tolist() == [False, False, True, False]
+
+
 def test_one_false_reading_does_not_let_the_payload_go() -> None:
     track = PhaseTrack(ROCKSAT.file.estimation.phases)
     doubted = phase_rows((22, 5), (23, 5))
