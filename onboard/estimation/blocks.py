@@ -44,18 +44,20 @@ class TimeBlocks:
         Args:
             times_s: (m,) on any axis that does not jump.
         """
+        first, last = float(times_s.min()), float(times_s.max())
         while True:
-            index = (times_s // self.block_s).astype(np.int64)
-            wanted = (
-                [int(index[0])] if index[0] == index[-1] and (index == index[0]).all() else np.unique(index).tolist()
-            )
+            if first // self.block_s == last // self.block_s:
+                wanted, index = [int(first // self.block_s)], None
+            else:
+                index = (times_s // self.block_s).astype(np.int64)
+                wanted = np.unique(index).tolist()
             missing = [number for number in wanted if number not in self._slots]
             if self.count + len(missing) <= self.sums[0].shape[0]:
                 break
             self._double()
         for number in missing:
             self._slots[number] = self.count
-        if len(wanted) == 1:
+        if index is None:
             return [(self._slots[wanted[0]], slice(None))]
         return [(self._slots[number], np.flatnonzero(index == number)) for number in wanted]
 

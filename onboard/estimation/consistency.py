@@ -23,6 +23,7 @@ sigma from a data sheet is a promise, and the regressor is made of measured sign
 The formal covariance stays as a floor: a lucky short run may not claim to be better than its sensors.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -111,15 +112,19 @@ class BlockScores(TimeBlocks):
             raise RowError(f"row noise of shape {noise.shape}; give ({m}, s, {p})")
         if m == 0:
             return
-        scaled = np.column_stack([Y, y]) / sigma[:, None]
-        if not (np.isfinite(scaled).all() and np.isfinite(times_s).all()):
+        scaled = np.empty((m, p + 1))
+        scaled[:, :p], scaled[:, p] = Y, y
+        scaled /= sigma[:, None]
+        flat = scaled.ravel()
+        if not math.isfinite(np.vdot(flat, flat) + times_s.sum()):  # a NaN or an infinity anywhere ends up there
             raise RowError("rows must be finite; gate them before they come here")
         doubt = None if noise is None else noise / sigma[:, None, None]
         for slot, mine in self.split(times_s):
             normal, moment, added = (part[slot] for part in self.sums)
-            rows = scaled[mine, :p]
-            normal += rows.T @ rows
-            moment += rows.T @ scaled[mine, p]
+            rows = scaled[mine]
+            square = rows[:, :p].T @ rows
+            normal += square[:, :p]
+            moment += square[:, p]
             if doubt is not None:
                 own = doubt[mine].reshape(-1, doubt.shape[2])
                 N = own[:, :p].T @ own

@@ -168,14 +168,22 @@ class ResidualGate:
         Raises:
             RowError: numbers that are not finite, or a sigma that is not positive.
         """
-        if innovation.shape != sigma.shape or not np.isfinite(innovation).all() or not (sigma > 0.0).all():
-            raise RowError("innovations must be finite and their sigmas positive")
+        n = innovation.size
+        if innovation.shape != sigma.shape or (n and not sigma.min() > 0.0):
+            raise RowError("innovations need a positive sigma each")
         normalised = np.abs(innovation) / sigma
-        slots = (self._count + np.arange(normalised.size)) % self._recent.size
-        self._recent[slots] = normalised
-        self._count += normalised.size
-        if self._count < self._minimum or not (normalised > self.threshold).any():
-            return np.zeros(normalised.shape, np.int64)
+        largest = float(normalised.max(initial=0.0))
+        if not largest < np.inf:
+            raise RowError("innovations must be finite")
+        size = self._recent.size
+        first = self._count % size
+        if first + n <= size:
+            self._recent[first : first + n] = normalised
+        else:
+            self._recent[(self._count + np.arange(n)) % size] = normalised
+        self._count += n
+        if self._count < self._minimum or largest <= self.threshold:
+            return np.zeros(n, np.int64)
         return reasons(normalised > self.threshold * max(1.0, self.spread), GateReason.RESIDUAL)
 
     def widening(self, innovation: FloatArray, sigma: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ have nothing to do with the rows it is nothing, and its interval says so.
 """
 
 import copy
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,32 +43,41 @@ class InstrumentBlocks(TimeBlocks):
     """
 
     def __init__(self, parameters: int, considered: int, block_s: float, capacity: int = 64) -> None:
-        square = (parameters, parameters)
-        super().__init__(block_s, capacity, square, (parameters, considered + 1), square)
+        super().__init__(block_s, capacity, (parameters, 2 * parameters + considered + 1))
 
-    def add(self, times_s: FloatArray, Y: FloatArray, Cy: FloatArray, sigma: FloatArray, Z: FloatArray) -> None:
+    @property
+    def cross(self) -> FloatArray:
+        """``Z' W Y`` of each block, (b, p, p)."""
+        p = self.sums[0].shape[1]
+        return self.sums[0][: self.count, :, p : 2 * p]
+
+    @property
+    def moment(self) -> FloatArray:
+        """``Z' W [C y]`` of each block, (b, p, k + 1)."""
+        return self.sums[0][: self.count, :, 2 * self.sums[0].shape[1] :]
+
+    @property
+    def square(self) -> FloatArray:
+        """``Z' W Z`` of each block, (b, p, p)."""
+        return self.sums[0][: self.count, :, : self.sums[0].shape[1]]
+
+    def add(self, times_s: FloatArray, rows: FloatArray) -> None:
         """Adds rows.
 
         Args:
             times_s: (m,).
-            Y: (m, p).
-            Cy: (m, k + 1) columns of the considered parameters, and the left-hand sides last.
-            sigma: (m,).
-            Z: (m, p) instruments.
+            rows: ``[Z Y C y]``, each divided by its sigma, (m, 2 p + k + 1).
 
         Raises:
-            RowError: a shape that does not fit, or a number that is not finite.
+            RowError: a number that is not finite.
         """
-        if Z.shape != Y.shape:
-            raise RowError(f"instruments of shape {Z.shape} for rows of {Y.shape}; give one of each")
-        weighted, rows, right = (part / sigma[:, None] for part in (Z, Y, Cy))
-        if not (np.isfinite(weighted).all() and np.isfinite(rows).all() and np.isfinite(right).all()):
+        flat = rows.ravel()
+        if not math.isfinite(np.vdot(flat, flat) + times_s.sum()):
             raise RowError("rows and instruments must be finite; gate them before they come here")
+        p = self.sums[0].shape[1]
         for slot, mine in self.split(times_s):
-            cross, moment, square = (part[slot] for part in self.sums)
-            cross += weighted[mine].T @ rows[mine]
-            moment += weighted[mine].T @ right[mine]
-            square += weighted[mine].T @ weighted[mine]
+            own = rows[mine]
+            self.sums[0][slot] += own[:, :p].T @ own
 
 
 class RecursiveInstrumental(RecursiveLeastSquares):
@@ -100,27 +110,42 @@ class RecursiveInstrumental(RecursiveLeastSquares):
             settled: whether they stay; else :meth:`unsettle` takes them out again.
 
         Raises:
-            RowError: see :meth:`InstrumentBlocks.add`.
+            RowError: a shape that does not fit, or a number that is not finite.
         """
-        if y.shape[0]:
-            Cy = y[:, None] if C is None else np.column_stack([C, y])
-            self.instruments.add(times_s, Y, Cy, sigma, Z)
-            if settled:
-                self._settled.add(times_s, Y, Cy, sigma, Z)
+        m, p = y.shape[0], self.rls.parameters
+        if Z.shape != (m, p) or Y.shape != (m, p) or (C is None) != (self.rls.considered == 0):
+            raise RowError(f"instruments of shape {Z.shape} for rows of {Y.shape}; give (m, {p}) of each, and C if any")
+        if m == 0:
+            return
+        rows = np.empty((m, 2 * p + self.rls.considered + 1))
+        rows[:, :p], rows[:, p : 2 * p], rows[:, -1] = Z, Y, y
+        if C is not None:
+            rows[:, 2 * p : -1] = C
+        rows /= sigma[:, None]
+        for store in self._stores if settled else (self.instruments,):
+            store.add(times_s, rows)
 
-    def unsettle(self) -> None:
-        """Takes out the rows whose instruments were not settled: better ones are to follow."""
-        self.instruments = copy.deepcopy(self._settled)
+    def unsettle(self, for_good: bool = False) -> None:
+        """Takes out the rows whose instruments were not settled: better ones are to follow.
+
+        Args:
+            for_good: all that follow are settled.
+        """
+        self.instruments = self._settled if for_good else copy.deepcopy(self._settled)
 
     def _fade(self, factor: float) -> None:
         super()._fade(factor)
-        self.instruments.fade(factor)
-        self._settled.fade(factor)
+        for store in self._stores:
+            store.fade(factor)
 
     def _keep_from(self, newest_s: float, blocks: int) -> None:
         super()._keep_from(newest_s, blocks)
-        self.instruments.keep_from(newest_s, blocks)
-        self._settled.keep_from(newest_s, blocks)
+        for store in self._stores:
+            store.keep_from(newest_s, blocks)
+
+    @property
+    def _stores(self) -> tuple[InstrumentBlocks, ...]:
+        return (self.instruments,) if self.instruments is self._settled else (self.instruments, self._settled)
 
     @property
     def mean(self) -> FloatArray:
@@ -129,9 +154,9 @@ class RecursiveInstrumental(RecursiveLeastSquares):
         Raises:
             SingularError: rows and prior determine none.
         """
-        A, b = (part[: self.instruments.count].sum(axis=0) for part in self.instruments.sums[:2])
+        p, sums = self.rls.parameters, self.instruments.sums[0].sum(axis=0)  # empty slots are zero
         information, right = self.rls.prior_equations()
-        return _solved(A + information, b[:, -1] + right)
+        return _solved(sums[:, p : 2 * p] + information, sums[:, -1] + right)
 
     def least_squares(self) -> FloatArray:
         """What the least squares says, its regressor's noise taken out as far as it is known, (p,); to predict with."""
@@ -160,7 +185,7 @@ class InstrumentalEstimate(HonestEstimate):
         self, rls: SquareRootRls, blocks: InstrumentBlocks, considered_sigma: ArrayLike = (), level: float = 0.95
     ) -> None:
         sigma = self._checked(rls, considered_sigma, level)
-        H, g, G = (part[: blocks.count] for part in blocks.sums)
+        H, g, G = blocks.cross, blocks.moment, blocks.square
         information, right = rls.prior_equations()
         A, b = H.sum(axis=0) + information, g.sum(axis=0)
         inverse = np.asarray(_solved(A, np.eye(len(A))), np.float64)

@@ -96,13 +96,17 @@ class SquareRootRls:
         self._size = parameters + considered + 1
         self._triangle = np.zeros((self._size, self._size), order="F")
         self._prior_rows = np.zeros((0, self._size))
+        self._sound: FloatArray | None = None
+        self._prior_normal: tuple[FloatArray, FloatArray] | None = None
 
-    def prior(self, mean: ArrayLike, sigma: ArrayLike) -> None:
+    def prior(self, mean: ArrayLike, sigma: ArrayLike, sensitivity: ArrayLike | None = None) -> None:
         """Adds what is known before any row, and is not forgotten.
 
         Args:
             mean: (p,).
             sigma: (p,) standard deviations, ``inf`` where nothing is known, or a (p, p) positive definite covariance.
+            sensitivity: (p, k) change of ``mean`` per unit of each considered parameter, where it came from rows that
+                had the same ones; they are no part of ``sigma``.
 
         Raises:
             RowError: wrong shapes, a mean that is not finite, a sigma that is not positive, a covariance that is not
@@ -130,8 +134,10 @@ class SquareRootRls:
             raise RowError(f"the prior sigma must have shape ({p},) or ({p}, {p}), not {spread.shape}")
         rows = np.zeros((root.shape[0], self._size))
         rows[:, :p] = root
+        if sensitivity is not None:
+            rows[:, p:-1] = root @ np.asarray(sensitivity, np.float64)
         rows[:, -1] = root @ center
-        self._prior_rows = np.vstack([self._prior_rows, rows])
+        self._prior_rows, self._prior_normal = np.vstack([self._prior_rows, rows]), None
         self._absorb(np.asfortranarray(rows))
 
     def update(
@@ -189,18 +195,22 @@ class SquareRootRls:
         return rows
 
     def _absorb(self, rows: FloatArray) -> None:
-        self._triangle = merged(self._triangle, rows)
+        self._triangle, self._sound = merged(self._triangle, rows), None
 
     def _check_rank(self) -> FloatArray:
-        R = self._triangle[: self.parameters, : self.parameters]
-        norms = np.sqrt(np.einsum("ij,ij->j", R, R))
-        weak = ~(np.abs(R.diagonal()) > _RANK_TOLERANCE * norms)
+        """R, (p, p), in Fortran's order, once it is known to be of full rank; kept until rows come."""
+        if self._sound is not None:
+            return self._sound
+        R = np.asfortranarray(self._triangle[: self.parameters, : self.parameters])
+        diagonal = R.diagonal()
+        weak = ~(diagonal * diagonal > _RANK_TOLERANCE**2 * np.einsum("ij,ij->j", R, R))
         if weak.any():
             columns = ", ".join(str(i) for i in np.flatnonzero(weak))
             raise SingularError(
                 f"the rows so far do not determine parameter {columns} apart from those before it; "
                 "give a prior, reduce to base parameters, or move more"
             )
+        self._sound = R
         return R
 
     def solve(self) -> Solution:
@@ -210,7 +220,7 @@ class SquareRootRls:
             SingularError: a parameter that neither rows nor prior determine; the message names it.
         """
         p = self.parameters
-        R = np.asfortranarray(self._check_rank())
+        R = self._check_rank()
         solved, _ = lapack.dtrtrs(R, self._triangle[:p, p:])
         half, _ = lapack.dpotri(R)  # upper triangle; the lower one stays zero, as it is in R
         covariance = half + half.T
@@ -233,7 +243,7 @@ class SquareRootRls:
             SingularError: as :meth:`solve`.
         """
         p = self.parameters
-        R = np.asfortranarray(self._check_rank())
+        R = self._check_rank()
         root, _ = lapack.dtrtrs(R, Y.T, trans=1)  # (p, m): R^-T Y'
         predicted = self._triangle[:p, -1] @ root
         return y - predicted, np.sqrt(sigma**2 + np.einsum("pm,pm->m", root, root))
@@ -250,8 +260,11 @@ class SquareRootRls:
 
     def prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """The normal equations of the prior alone: information (p, p) and right-hand side (p,)."""
-        rows = self._prior_rows[:, : self.parameters]
-        return np.asarray(rows.T @ rows, np.float64), np.asarray(rows.T @ self._prior_rows[:, -1], np.float64)
+        if self._prior_normal is None:
+            rows = self._prior_rows[:, : self.parameters]
+            self._prior_normal = rows.T @ rows, rows.T @ self._prior_rows[:, -1]
+        information, right = self._prior_normal
+        return information.copy(), right.copy()
 
     def observability(self) -> Observability:
         """What the rows have added to the prior, by parameter and by direction.
@@ -290,6 +303,6 @@ class SquareRootRls:
             raise RowError(f"the checkpoint has shape {state.triangle.shape}, this estimator {size}")
         if not (np.isfinite(state.triangle).all() and np.isfinite(state.prior_rows).all()):
             raise RowError("the checkpoint is not finite; start from the prior")
-        self._triangle = state.triangle.copy(order="F")
-        self._prior_rows = state.prior_rows.copy()
+        self._triangle, self._sound = state.triangle.copy(order="F"), None
+        self._prior_rows, self._prior_normal = state.prior_rows.copy(), None
         self.rows = state.rows

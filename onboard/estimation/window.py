@@ -75,7 +75,7 @@ class WindowRls(SquareRootRls):
         self._counts.append(0.0)
         if len(self._counts) - 1 > self.blocks:
             self._drop_oldest()
-        self._triangle = self._back_sum.copy(order="F")
+        self._triangle, self._sound = self._back_sum.copy(order="F"), None
         if self._front:
             self._triangle = merged(self._triangle, self._front[-1].copy(order="F"), True)
         if self._prior_rows.shape[0]:

@@ -124,7 +124,7 @@ class Instruments:
             return
         self._waiting.append(rows)
         if due:
-            self._recursion.unsettle()
+            self._recursion.unsettle(settled)
             self._motion.forget()
             for some in self._waiting:
                 self._instrument(some, settled)

@@ -48,11 +48,18 @@ class _Cut(NamedTuple):
 
     frame: int
     rows: slice | NDArray[np.intp]
-    velocities: NDArray[np.intp] | None  # rows of Pinocchio's regressor that are these rows, for a joint's torque
+    velocities: (
+        slice | NDArray[np.intp] | None
+    )  # rows of Pinocchio's regressor that are these rows, for a joint's torque
     projection: FloatArray  # (rows here, 6); on the wrench about the base's origin where the frame is fixed in the base
     fixed: bool
     coasting: bool
     columns: BoolArray  # (10 x links,) of the links beyond
+
+
+def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """The same places as a slice, where they follow one another: a view instead of a copy."""
+    return slice(int(index[0]), int(index[-1]) + 1) if (np.diff(index) == 1).all() else index
 
 
 class Fold(NamedTuple):
@@ -118,9 +125,8 @@ class WrenchColumns:
             projection = projection @ frame.placement.toActionMatrix().T
             if (projection == np.eye(FREE_FLYER_NV)[np.abs(projection).argmax(axis=1)]).all():
                 velocities = np.abs(projection).argmax(axis=1)
-        step = np.diff(mine)
-        where = slice(mine[0], mine[-1] + 1) if (step == 1).all() else np.array(mine)
-        return _Cut(index, where, velocities, projection, fixed, coasting, columns)
+        places = None if velocities is None else _as_slice(velocities)
+        return _Cut(index, _as_slice(np.array(mine)), places, projection, fixed, coasting, columns)
 
     def fold(self, mix: FloatArray) -> Fold:
         """Combinations of the columns, to be made again and again.

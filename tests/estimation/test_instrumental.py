@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.estimation.errors import RowError, SingularError
-from onboard.estimation.instrumental import InstrumentBlocks, RecursiveInstrumental
+from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import FOR_EVER, Memory
 
 TRUTH = np.array([2.0, -1.0, 0.5])
@@ -91,13 +91,12 @@ def test_what_no_instrument_shows_stays_the_priors(rng):
 
 def test_impossible_rows_and_questions_are_refused(rng):
     at, Y, y, sigma, Z = noisy(rng, 1.0)
-    blocks = InstrumentBlocks(3, 0, 0.5)
-    with pytest.raises(RowError, match="one of each"):
-        blocks.add(at, Y, y[:, None], sigma, Z[:, :2])
-    for spoilt in ((np.where(Z > 1.0, np.nan, Z), Y), (Z, np.where(Y > 1.0, np.inf, Y))):
-        with pytest.raises(RowError, match="finite"):
-            blocks.add(at, spoilt[1], y[:, None], sigma, spoilt[0])
     one = RecursiveInstrumental(3, 0, 0.5)
+    with pytest.raises(RowError, match="of each"):
+        one.add_instruments(at, Y, y, sigma, Z[:, :2])
+    for instruments, rows in ((np.where(Z > 1.0, np.nan, Z), Y), (Z, np.where(Y > 1.0, np.inf, Y))):
+        with pytest.raises(RowError, match="finite"):
+            one.add_instruments(at, rows, y, sigma, instruments)
     with pytest.raises(SingularError, match="every parameter"):
         _ = one.mean
     one.add_instruments(at[:0], Y[:0], y[:0], sigma[:0], Z[:0])
