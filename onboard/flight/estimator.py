@@ -17,7 +17,7 @@ from onboard.flight.clocks import timebase_of
 from onboard.flight.identification import build_online
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
-from onboard.flight.signals import Signals
+from onboard.flight.signals import Signals, kernel_of
 from onboard.flight.zeroing import Zeroing
 from onboard.model.change import Change
 from onboard.model.identify import Estimate, Identifier, SignalNoise
@@ -43,7 +43,7 @@ class Estimator:
         outputs: dtype of every channel it makes.
     """
 
-    def __init__(self, vehicle: config.Vehicle, identifier: Identifier | None = None) -> None:
+    def __init__(self, vehicle: config.Vehicle, identifier: OnlineIdentifier | None = None) -> None:
         self.vehicle = vehicle
         settings = vehicle.file.estimation
         self.inputs = tuple(vehicle.channels)
@@ -57,7 +57,9 @@ class Estimator:
         self._period_ns = round(1e9 / settings.row_rate_hz)
         self._lag_ns = round(settings.lag_ms * 1e6)
         self._next_ns: int | None = None
-        self.inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz)
+        self.inflation = correlation_inflation(
+            settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle)
+        )
         roles = roles_of(vehicle)
         self._imu = roles.imu
         self._joints = {joint.joint: joint for joint in roles.joints}

@@ -2,10 +2,10 @@
 
 The rules, from worst to best; every one that applies is said:
 
-- *do not use*: no row could be used, or the estimator gave up; more than one row in twenty contradicts the others; a body explains less than
-  seven tenths of what was measured, and noise does not explain the rest; what was found is no body, five sigmas from
-  any that can exist; the motion determines nothing that was asked;
-  one half of the motion is predicted from the other no better than by nobody, beyond what noise does.
+- *do not use*: no row could be used, or the estimator gave up; more than one row in twenty contradicts the others; a
+  body explains less than seven tenths of what was measured, and noise does not explain the rest; what was found is no
+  body, five sigmas from any that can exist; the motion determines nothing that was asked; one half of the motion is
+  predicted from the other no better than by nobody, beyond what noise does.
 - *weak*: something that was asked is not determined, and it is named; one half predicts the other to no better than a
   half; the log is too short for any motion to be held out.
 - *good*: none of these.

@@ -13,8 +13,10 @@ import numpy as np
 
 from drivers.records import Rows
 from onboard import config
+from onboard.config.checks import check
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_model
+from onboard.flight.roles import roles_of
 from onboard.model.essential import essential
 from onboard.model.held_out import RowBlocks
 from onboard.model.identify import SUPPORTED_SHRINKAGE, Estimate, Identifier
@@ -23,13 +25,12 @@ from onboard.model.subspace import subspace
 from onboard.model.urdf import with_bodies
 from onboard.model.verdict import Evidence, Level, verdict
 from onboard.offline import throws
-from onboard.offline.exiddm_log import identify_exiddm
+from onboard.offline.exiddm_log import EXIDDM, identify_exiddm
 from onboard.offline.feed import check_channels, feed
 from onboard.offline.identified import Answer, Identified
 from onboard.offline.throws import Calibration, Summary
 from onboard.recording.reader import LogReader
 
-ROWS = "rows"
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,20 @@ class Identification:
         }
 
 
+def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
+    """The same vehicle with another estimator.
+
+    Raises:
+        ConfigError: its file has not what that needs.
+    """
+    settings = vehicle.file.estimation.model_copy(update={"method": method})
+    other = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+    check(other)
+    if method != EXIDDM and not (settings.base_rows or roles_of(other).cells):
+        raise config.ConfigError(f"{vehicle.path}: there are no rows; give base_rows in [estimation], or a load cell")
+    return other
+
+
 def identify(
     vehicle: config.Vehicle, logs: Sequence[Path], progress: Callable[[int], None] | None = None
 ) -> Identification:
@@ -92,7 +107,7 @@ def identify(
     loads = [throws.load_of(vehicle, log) if vehicle.file.free_body else None for log in logs]
     calibration: dict[str, Identifier] = {}
     found = []
-    by_rows = vehicle.file.estimation.method == ROWS
+    by_rows = vehicle.file.estimation.method != EXIDDM
     for reader, load in zip(readers, loads, strict=True):
         found.append(_one(vehicle, reader, load) if by_rows else identify_exiddm(vehicle, reader))
         if load is not None and load.role != "load":
@@ -108,6 +123,7 @@ def identify(
 def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:
     estimator = Estimator(vehicle)
     who = estimator.identifier
+    method = vehicle.file.estimation.method
     seen = RowBlocks(len(who.base.names), who.blocks.block_s)
     who.observer = seen
     last = None
@@ -118,7 +134,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     if last is None:
         nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
         none = throws.throw(vehicle, load, who, None) if load else None
-        return Identified(log.path, ROWS, (), who.rows_used, refused, log.damage, nothing, none)
+        return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
     estimate = who.estimate()
     answers = _answers(last, who)
     thrown = throws.throw(vehicle, load, who, estimate) if load else None
@@ -130,10 +146,10 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     held_out = seen.held_out(who)
     links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
     asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
-    evidence = Evidence(who.rows_used, refused, asked, held_out, estimator.inflation**2, away)
+    evidence = Evidence(who.rows_used, refused, asked, held_out, estimator.inflation**2, away=away)
     return Identified(
         log.path,
-        ROWS,
+        method,
         answers,
         who.rows_used,
         refused,

@@ -58,18 +58,21 @@ def _table(title: str, *headings: str) -> Table:
 
 def _one(log: Identified) -> list[RenderableType]:
     """A log's answers, and below them what they rest on."""
-    answers = _table("", "", "unit", "value", "sigma", "bound", "95 % interval")
+    answers = _table("", "", "unit", "value", "95 % interval", "bound")
     for answer in log.answers:
         if answer.supported:
-            numbers = f"{answer.value:.4g}", f"{answer.sigma:.1g}", f"{answer.bound:.1g}"
-            answers.add_row(answer.name, answer.unit, *numbers, f"{answer.low:.4g} .. {answer.high:.4g}")
+            interval = f"{answer.low:.4g} .. {answer.high:.4g}"
+            answers.add_row(answer.name, answer.unit, f"{answer.value:.4g}", interval, f"{answer.bound:.1g}")
     notes = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     notes.add_column(no_wrap=True)
     notes.add_column(overflow="fold")
     notes.add_row("verdict", _verdict(log.verdict))
+    notes.add_row("method", log.method)
+    if any(answer.supported for answer in log.answers):
+        notes.add_row("bound", "the least sigma that this motion allows (Cramér-Rao)")
     for name, text in _notes(log):
         notes.add_row(name, text)
-    head = Text(f"{log.log}, by {log.method}", style="bold")
+    head = Text(str(log.log), style="bold")
     return [head, *([answers] if answers.rows else []), notes, Text()]
 
 

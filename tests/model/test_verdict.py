@@ -51,6 +51,7 @@ def test_what_is_not_determined_is_named():
         ({"refused": {"residual": 60}}, "6% of the rows contradict the others"),
         ({"held_out": HeldOut(FINE, FINE, Prediction(0.4, 20.0))}, "40% of it is left over"),
         ({"held_out": HeldOut(Prediction(1.2, 9.0), FINE, FINE)}, "from the other is off by 120%"),
+        ({"failure": "the fit gave up: not converged"}, "the fit gave up"),
         ({"misfit": 2.5}, "2.5 times the noise is left over"),
         ({"away": {"payload": 6.0}}, "found for payload cannot exist: 6 sigmas from any body"),
         ({"away": {"payload": np.inf}}, "its mass is not positive"),
