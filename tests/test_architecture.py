@@ -95,10 +95,10 @@ def transports_alone_open_buses(path: str, source: str) -> list[str]:
 
 
 def estimation_is_pure(path: str, source: str) -> list[str]:
-    """NumPy, SciPy, the standard library, and itself."""
+    """NumPy, SciPy, filterpy, the standard library, and itself."""
     if not path.startswith("onboard/estimation"):
         return []
-    known = {"numpy", "scipy", *sys.stdlib_module_names}
+    known = {"filterpy", "numpy", "scipy", *sys.stdlib_module_names}
     return [
         f"{path}:{i.line}: {i.name}"
         for i in imports(path, source)

@@ -127,8 +127,8 @@ class Estimation(Section):
     instrumental variables (rows rebuilt from predicted motion), which noise does not bias; "exiddm" predicts what the
     base IMU of a free vehicle shows, finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and
     ``prior.link`` are its.
-    ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal), or
-    its smoother; see :mod:`onboard.estimation.kinematics`.
+    ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal),
+    or its smoother; see :mod:`onboard.estimation.kinematics`.
     ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.

@@ -13,6 +13,7 @@ Known warts: the kernel is centred, so a tick can be made only when samples up t
 (fixed-lag smoothing). It is 3 dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 """
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
 
@@ -39,7 +40,32 @@ class Smoothed(NamedTuple):
     noise_gain: FloatArray  # (n,) sigma of a value per sigma of white sample noise
 
 
-def _unit_kernels() -> tuple[PPoly, tuple[PPoly, ...]]:
+Shape = Callable[[FloatArray], FloatArray]
+
+
+class Kernel(NamedTuple):
+    """What weighs the samples about a tick: ``y(t) = integral K(u) x(t + u W) du`` over -1/2..1/2.
+
+    Its integral is one. Where its moments are not zero, what comes out lies beside the tick (a filter without samples
+    from after it lags), for every signal alike.
+    """
+
+    parts: tuple[Shape, Shape, Shape]  # K, K', K''
+    first_moment: float = 0.0
+    second_moment: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """Width of what lies evenly about its first moment: there the samples are that put its quadrature right."""
+        return 1.0 - 2.0 * abs(self.first_moment)
+
+    def of_powers(self, derivative: int) -> FloatArray:
+        """The derivative at the tick of what 1, u and u^2 become, (3,)."""
+        m1, m2 = self.first_moment, self.second_moment
+        return np.array([[1.0, m1, m2], [0.0, 1.0, 2.0 * m1], [0.0, 0.0, 2.0]][derivative])
+
+
+def _unit_kernels() -> tuple[PPoly, Kernel]:
     """B and (h, h', h'') on the full width -1/2..1/2."""
     knots = np.linspace(-0.5, 0.5, ORDER + 1)
     element = BSpline.basis_element(knots)
@@ -53,10 +79,10 @@ def _unit_kernels() -> tuple[PPoly, tuple[PPoly, ...]]:
         coefficients = low.c.copy()
         coefficients[-high.c.shape[0] :] -= 0.5 * _MU2 * high.c
         kernels.append(PPoly(coefficients, knots, extrapolate=False))
-    return base, tuple(kernels)
+    return base, Kernel((kernels[0], kernels[1], kernels[2]))
 
 
-_BASE, _KERNELS = _unit_kernels()
+_BASE, SPLINE = _unit_kernels()
 
 
 class Window:
@@ -68,12 +94,20 @@ class Window:
         width_s: full width of the kernel.
         max_gap_s: a tick is invalid when, within its window, two neighbouring samples (or a sample and the window's
             edge) are further apart than this. A fifth of the width where not given.
+        kernel: :data:`SPLINE`, or one of :mod:`onboard.estimation.kinematics`.
 
     Raises:
         RowError: times that are not finite or do not increase, or a width that is not positive.
     """
 
-    def __init__(self, times_s: ArrayLike, at_s: ArrayLike, width_s: float, max_gap_s: float | None = None) -> None:
+    def __init__(
+        self,
+        times_s: ArrayLike,
+        at_s: ArrayLike,
+        width_s: float,
+        max_gap_s: float | None = None,
+        kernel: Kernel = SPLINE,
+    ) -> None:
         times = np.asarray(times_s, np.float64)
         at = np.atleast_1d(np.asarray(at_s, np.float64))
         if times.ndim != 1 or at.ndim != 1 or not np.isfinite(times).all() or not np.isfinite(at).all():
@@ -85,11 +119,12 @@ class Window:
             raise RowError("sample times must increase strictly; sort them and drop duplicates first")
         gap = width_s / 5.0 if max_gap_s is None else max_gap_s
         self.width_s = width_s
+        self.kernel = kernel
         self.samples = times.size
         self._weights: dict[int, FloatArray] = {}
         low = np.searchsorted(times, at - 0.5 * width_s, side="right")
         high = np.searchsorted(times, at + 0.5 * width_s, side="left")
-        self.valid: BoolArray = high - low >= _MIN_SAMPLES  # (n,)
+        self.valid: BoolArray = (high - low) * kernel.reach >= _MIN_SAMPLES  # (n,)
         length = int((high - low).max(initial=1))
         index = low[:, None] + np.arange(max(length, 1))  # (n, l)
         inside = index < high[:, None]
@@ -110,8 +145,9 @@ class Window:
     def weights(self, derivative: int = 0) -> FloatArray:
         """Weights, (n, l), of the samples under each window; rows of invalid ticks are zero.
 
-        The kernel's samples times the trapezoidal cells, plus the smallest correction (weighted with B) that makes the
-        derivative exact on polynomials of degree two whatever the sample times are.
+        The kernel's samples times the trapezoidal cells, plus the smallest correction (weighted with B about its
+        middle) that makes the derivative of polynomials of degree two what the kernel makes of it, whatever the sample
+        times are.
         """
         if derivative not in (0, 1, 2):
             raise RowError(f"derivative {derivative} is not one of 0, 1, 2")
@@ -126,11 +162,10 @@ class Window:
         if not keep.any():
             return raw
         u, powers, correctors = self._correction
-        kernel = _KERNELS[derivative](u) * self._cell[keep]
+        kernel = self.kernel.parts[derivative](u) * self._cell[keep]
         if derivative == 1:
-            kernel = -kernel  # h' is odd, and the convolution runs against time
-        target = -(kernel[:, None] @ powers)[:, 0]  # (n, 3)
-        target[:, derivative] += (1.0, 1.0, 2.0)[derivative]
+            kernel = -kernel  # by parts
+        target = self.kernel.of_powers(derivative) - (kernel[:, None] @ powers)[:, 0]  # (n, 3)
         raw[keep] = kernel + (correctors @ target[..., None])[..., 0]
         return np.asarray(raw / self.width_s**derivative, np.float64)
 
@@ -139,7 +174,9 @@ class Window:
         """Of the v valid windows: places u (v, l), their powers (v, l, 3), weights per moment missing (v, l, 3)."""
         u = self._u[self.valid]
         powers = np.stack([np.ones_like(u), u, u * u], axis=-1)
-        weighted = powers * (_BASE(u) * self._cell[self.valid])[..., None]
+        about = (u - self.kernel.first_moment) / self.kernel.reach
+        near = _BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else _BASE(about)
+        weighted = powers * (near * self._cell[self.valid])[..., None]
         return u, powers, weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
 
     def apply(self, values: ArrayLike, derivative: int = 0) -> Smoothed:
@@ -211,7 +248,7 @@ def smooth(
     )
 
 
-def correlation_inflation(width_s: float, row_period_s: float) -> float:
+def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = SPLINE) -> float:
     """Factor on the sigma of smoothed rows that makes a least squares without correlations weigh them right.
 
     Neighbouring rows share samples, so their errors are correlated. For a regressor that changes slowly over the
@@ -221,6 +258,7 @@ def correlation_inflation(width_s: float, row_period_s: float) -> float:
     Args:
         width_s: full width of the kernel.
         row_period_s: time between rows.
+        kernel: as given to :class:`Window`.
 
     Raises:
         RowError: an argument that is not positive.
@@ -228,7 +266,7 @@ def correlation_inflation(width_s: float, row_period_s: float) -> float:
     if not (width_s > 0.0 and row_period_s > 0.0):
         raise RowError("the kernel's width and the row period must be positive")
     u = np.linspace(-0.5, 0.5, 4001)
-    h = _KERNELS[0](u)
+    h = kernel.parts[0](u)
     step = u[1] - u[0]
     auto = np.correlate(h, h, mode="full")[u.size - 1 :] * step  # lag 0, step, ...
     lags = np.arange(1, int(width_s / row_period_s) + 1) * (row_period_s / width_s)

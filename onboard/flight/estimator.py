@@ -5,6 +5,7 @@ run this very code. Rows are made at whole multiples of the row period in vehicl
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +24,18 @@ from onboard.model.change import Change
 from onboard.model.identify import Estimate, Identifier, SignalNoise
 from onboard.model.identify import Signals as ModelSignals
 from onboard.model.online import OnlineIdentifier
-from onboard.model.rows import BaseMotion, base_motion
+from onboard.model.rows import BaseMotion, base_motion, standing
 
 Floats = NDArray[np.float64]
+
+
+class _Base(NamedTuple):
+    """What is known of the base at n ticks."""
+
+    motion: BaseMotion
+    sensed_m_s2: Floats  # (n, 3) specific force at the IMU, its axes
+    sigma: tuple[Floats, Floats, Floats]  # (n, 3) each, of rate, angular acceleration, specific force; IMU axes
+    refused: NDArray[np.int64]  # (n,)
 
 
 class Estimator:
@@ -61,7 +71,7 @@ class Estimator:
             settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle)
         )
         roles = roles_of(vehicle)
-        self._imu = roles.imu
+        self._imu = roles.imu if roles.imus else None  # a fixed base needs none
         self._joints = {joint.joint: joint for joint in roles.joints}
         self._cells = {cell.name: cell.channel for cell in roles.cells}
         rows = len(self.online.row_names)
@@ -129,29 +139,20 @@ class Estimator:
         joints, joint_sigma, refused = self._at_joints(at_ns)
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
-        if self.vehicle.file.estimation.method == "exiddm":
+        if self._imu is not None and self.vehicle.file.estimation.method == "exiddm":
             means = self._signals.means(self._imu.channels, self._timebase, at_ns, self._period_ns)
             (measured,), (sigma,) = means.derivatives, means.sigma
             refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
             signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma)
         else:
-            imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
-            values, rates = imu.derivatives
-            known = self._zeroing.offset_m_s2 is not None
-            specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), imu.refused == 0)
-            if not known and self._zeroing.offset_m_s2 is not None:
-                offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
-                text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
-                made.append(event(now_ns, Severity.INFO, "zeroed", self._imu.channels[0], text))
-            motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
+            base, said = self._base(now_ns, at_ns)
+            made += said
             measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
-            refused |= imu.refused | refused_rows | self._gates(at_ns, joints, specific_force)
-            rate_sigma, acceleration_sigma, force_sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
+            refused |= base.refused | refused_rows | self._gates(at_ns, joints, base.sensed_m_s2)
             q_sigma, dq_sigma, ddq_sigma = joint_sigma
-            noise = SignalNoise(
-                q_sigma, dq_sigma, ddq_sigma, rate_sigma, acceleration_sigma, force_sigma, self.inflation
-            )
+            noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
+            motion = base.motion
             signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)
         found = self.online.update(signals, self._phases.attached(at_ns), refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
@@ -159,6 +160,24 @@ class Estimator:
         if self.online.rows_used:
             made += self._answers(now_ns, int(at_ns[-1]), self.online.estimate())
         return made
+
+    def _base(self, now_ns: int, at_ns: NDArray[np.int64]) -> tuple[_Base, list[Batch]]:
+        """The base's motion by its IMU, zeroed where it is due; without one it stands."""
+        n, made = len(at_ns), list[Batch]()
+        if self._imu is None:
+            motion, still = standing(self.model, n), np.zeros((n, 3))
+            return _Base(motion, motion.specific_force_m_s2, (still, still, still), np.zeros(n, np.int64)), made
+        imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
+        values, rates = imu.derivatives
+        known = self._zeroing.offset_m_s2 is not None
+        specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), imu.refused == 0)
+        if not known and self._zeroing.offset_m_s2 is not None:
+            offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
+            text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
+            made.append(event(now_ns, Severity.INFO, "zeroed", self._imu.channels[0], text))
+        motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
+        sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
+        return _Base(motion, specific_force, sigma, imu.refused), made
 
     def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.int64]]:
         """Angles, rates, accelerations of the joints and their sigmas, (3, n, joints) each, and reasons (n,)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows, SampleStatus
 from onboard import config
 from onboard.estimation.gates import GateReason, reasons, window_contains
-from onboard.estimation.smoothing import Window
+from onboard.estimation.smoothing import SPLINE, Kernel, Window
 from onboard.flight.history import History
 from onboard.flight.roles import Signal, roles_of
 from onboard.timebase.timebase import Timebase
@@ -32,11 +32,22 @@ class Smoothed(NamedTuple):
     refused: NDArray[np.int64]  # (n,) GateReason
 
 
+def kernel_of(vehicle: config.Vehicle) -> Kernel:
+    """The kernel that the vehicle file asks for."""
+    asked = vehicle.file.estimation.smoothing
+    if asked == "spline":
+        return SPLINE
+    from onboard.estimation import kinematics  # noqa: PLC0415 - filterpy takes most of a second to import
+
+    return kinematics.filter_kernel() if asked == "filter" else kinematics.smoother_kernel()
+
+
 class Signals:
     """The smoothed channels of one vehicle."""
 
     def __init__(self, vehicle: config.Vehicle) -> None:
         self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
+        self._kernel = kernel_of(vehicle)
         self._signals = roles_of(vehicle).signals
         self._histories = {
             name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
@@ -155,7 +166,7 @@ class Signals:
         gaps = np.zeros(len(at_ns), np.int64)
         for delay_s in dict.fromkeys(delays_s.tolist()):
             mine = delays_s == delay_s
-            window = Window(one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s)
+            window = Window(one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s, kernel=self._kernel)
             columns = values if mine.all() else values[:, mine]
             for order in range(derivatives + 1):
                 smoothed = window.apply(columns, order)

@@ -1,0 +1,150 @@
+"""Kinematics of encoders (and of any signal) by a steady-state Kalman filter, and by its smoother.
+
+The signal is four integrators driven by white noise (snap of a joint). In its steady state the Kalman filter is a fixed
+linear filter, and of its poles D two kernels are made for :class:`onboard.estimation.smoothing.Window`:
+
+- ``FILTER``: ``G(s) = D(0) / D(s)``, causal: only samples before the newest. The filter's own estimates of position,
+  rate and acceleration pass three different bands; rows need the *same* operator on both sides, so every derivative is
+  taken of what G lets pass. G's third derivative is the Kalman filter's estimate of the jerk.
+- ``SMOOTHER``: ``G(s) G(-s) = 1 / (1 + (s/w)^8)``: what the Rauch-Tung-Striebel smoother is away from the ends of a
+  record. Its derivatives are consistent by themselves.
+
+As windows they serve samples at any times, of all channels at whatever rates, with gaps refused and the noise of every
+derivative known. What they leave out is what the filter remembers from beyond the window, some 1e-4.
+
+Known warts: a tick lies in the middle of its window, so what the filter says is of an instant 0.42 widths after it,
+0.08 before the newest sample, in all channels alike. The filter's second moment about that is not zero: products of
+filtered signals are wrong by the square of its width, where kernels with samples on both sides are by the fourth power.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from onboard.estimation.errors import RowError
+from onboard.estimation.smoothing import Kernel, Window
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+ORDER = 4  # integrators
+FILTER_BAND, SMOOTHER_BAND = 32.0, 56.0  # the filter's natural frequency times the window's width
+_POLE_STEP = 0.01  # sample period times band, at which the discrete filter is taken for the continuous one
+_TRANSITION = expm(np.eye(ORDER, k=1))  # over one sample period, its length the unit of time
+_STEADY = 1e-13  # relative change of the gain that counts as none
+
+
+def steady_gain(period_s: float, frequency_rad_s: float) -> FloatArray:
+    """Steady-state gain of the Kalman filter of position, rate, acceleration and jerk, (4,).
+
+    Args:
+        period_s: between samples.
+        frequency_rad_s: edge of the band: ``(q / r)^(1/8)``, q the spectral density of the snap, r that of the noise.
+
+    Raises:
+        RowError: an argument that is not positive, or a band that the samples do not show.
+    """
+    if not (period_s > 0.0 and 0.0 < frequency_rad_s * period_s < 1.0):
+        raise RowError(f"{frequency_rad_s} rad/s by samples every {period_s} s; sample six times a period and more")
+    kalman = KalmanFilter(dim_x=ORDER, dim_z=1)
+    kalman.F = _TRANSITION  # in units of the sample period everything is of order one; the gain is scaled back
+    kalman.H = np.eye(1, ORDER)
+    kalman.Q = Q_continuous_white_noise(ORDER, 1.0, (frequency_rad_s * period_s) ** (2 * ORDER))
+    kalman.R = np.eye(1)
+    kalman.P = np.eye(ORDER)
+    before = np.zeros((ORDER, 1))
+    while np.abs(kalman.K - before).max() > _STEADY * np.abs(kalman.K).max() or not kalman.K.any():
+        before = kalman.K
+        kalman.predict()
+        kalman.update(np.zeros(1))
+    return np.asarray(kalman.K[:, 0] / period_s ** np.arange(ORDER), np.float64)
+
+
+class Decay:
+    """A sum of decaying oscillations of the distance from the newest sample, or from the middle on both sides.
+
+    Args:
+        factors: complex, (k,); the real part of the sum counts.
+        poles: complex, (k,), per window's width.
+        both: whether it is even about the middle of the window, else it begins at the newest sample.
+        derivative: with respect to the place in the window.
+    """
+
+    def __init__(self, factors: ComplexArray, poles: ComplexArray, both: bool, derivative: int = 0) -> None:
+        self._factors, self._poles, self._both, self._derivative = factors, poles, both, derivative
+
+    def __call__(self, u: FloatArray) -> FloatArray:
+        """Values at places -1/2..1/2."""
+        distance = np.abs(u) if self._both else 0.5 - u
+        inner = np.sign(u) if self._both else np.full_like(u, -1.0)  # of the distance's derivative
+        factors = self._factors * self._poles**self._derivative
+        waves = factors * np.exp(self._poles * distance[..., None])
+        return np.asarray(waves.sum(axis=-1).real * inner**self._derivative, np.float64)
+
+
+def _poles(frequency: float) -> tuple[ComplexArray, ComplexArray]:
+    """Poles of D, and the factors of their oscillations in the impulse response of ``D(0) / D(s)``; width one."""
+    period = _POLE_STEP / frequency
+    gain = steady_gain(period, frequency) * period ** np.arange(ORDER)
+    poles = np.log(np.linalg.eigvals((np.eye(ORDER) - np.outer(gain, np.eye(1, ORDER))) @ _TRANSITION) + 0j) / period
+    apart = poles[:, None] - poles + np.eye(ORDER)
+    return poles, np.prod(poles) / np.prod(apart, axis=1)
+
+
+def _kernel(factors: ComplexArray, poles: ComplexArray, both: bool) -> Kernel:
+    u = np.linspace(-0.5, 0.5, 20_001)
+    values = Decay(factors, poles, both)(u)
+    total = float(np.trapezoid(values, u))
+    first, second = (float(np.trapezoid(values * u**power, u)) / total for power in (1, 2))
+    parts = [Decay(factors / total, poles, both, derivative) for derivative in range(3)]
+    return Kernel((parts[0], parts[1], parts[2]), first, second)
+
+
+@cache
+def filter_kernel() -> Kernel:
+    """The steady-state Kalman filter; the newest sample of a window is the one it has just taken in."""
+    poles, factors = _poles(FILTER_BAND)
+    return _kernel(factors, poles, False)
+
+
+@cache
+def smoother_kernel() -> Kernel:
+    """The steady-state Rauch-Tung-Striebel smoother."""
+    poles, factors = _poles(SMOOTHER_BAND)
+    # the autocorrelation of the filter's response
+    return _kernel(factors * (factors / -(poles[:, None] + poles)).sum(axis=1), poles, True)
+
+
+class Kinematics(NamedTuple):
+    """Position, rate and acceleration at n ticks, NaN where a window is not valid."""
+
+    q: FloatArray  # (n, c)
+    dq: FloatArray
+    ddq: FloatArray
+    covariance: FloatArray  # (n, 3, 3) of the three, per variance of white sample noise
+
+
+def kinematics(times_s: ArrayLike, q: ArrayLike, at_s: ArrayLike, width_s: float, kernel: Kernel) -> Kinematics:
+    """Kinematics of sampled positions.
+
+    Args:
+        times_s: (k,) strictly increasing.
+        q: (k,) or (k, c).
+        at_s: ticks, (n,).
+        width_s: of the window.
+        kernel: :func:`filter_kernel`, :func:`smoother_kernel` or the spline.
+
+    Raises:
+        RowError: see :class:`Window`.
+    """
+    window = Window(times_s, at_s, width_s, kernel=kernel)
+    position, rate, acceleration = (window.apply(q, derivative).values for derivative in range(3))
+    weights = np.stack([window.weights(derivative) for derivative in range(3)], axis=1)  # (n, 3, l)
+    covariance = weights @ weights.swapaxes(1, 2)
+    covariance[~window.valid] = np.nan
+    return Kinematics(position, rate, acceleration, covariance)

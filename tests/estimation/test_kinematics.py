@@ -1,0 +1,126 @@
+"""The kernels are filterpy's Kalman filter and its smoother in the steady state; one operator for all derivatives."""
+
+import numpy as np
+import pytest
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
+from scipy.linalg import expm
+
+from onboard.estimation.errors import RowError
+from onboard.estimation.kinematics import (
+    FILTER_BAND,
+    ORDER,
+    SMOOTHER_BAND,
+    filter_kernel,
+    kinematics,
+    smoother_kernel,
+    steady_gain,
+)
+from onboard.estimation.smoothing import SPLINE, Window, correlation_inflation
+
+PERIOD_S, WIDTH_S = 0.001, 0.4
+
+
+def filterpys(band):
+    """The same Kalman filter, sample by sample: edge of the band at band / width."""
+    kalman = KalmanFilter(dim_x=ORDER, dim_z=1)
+    kalman.F = expm(PERIOD_S * np.eye(ORDER, k=1))
+    kalman.H = np.eye(1, ORDER)
+    kalman.R = np.eye(1) / PERIOD_S
+    kalman.Q = Q_continuous_white_noise(ORDER, PERIOD_S, (band / WIDTH_S) ** (2 * ORDER))
+    kalman.P = np.diag([1.0, 1e2, 1e6, 1e10])
+    return kalman
+
+
+@pytest.fixture(scope="module")
+def angle():
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 2.5, PERIOD_S)
+    return t, np.sin(4.0 * t) + 0.3 * np.cos(9.0 * t + 1.0) + 1e-5 * rng.normal(size=t.size)
+
+
+def test_the_gain_is_filterpys_in_the_steady_state():
+    kalman = filterpys(FILTER_BAND)
+    for _ in range(1500):
+        kalman.predict()
+        kalman.update(np.zeros(1))
+    np.testing.assert_allclose(steady_gain(PERIOD_S, FILTER_BAND / WIDTH_S), kalman.K[:, 0], rtol=1e-6)
+
+
+def test_the_filters_third_derivative_is_the_kalman_filters_jerk(angle):
+    """What G lets pass, differentiated, is the estimate of the highest state, which has no other way through."""
+    t, _ = angle
+    q = np.sin(4.0 * t) + 0.3 * np.cos(20.0 * t + 1.0)
+    means, *_ = filterpys(FILTER_BAND).batch_filter(q)
+    jerk = means[:, 3, 0]
+    newest = np.arange(1200, 2400)
+    between = t[newest] + 0.5 * PERIOD_S  # a sample's hold
+    found = kinematics(t, q, between - 0.5 * WIDTH_S, WIDTH_S, filter_kernel())
+    by_differences = np.gradient(found.ddq[:, 0], PERIOD_S)[2:-2]
+    assert (
+        np.abs(by_differences - jerk[newest][2:-2]).max() < 0.04 * np.abs(jerk[newest]).max()
+    )  # band times period: 0.08
+
+
+def test_the_smoother_is_rauch_tung_striebels(angle):
+    t, q = angle
+    kalman = filterpys(SMOOTHER_BAND)
+    means, covariances, *_ = kalman.batch_filter(q)
+    smoothed, *_ = kalman.rts_smoother(means, covariances)
+    some = np.arange(600, 1900)
+    found = kinematics(t, q, t[some], WIDTH_S, smoother_kernel())
+    for ours, state, close in ((found.q, 0, 3e-4), (found.dq, 1, 1e-3), (found.ddq, 2, 1e-2)):
+        theirs = smoothed[some, state, 0]
+        assert np.abs(ours[:, 0] - theirs).max() < close * np.abs(theirs).max()
+
+
+@pytest.mark.parametrize("kernel", [SPLINE, filter_kernel(), smoother_kernel()])
+def test_one_operator_for_a_signal_and_its_derivatives(rng, kernel):
+    """Filtering q and differentiating is filtering dq and ddq; at uneven times, also of a filter that lags."""
+    t = np.arange(0.0, 3.0, 0.001) + rng.uniform(0.0, 3e-5, 3000)
+    at = np.arange(0.5, 2.5, 0.05)
+    w = 7.0
+    q, dq, ddq = np.sin(w * t), w * np.cos(w * t), -w * w * np.sin(w * t)
+    window = Window(t, at, WIDTH_S, kernel=kernel)
+    for derivative, signal in ((1, dq), (2, ddq)):
+        np.testing.assert_allclose(
+            window.apply(q, derivative).values, window.apply(signal).values, atol=3e-3 * w**derivative
+        )
+    line = window.apply(2.0 + 3.0 * t).values[:, 0]
+    np.testing.assert_allclose(line, 2.0 + 3.0 * (at + kernel.first_moment * WIDTH_S), atol=1e-9)
+
+
+def test_the_filter_knows_nothing_of_what_comes_later(angle):
+    t, q = angle
+    at = np.array([1.5])
+    seen = t <= 1.5 + 0.5 * WIDTH_S
+    for derivative in range(3):
+        whole = Window(t, at, WIDTH_S, kernel=filter_kernel()).apply(q, derivative).values
+        known = Window(t[seen], at, WIDTH_S, kernel=filter_kernel()).apply(q[seen], derivative).values
+        np.testing.assert_allclose(whole, known, rtol=1e-9)
+    assert filter_kernel().first_moment == pytest.approx(0.5 - 2.613 / FILTER_BAND, abs=3e-3)  # Butterworth's delay
+
+
+def test_covariance_is_that_of_the_noise(rng):
+    t, at = np.arange(0.0, 1.0, PERIOD_S), np.array([0.5])
+    draws = rng.normal(size=(t.size, 3000))
+    for kernel in (filter_kernel(), smoother_kernel()):
+        found = kinematics(t, draws, at, WIDTH_S, kernel)
+        sample = np.cov(np.stack([found.q[0], found.dq[0], found.ddq[0]]))
+        scale = np.sqrt(np.diag(sample))
+        np.testing.assert_allclose(
+            found.covariance[0] / np.outer(scale, scale), sample / np.outer(scale, scale), atol=0.1
+        )
+    holey = kinematics(np.delete(t, slice(400, 600)), np.zeros(t.size - 200), at, WIDTH_S, filter_kernel())
+    assert np.isnan(holey.covariance).all()
+
+
+def test_a_wider_band_correlates_neighbouring_rows_less():
+    inflation = [correlation_inflation(0.1, 0.005, kernel) for kernel in (filter_kernel(), smoother_kernel())]
+    assert inflation[0] > inflation[1] > 1.0
+
+
+@pytest.mark.parametrize(("period", "frequency"), [(0.0, 1.0), (0.01, -1.0), (0.01, 101.0), (0.01, np.nan)])
+def test_impossible_filters_are_refused(period, frequency):
+    with pytest.raises(RowError, match="samples"):
+        steady_gain(period, frequency)
