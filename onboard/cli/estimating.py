@@ -38,6 +38,9 @@ def add(commands: Commands) -> None:
         choices=("rows", "instrumental", "exiddm"),
         help="by rows, with instruments, or by maximum likelihood (default: the vehicle file's)",
     )
+    identify.add_argument(
+        "--from", dest="earlier", type=Path, metavar="LOG", help="go on from what the flight of LOG said last"
+    )
     identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies that one log shows")
     identify.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
     identify.set_defaults(command=_identify)
@@ -70,11 +73,14 @@ def _reestimate(arguments: argparse.Namespace) -> int:
 
 
 def _identify(arguments: argparse.Namespace) -> int:
-    from onboard.offline import identify, identify_view
+    from onboard.offline import carrying, identify, identify_view
+    from onboard.recording.reader import LogReader
 
     vehicle = load_vehicle(arguments.vehicle)
     if arguments.method:
         vehicle = identify.by_method(vehicle, arguments.method)
+    if arguments.earlier:
+        vehicle = carrying.go_on(vehicle, LogReader(arguments.earlier))
     if arguments.parameters:
         return _parameters(vehicle, arguments)
     if not arguments.logs:

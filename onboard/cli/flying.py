@@ -18,6 +18,13 @@ def add(commands: Commands) -> None:
     fly.add_argument("vehicle", type=Path, help="vehicle.toml")
     fly.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
     fly.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    fly.add_argument(
+        "--continue",
+        dest="earlier",
+        type=Path,
+        metavar="LOG",
+        help="go on from what the flight of LOG said last: the same payload is held still",
+    )
     fly.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
     _add_live(fly)
     fly.set_defaults(command=_fly)
@@ -62,9 +69,14 @@ def _live(address: str | None, log: Path) -> AbstractContextManager[int | None]:
 def _fly(arguments: argparse.Namespace) -> int:
     from onboard import config
     from onboard.flight import runner
+    from onboard.offline import carrying
+    from onboard.recording.reader import LogReader
 
     urls = dict(_bus_and_url(text) for text in arguments.url)
-    vehicle = config.load(arguments.vehicle).with_urls(urls)
+    vehicle = config.load(arguments.vehicle)
+    if arguments.earlier:
+        vehicle = carrying.go_on(vehicle, LogReader(arguments.earlier))
+    vehicle = vehicle.with_urls(urls)
     log = arguments.log or next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
     try:
         with _live(arguments.live, log):

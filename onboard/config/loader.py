@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from onboard.config.checks import check
 from onboard.config.devices import CHANNELS, DEVICES
 from onboard.config.errors import ConfigError, line_of
-from onboard.config.estimation import Estimation, Gates, Masses, Memory, Phases, Prior, Zero
+from onboard.config.estimation import Carried, Estimation, Gates, Masses, Memory, Phases, Prior, Zero
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.vehicle import Bus, Recording, Vehicle, VehicleFile, VehicleSection
 
@@ -85,6 +85,7 @@ def _known_keys(where: list[str], tree: dict[str, Any]) -> list[str]:
         "prior": Prior,
         "masses": Masses,
         "memory": Memory,
+        "carried": Carried,
         "free_body": FreeBody,
         "carrier": Carrier,
         "load": Load,

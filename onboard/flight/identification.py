@@ -11,13 +11,13 @@ from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import ModelError, UrdfError
 from onboard.model.exiddm import ImuDoubt
 from onboard.model.free_body import free_body_quantities
-from onboard.model.identify import Considered, Identifier, Quantity, mass_quantities
+from onboard.model.identify import Considered, Identifier, Quantity, Start, mass_quantities
 from onboard.model.imu_prediction import ImuPredictor
 from onboard.model.online import ExiddmIdentifier, OnlineIdentifier
 from onboard.model.payload import standard_covariance
 from onboard.model.recursive_exiddm import RecursiveExiddm
 from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
-from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
+from onboard.model.vehicle import STANDARD, BaseKind, Vehicle, VehicleSpec
 
 FloatArray = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def build_model(vehicle: config.Vehicle) -> Vehicle:
         ModelError: the URDF cannot be used, or lacks a name that the vehicle file has.
     """
     section = vehicle.file.vehicle
-    spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link)
+    spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link, section.gravity_m_s2)
     return Vehicle(vehicle.urdf_path.read_text(encoding="utf-8"), spec)
 
 
@@ -64,8 +64,11 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
         _check_joints(roles, model)
         covariance, doubt, payload_sigma = exiddm_prior(vehicle, model)
         predictor = ImuPredictor(model, roles.imu.frame, 1.0 / settings.row_rate_hz, samples, covariance, doubt)
+        known = None
+        if settings.carried:
+            known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
         exiddm = RecursiveExiddm(
-            predictor, roles.imu.frame, payload_sigma, asked.held_at_start, asked.false_alarms_per_hour
+            predictor, roles.imu.frame, payload_sigma, asked.held_at_start, asked.false_alarms_per_hour, known
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
@@ -132,12 +135,23 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
             settings.gates.residual_sigma,
             Memory(settings.memory.forgetting_s, settings.memory.window_s),
             settings.gates.huber_sigma,
-            imu_frame=roles.imu.frame,
+            imu_frame=roles.imu.frame if roles.imus else None,
             instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
+            start=_start(vehicle, base.names) if settings.carried else None,
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
     return identifier, model
+
+
+def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
+    carried = vehicle.file.estimation.carried
+    assert carried is not None
+    if tuple(carried.names) != names:
+        text = f"what {carried.log} had learned is of {', '.join(carried.names)}; here there are {', '.join(names)}"
+        raise config.ConfigError(f"{vehicle.path}: {text}. Go on with the vehicle that flew then")
+    sensitivity = np.array(carried.sensitivity, np.float64).reshape(len(names), -1)
+    return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
 
 
 def _check_joints(roles: Roles, model: Vehicle) -> None:

@@ -107,6 +107,14 @@ class Estimate(NamedTuple):
     refused: dict[GateReason, int]  # rows by reason; a row with two reasons counts in both
 
 
+class Start(NamedTuple):
+    """What another estimator of the same vehicle had learned, to go on from in place of the prior."""
+
+    mean: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    sensitivity: FloatArray  # (p, k) to what is considered, of which the covariance holds nothing
+
+
 class RowObserver(Protocol):
     """Is shown every row that an identifier uses."""
 
@@ -139,6 +147,7 @@ class Identifier:
         instruments_lag_s: with instrumental variables, for a free base: the smoothing kernel's width, so that motion
             predicted from what was measured so long ago shares no noise with what is measured. Plain least squares
             where not given.
+        start: where to begin; at the prior, where not given.
 
     Raises:
         UnknownFrameError: a considered row that the model does not have, or an IMU frame that the base does not have.
@@ -158,6 +167,7 @@ class Identifier:
         huber_sigma: float | None = None,
         imu_frame: str | None = None,
         instruments_lag_s: float | None = None,
+        start: Start | None = None,
     ) -> None:
         rows = [row.name for row in model.rows]
         for cause in considered:
@@ -182,7 +192,7 @@ class Identifier:
             instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
             self._recursion = instrumental
             self._instruments = Instruments(instrumental, model, self._fold, base, prior_sigma, instruments_lag_s)
-        self.rls.prior(base.value(model.chi), self._prior_covariance)
+        self.rls.prior(*(start or (base.value(model.chi), self._prior_covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._imu_pose = model.vehicle.pose_in_base(imu_frame or model.vehicle.spec.base_link)
         self.rows_used = 0
@@ -294,10 +304,8 @@ class Identifier:
         self._recursion.add(times, rows, y, sigma, C, doubt)
         if self._instruments is not None:
             own = signals.sigma[at][use] * widening[kept]
-            noise = None if doubt is None or signals.noise is None else doubt * signals.noise.inflation
-            taken = MotionRows(
-                signals.time_s[at], *joints, motion.rate_rad_s, attached[at], use, rows, y, own, noise, C
-            )
+            moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
+            taken = MotionRows(*moved, use, rows, y, own, doubt, C)
             self._instruments.take(taken)
         if self.observer is not None:
             self.observer(times, attached[at][tick], rows, y, sigma, doubt)

@@ -47,6 +47,8 @@ class RecursiveExiddm:
             at all, (10,); wide.
         held: a payload is held at the start.
         false_alarms_per_hour: of the change detector, at most.
+        known: standard parameters of the payload that was held last, (10,), and their covariance, (10, 10): whether it
+            is held still, or nothing or another one is, the first window tells, whatever ``held`` says.
 
     Attributes:
         state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
@@ -64,12 +66,13 @@ class RecursiveExiddm:
         payload_sigma: FloatArray,
         held: bool,
         false_alarms_per_hour: float = 0.1,
+        known: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         self.predictor = predictor
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
         self._imu_frame = imu_frame
         self.held: bool | None = held
-        self._before = held  # a change that is not decided yet
+        self._before: bool | None = held  # a change that is not decided yet
         self._pending = Ticks.none(len(predictor.vehicle.joints))
         p = len(predictor.names)
         self.state: FloatArray | None = None
@@ -82,8 +85,12 @@ class RecursiveExiddm:
         self._drifts = np.array([at for _, at in predictor.biases], np.intp)
         carried = [*range(3), *(at for at, _ in predictor.biases)]
         self._carried = np.array(carried, np.intp)  # what changes from tick to tick
-        sigma = np.nan_to_num(predictor.sigma)
-        self._open((Story.NEW if held else Story.NOTHING,), np.zeros(p), np.diag(sigma**2))
+        mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+        stories: tuple[Story, ...] = (Story.NEW if held else Story.NOTHING,)
+        if known is not None:
+            mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
+            self.held, self._before, stories = None, None, (Story.SAME, Story.NOTHING, Story.NEW)
+        self._open(stories, mean, covariance)
 
     def update(self, ticks: Ticks) -> None:
         """Takes ticks in; the newest waits for its successor, and the last few for a whole batch.
@@ -255,13 +262,14 @@ class RecursiveExiddm:
 
     def _bridge(self, gap_s: float) -> None:
         """The joints were not known for a while: the momentum has turned, nobody knows how."""
+        rates = np.linalg.norm(self._pending.measured[:, :3], axis=1)
+        rates = rates[np.isfinite(rates)]
         if self._stories or self.state is None:
             self._open(self._stories, *self._prior)
-        elif gap_s > _LONGEST_HOLE_s:
+        elif gap_s > _LONGEST_HOLE_s or rates.size == 0:
             self._reopen((Story.SAME if self.held else Story.NOTHING,), 0)
         else:
-            rate = np.nanmax(np.linalg.norm(self._pending.measured[:, :3], axis=1), initial=0.0)
-            turned = np.linalg.norm(self.state[MOMENTUM]) * rate * gap_s
+            turned = np.linalg.norm(self.state[MOMENTUM]) * rates.max() * gap_s
             self.covariance = self.covariance.copy()
             self.covariance[MOMENTUM, MOMENTUM] += turned**2 * np.eye(3)
             self._pending = Ticks.none(len(self.predictor.vehicle.joints))

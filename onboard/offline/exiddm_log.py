@@ -102,7 +102,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
     flight = _Flight(model, roles.imu.frame, period_s, samples, exiddm_prior(vehicle, model))
     refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
     nothing_yet = Ticks.none(len(model.joints))
-    changes, held = online.exiddm.changes, settings.exiddm.held_at_start
+    changes, held = online.exiddm.changes, settings.exiddm.held_at_start or settings.carried is not None
     ticks = longest_held([nothing_yet, *recorder.kept], changes, held, period_s)
     used = 6 * int(np.isfinite(ticks.measured).all(axis=1).sum())
     names = recorder.quantity_names

@@ -32,7 +32,6 @@ from onboard.offline.throws import Calibration, Summary
 from onboard.recording.reader import LogReader
 
 
-
 @dataclass(frozen=True)
 class Identification:
     """All logs' answers, and what they say together."""
