@@ -1,5 +1,6 @@
 """Missions flown in virtual time for tests: a scenario, perhaps changed, and what came of it."""
 
+import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,3 +39,8 @@ def fly(
     with world:
         flown = hil.fly_simulated(config.load(config.packaged(vehicle)), world, urls, path)
     return Result(path, flown, table.result(flown))
+
+
+def inline(step: dict[str, object]) -> str:
+    """A TOML inline table."""
+    return "{" + ", ".join(f"{key} = {json.dumps(value)}" for key, value in step.items()) + "}"

@@ -1,6 +1,5 @@
 """The RockSat flight with other devices, in virtual time and short: serial lines alone, and the rest of CANopen."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from onboard.flight import hil, simulated
 from onboard.offline import table
 from onboard.offline.replay import replay
 from onboard.recording.reader import LogReader
-from tests.flight.missions import Result, fly
+from tests.flight.missions import Result, fly, inline
 
 SEED = 6  # the MPU-6050's clock is 1 % fast: one that is not polled at its own period loses samples
 SWEEP = {
@@ -108,8 +107,3 @@ def test_serial_devices_fly_in_real_time_on_terminals(tmp_path: Path) -> None:
     assert result["channels"]["imu_base"]["recorded"] > 1000
     assert np.count_nonzero(LogReader(flown.log).read("row")["gate"][:, 0] == 0) > 200
     assert replay(flown.log).identical
-
-
-def inline(step: dict[str, object]) -> str:
-    """A TOML inline table."""
-    return "{" + ", ".join(f"{key} = {json.dumps(value)}" for key, value in step.items()) + "}"

@@ -191,7 +191,8 @@ def test_what_is_held_from_the_start_is_not_captured(plant) -> None:
     assert held.capture_s == 0.0
     jumps = [np.abs(np.diff(one.flight.rate_rad_s, 2, axis=0)).max() for one in (held, plant)]
     assert jumps[0] < 1e-5 < 1e-3 < jumps[1]
-    assert np.abs(held.flight.wrist_force_n).max() > 0.1
+    forces = [np.abs(one.flight.wrist_force_n[:1000]).max() for one in (held, plant)]  # before any capture
+    assert forces[0] > 3.0 * forces[1]  # 5.4 kg beyond the flange, and 0.4 kg
 
 
 def test_truth_names_what_was_caught(plant) -> None:
