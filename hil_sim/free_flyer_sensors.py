@@ -1,12 +1,11 @@
 """What the free-flyer's encoders and base IMU say about a flight: counts, with errors drawn once per flight."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.free_flyer import Flight
 from hil_sim.motion import STANDARD_GRAVITY
 
 Floats = NDArray[np.float64]
@@ -16,6 +15,26 @@ GYRO_DENSITY_rad_s = np.deg2rad(0.005)  # per root Hz; MPU-6050 product specific
 ACCELEROMETER_DENSITY_m_s2 = 400e-6 * STANDARD_GRAVITY  # per root Hz; section 6.2
 GYRO_STEP_rad_s = np.deg2rad(1.0 / 131.0)  # of a count at 250 deg/s
 ACCELEROMETER_STEP_m_s2 = STANDARD_GRAVITY / 16384.0  # at 2 g
+
+
+class Moved(Protocol):
+    """Truth on the grid of the samples, of a free flight or any other."""
+
+    @property
+    def time_s(self) -> Floats:
+        """Of the samples, (n,)."""
+
+    @property
+    def q_rad(self) -> Floats:
+        """Joint angles, (n, 5)."""
+
+    @property
+    def rate_rad_s(self) -> Floats:
+        """Rate of the base, (n, 3), IMU axes."""
+
+    @property
+    def specific_force_m_s2(self) -> Floats:
+        """At the IMU, (n, 3), its axes."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +61,7 @@ class Samples(NamedTuple):
     specific_force_sigma_m_s2: float
 
 
-def sample(flight: Flight, errors: ImuErrors, rng: np.random.Generator) -> Samples:
+def sample(flight: Moved, errors: ImuErrors, rng: np.random.Generator) -> Samples:
     """Samples a flight at its own grid; noise at the datasheet's density, white up to half the sample rate."""
     t, n = flight.time_s, len(flight.time_s)
     period_s = float(t[1] - t[0])
