@@ -13,8 +13,10 @@ from onboard import config
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_exiddm
+from onboard.model.composite import RigidBody
 from onboard.model.identify import Signals
 from onboard.model.online import ExiddmIdentifier
+from onboard.model.payload import standard_of
 from onboard.model.rows import BaseMotion
 from onboard.offline.feed import feed
 from onboard.offline.importer import import_recordings
@@ -168,6 +170,29 @@ def test_refused_ticks_are_marked_and_counted(vehicle):
     assert online.refused[GateReason.PHASE] == 12
     with pytest.raises(Exception, match=r"\(n, 6\)"):
         online.update(signals._replace(measured=np.zeros((50, 2))), np.ones(50, np.bool_), excluded)
+
+
+def test_what_the_data_do_not_determine_is_not_supported(vehicle):
+    online, _ = build_exiddm(vehicle)
+    exiddm = online.exiddm
+    assert all("nothing is held" in quantity.note for quantity in online.estimate().quantities)
+    exiddm.held, exiddm.state = True, np.zeros(len(exiddm.predictor.names))
+    exiddm.state[3:13] = standard_of(RigidBody(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2))
+
+    def told(mass_sigma_kg, inertia_sigma):
+        sigma = np.array([mass_sigma_kg, *[0.01] * 3, *[inertia_sigma] * 6])
+        exiddm.covariance[3:13, 3:13] = np.diag(sigma**2)
+        found = online.estimate().quantities
+        assert all(np.isfinite([q.mean, q.sigma, q.low, q.high]).all() == q.supported for q in found)
+        assert all((q.note == "") == q.supported for q in found)
+        return [q.supported for q in found]
+
+    assert told(0.1, 0.01) == [True] * 10
+    assert told(0.1, 5.0) == [True] * 4 + [False] * 6  # half of what a payload could be at all
+    assert told(2.0, 0.01) == [True] + [False] * 9  # a mass that one cannot divide by
+    exiddm.state[3] = -1.0
+    assert not any(quantity.supported for quantity in online.estimate().quantities)
+    assert "no centre of mass" in online.estimate().quantities[0].note
 
 
 def test_a_phase_tells_that_the_payload_was_taken_and_let_go(vehicle):
