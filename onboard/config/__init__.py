@@ -33,7 +33,9 @@ from onboard.config.devices import (
     RecordedAngle,
     RecordedDevice,
     RecordedImu,
+    RecordedLoadCell,
     RecordedRate,
+    RecordedValue,
     SyncPulseDevice,
 )
 from onboard.config.errors import ConfigError
@@ -78,7 +80,9 @@ __all__ = [
     "RecordedAngle",
     "RecordedDevice",
     "RecordedImu",
+    "RecordedLoadCell",
     "RecordedRate",
+    "RecordedValue",
     "Recording",
     "SyncPulseDevice",
     "Vehicle",

@@ -156,7 +156,7 @@ def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
                 fail(["device", name], f"{name!r} has gyro and accel channels; give the frame that they measure in")
         elif device.frame is not None:
             fail(["device", name, "frame"], f"{name!r} has no gyro or accel channels; leave frame out")
-    if not imus:
+    if not imus and vehicle.file.vehicle.base != "fixed":
         fail(["device"], "no device is an IMU; the base's motion has to be measured: add one")
     for kind in (SyncPulseDevice, PpsDevice):
         lines = [name for name, device in devices.items() if isinstance(device, kind)]

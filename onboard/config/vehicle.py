@@ -7,19 +7,24 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from onboard.config.devices import BusDevice, CanopenSyncDevice, Channels, Device
+from onboard.config.devices.base import STANDARD_GRAVITY_M_S2
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
-from onboard.config.types import NotNegative, Positive, Section
+from onboard.config.types import NotNegative, Positive, Section, Vector3
 
 
 class VehicleSection(Section):
-    """What flies. ``base``: what is known of the base's motion and of the wrench on it."""
+    """What flies. ``base``: what is known of the base's motion and of the wrench on it.
+
+    ``gravity_m_s2``: in base axes; counts where the base is fixed and no device is an IMU.
+    """
 
     name: str
     urdf: str
     base: Literal["free", "prescribed", "fixed"]
     base_link: str
     payload_link: str | None = None
+    gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)
 
 
 class Bus(Section):

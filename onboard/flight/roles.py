@@ -99,6 +99,9 @@ def roles_of(vehicle: config.Vehicle) -> Roles:
             case config.RecordedRate():
                 roles.joints.append(Joint(device.joint, name, is_rate=True))
                 roles.signals[name] = _scalar(0.0, device.noise_rad_s, period_s, RATE)
+            case config.RecordedLoadCell():
+                roles.cells.append(Cell(name, name, device))
+                roles.signals[name] = _force(device, period_s)
             case config.LoadCellDevice():
                 channel = next(iter(device.channels(name)))
                 roles.cells.append(Cell(name, channel, device))
@@ -136,7 +139,8 @@ def _scalar(delay_ms: float, noise: float, period_s: float, si: Mapping[bytes, f
 
 
 def _force(keys: config.LoadCellKeys, period_s: float) -> Signal:
-    si = {b"N": 1.0, b"kg": keys.gravity_m_s2}
+    direct = keys.measures == "moment" and keys.lever_m == 1.0
+    si = {b"N m": 1.0} if direct else {b"N": 1.0, b"kg": keys.gravity_m_s2}
     return _scalar(keys.delay_ms, keys.noise_N, period_s, si)._replace(limit=keys.capacity_N)
 
 

@@ -124,6 +124,8 @@ ROLE = {
     "qsb": "joint angle",
     "recorded_angle": "joint angle",
     "recorded_rate": "joint rate",
+    "recorded_load_cell": "load cell",
+    "recorded_value": "none, or the phases",
     "cia404": "load cell",
     "modbus_load_cell": "load cell",
     "dsc_load_cell": "load cell",
@@ -157,6 +159,8 @@ CLOCK = {
     "recorded_imu": "The recording's own times.",
     "recorded_angle": "The recording's own times.",
     "recorded_rate": "The recording's own times.",
+    "recorded_load_cell": "The recording's own times.",
+    "recorded_value": "The recording's own times.",
 }
 SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, their heading, a kind that has them
     (config.LoadCellKeys, "A load cell", "cia404"),
@@ -185,9 +189,9 @@ A device stands on a bus, `[bus.NAME]` with a `url`:
 file says (exit code 0: ready, 4: not). `heft fly` goes on without a bus that cannot be opened, and says so in the log.
 
 Units stand in the keys. **Bold** keys have no default. A file that does not fit is refused with its line and a remedy.
-Records (IMU, SCALAR, ...) are those of `drivers/records.py` and `drivers/marks.py`. A vehicle needs an IMU (the first
-in the file measures the base, further ones are recorded) and, for each moving joint of the URDF, one device that
-measures it. `[estimation.phases] channel` names any SCALAR channel.
+Records (IMU, SCALAR, ...) are those of `drivers/records.py` and `drivers/marks.py`. A vehicle needs an IMU, unless
+its base is fixed (the first in the file measures the base, further ones are recorded), and, for each moving joint of
+the URDF, one device that measures it. `[estimation.phases] channel` names any SCALAR channel.
 """
 
 

@@ -32,7 +32,14 @@ from onboard.config.devices.node_channels import (
     RecordChannel,
 )
 from onboard.config.devices.pulse import PpsDevice, PulseGeneratorDevice, SyncPulseDevice
-from onboard.config.devices.recorded import RecordedAngle, RecordedDevice, RecordedImu, RecordedRate
+from onboard.config.devices.recorded import (
+    RecordedAngle,
+    RecordedDevice,
+    RecordedImu,
+    RecordedLoadCell,
+    RecordedRate,
+    RecordedValue,
+)
 from onboard.config.devices.serial import (
     DscLoadCellDevice,
     ModbusLoadCellDevice,
@@ -59,6 +66,8 @@ AnyDevice = (
     | RecordedImu
     | RecordedAngle
     | RecordedRate
+    | RecordedLoadCell
+    | RecordedValue
 )
 DEVICES: dict[str, type[DeviceSection]] = {
     get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(AnyDevice)
@@ -100,6 +109,8 @@ __all__ = [
     "RecordedAngle",
     "RecordedDevice",
     "RecordedImu",
+    "RecordedLoadCell",
     "RecordedRate",
+    "RecordedValue",
     "SyncPulseDevice",
 ]

@@ -3,7 +3,7 @@
 from typing import Literal
 
 from drivers.records import IMU, SCALAR
-from onboard.config.devices.base import DeviceSection, ImuDevice
+from onboard.config.devices.base import DeviceSection, ImuDevice, LoadCellKeys
 from onboard.config.types import Positive
 
 
@@ -42,3 +42,17 @@ class RecordedRate(RecordedDevice):
     kind: Literal["recorded_rate"]
     joint: str
     noise_rad_s: Positive
+
+
+class RecordedLoadCell(RecordedDevice, LoadCellKeys):
+    """A load cell, or one axis of a six-axis one: a moment is in N m, where ``lever_m`` is not given."""
+
+    records = SCALAR
+    kind: Literal["recorded_load_cell"]
+
+
+class RecordedValue(RecordedDevice):
+    """A value of no role of its own: a phase, say."""
+
+    records = SCALAR
+    kind: Literal["recorded_value"]
