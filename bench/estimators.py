@@ -325,6 +325,29 @@ def an_hour(model: Vehicle, rng: np.random.Generator) -> None:
     print(f"a million ticks one by one: memory grew by {_resident_kb() - before} kB after the first 10,000")
 
 
+def a_long_window(rng: np.random.Generator) -> None:
+    """A million updates through a window, now and then a thousandfold row, against the batch of what is left in it."""
+    window = RecursiveLeastSquares(P, 0, 0.5, Memory(window_s=2.0))
+    rows = rng.normal(size=(1000, M, P + 1))
+    rows[::100] *= 1e3
+    before = 0
+    for k in range(1_000_000):
+        own = rows[k % 1000]
+        window.add(np.full(M, k * 0.01), own[:, :P], own[:, P], np.ones(M))
+        if k == 10_000:
+            before = _resident_kb()
+    left = [rows[k % 1000] for k in range(1_000_000) if k * 0.01 // 0.5 >= 999_999 * 0.01 // 0.5 - 4]
+    batch = SquareRootRls(P)
+    for own in left:
+        batch.update(own[:, :P], own[:, P], np.ones(M))
+    found, wanted = window.rls.solve(), batch.solve()
+    error = np.abs(found.mean / wanted.mean - 1.0).max(), np.abs(found.covariance / wanted.covariance - 1.0).max()
+    print(
+        f"a window of 2 s after a million updates: within {error[0]:.1e} of the batch, covariance {error[1]:.1e}; "
+        f"memory grew by {_resident_kb() - before} kB"
+    )
+
+
 def _resident_kb() -> int:
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize() // 1024
@@ -343,6 +366,7 @@ def main() -> None:
     peers(model, Ticks(model, 1, rng))
     if not arguments.quick:
         an_hour(model, rng)
+        a_long_window(rng)
 
 
 if __name__ == "__main__":

@@ -163,7 +163,7 @@ class HonestEstimate:
     ) -> None:
         sigma = self._checked(rls, considered_sigma, level)
         plain = rls.solve()
-        self.level = level
+        self.level, self._floored = level, True
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
         R = rls.information_root
         T = np.linalg.inv(R)  # (p, p)
@@ -209,6 +209,8 @@ class HonestEstimate:
     def covariance(self) -> FloatArray:
         """Covariance of the estimate with all corrections but Student's, (p, p); at least the formal one."""
         rows = self._moves.T @ self._moves * self._rows_weight() + self._prior_half @ self._prior_half.T
+        if not self._floored:
+            return np.asarray(rows + self._common @ self._common.T, np.float64)
         # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below one.
         inverse = np.linalg.inv(self._root)
         values, vectors = np.linalg.eigh(inverse @ rows @ inverse.T)
@@ -238,7 +240,9 @@ class HonestEstimate:
         share = np.maximum(np.einsum("ri,bij,rj->br", w, self._shares, w), 0.0)  # (b, r)
         total, squares = share.sum(axis=0), (share**2).sum(axis=0)
         freedom = np.maximum(np.divide(total**2, squares, out=np.ones_like(total), where=squares > 0.0) - 1.0, 1.0)
-        variance = np.maximum(jackknife + prior, self.formal_variance(w))
+        variance = jackknife + prior
+        if self._floored:
+            variance = np.maximum(variance, self.formal_variance(w))
         t = stdtrit(freedom, 0.5 + 0.5 * self.level)
         z = stdtrit(np.inf, 0.5 + 0.5 * self.level)
         half = np.sqrt(t**2 * variance + z**2 * common)

@@ -32,6 +32,9 @@ from onboard.estimation.rls import SquareRootRls
 FloatArray = NDArray[np.float64]
 
 
+_FEW_BLOCKS = 12  # to be trusted alone
+
+
 class InstrumentBlocks(TimeBlocks):
     """``Z' W Y``, ``Z' W [C y]`` and ``Z' W Z`` by blocks of time.
 
@@ -170,6 +173,9 @@ class RecursiveInstrumental(RecursiveLeastSquares):
 class InstrumentalEstimate(HonestEstimate):
     """An estimate by instruments, with the intervals of :class:`HonestEstimate`.
 
+    Rows of angular acceleration err less than independent ones: what is too much in one is too little in the next. So
+    the formal covariance is a floor only as long as there are few blocks.
+
     Args:
         rls: has the prior.
         blocks: the rows and their instruments.
@@ -189,7 +195,7 @@ class InstrumentalEstimate(HonestEstimate):
         information, right = rls.prior_equations()
         A, b = H.sum(axis=0) + information, g.sum(axis=0)
         inverse = np.asarray(_solved(A, np.eye(len(A))), np.float64)
-        self.level = level
+        self.level, self._floored = level, blocks.count < _FEW_BLOCKS
         self.mean = inverse @ (b[:, -1] + right)
         self._root = inverse @ _factor(G.sum(axis=0) + information)
         self._common = inverse @ b[:, :-1] * sigma

@@ -373,7 +373,7 @@ class Identifier:
         if self._scales:
             predicted = change @ [*self.rls.solve().mean, -1.0]  # (rows, s)
             for row, column in self._scales:
-                change[row, :, column] = predicted[row]
+                change[row, :, column] = 0.0
         return np.asarray(change, np.float64)
 
     def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:

@@ -68,6 +68,8 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
             "[estimation.memory]\nforgetting_s = 9\nwindow_s = 9\n[estimation.gates]",
             "give one of the two",
         ),
+        ("step_ms = 50", 'method = "instrumental"\nstep_ms = 50', 'method "instrumental" is for base = "free"'),
+        ("step_ms = 50", 'smoothing = "kalman"\nstep_ms = 50', "'spline', 'filter' or 'smoother'"),
         ("[estimation.gates]", "[estimation.memory]\nwindow_ms = 9\n[estimation.gates]", "did you mean 'window_s'"),
     ],
 )
