@@ -210,7 +210,8 @@ def _polynomial(lengths: FloatArray, seen: FloatArray, degree: int) -> dict[tupl
     if not 0 <= degree <= 2:
         return None
     monomials = list(combinations_with_replacement(range(lengths.shape[1]), degree))
-    values = np.array([[np.prod(row[list(m)]) for m in monomials] for row in lengths])  # (s, m)
+    which = np.array(monomials, np.intp).reshape(len(monomials), degree)
+    values = lengths[:, which].prod(axis=2)  # (s, m)
     scale = np.abs(values).max(axis=0)
     found = np.linalg.lstsq(values / scale, seen)[0]
     if np.abs(values / scale @ found - seen).max() > _EXACT * np.abs(seen).max():

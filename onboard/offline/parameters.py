@@ -9,11 +9,10 @@ from rich.text import Text
 
 from onboard import config
 from onboard.flight.identification import NAMING_SEED, build_identifier, build_model
-from onboard.flight.roles import roles_of
 from onboard.model.base_parameters import BaseParameters, base_parameters
 from onboard.model.groupings import Groupings, groupings
 from onboard.model.rows import RowModel, base_force_rows, base_moment_rows
-from onboard.model.vehicle import BaseKind
+from onboard.offline.exiddm_log import EXIDDM
 
 
 class Parameters(NamedTuple):
@@ -38,23 +37,19 @@ class Parameters(NamedTuple):
 
 
 def parameters(vehicle: config.Vehicle) -> Parameters:
-    """The base parameters of the rows that a vehicle's estimator has; of the zero wrench where it has none of its own.
+    """The base parameters of the rows that a vehicle's estimator has; of the zero wrench where it has none.
 
     Raises:
         ConfigError: the vehicle file does not fit its URDF.
         ModelError: a vehicle without any row.
     """
-    if (
-        roles_of(vehicle).cells
-        or vehicle.file.estimation.base_rows
-        or BaseKind(vehicle.file.vehicle.base) is not BaseKind.FREE
-    ):
-        identifier, _ = build_identifier(vehicle)
-        model, base = identifier.model, identifier.base
-    else:  # a non-linear estimator's: it needs no rows, and knows what these would
+    if vehicle.file.estimation.method == EXIDDM:  # it needs no rows; these show what there is to know
         drawn = build_model(vehicle)
         model = RowModel(drawn, [*base_force_rows(drawn), *base_moment_rows(drawn)])
         base = base_parameters(model, np.random.default_rng(NAMING_SEED))
+    else:
+        identifier, _ = build_identifier(vehicle)
+        model, base = identifier.model, identifier.base
     rows = tuple(row.name for row in model.rows)
     return Parameters(vehicle, rows, len(model.names), base, groupings(model, base))
 

@@ -79,6 +79,16 @@ def test_the_free_flyer():
     assert "M_payload" in lines
 
 
+def test_lengths_that_happen_to_be_equal_are_told_apart(datasets):
+    """Three of the LWR's are 0.2 m."""
+    vehicle = Vehicle((datasets / "kuka_lwr4" / "kuka_lwr4.urdf").read_text(), VehicleSpec(BaseKind.FIXED, "box"))
+    model = RowModel(vehicle, [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints])
+    found = groupings(model, base_parameters(model, np.random.default_rng(1), released=False), released=False)
+    assert "ZZ1R = ZZ1 + XX2 + YY3 + Ia1 + 2 L3 MZ3 + M3 L3^2 + (M4 + M5 + M6 + M7) (L3 + L4)^2" in found.lines
+    assert "YZ5R = YZ5 - MY6 L6" in found.lines
+    assert [length.value_m for length in found.lengths] == pytest.approx([0.2, 0.2, 0.2, 0.19, 0.078])
+
+
 def test_the_tx40_table_is_written_alike(datasets):
     """Its published names; the ``L4`` of the URDF points backwards and stands for their -0.225."""
     urdf = datasets / "staubli_tx40" / "tx40_mdh_modified.urdf"
