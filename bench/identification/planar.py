@@ -23,6 +23,7 @@ from bench.identification.free_flyer import BASE_SIGMA, BOXES, ERRORS, LINK_SIGM
 from hil_sim import free_flyer, planar_bed
 from hil_sim.free_flyer_sensors import sample
 from onboard import config
+from onboard.estimation.errors import ConvergenceError
 from onboard.model.errors import SignalError
 from onboard.model.exiddm import ImuDoubt
 from onboard.model.payload import standard_covariance
@@ -49,6 +50,7 @@ class Outcome(NamedTuple):
     centre_m: float
     inside: NDArray[np.bool_]  # (6,) drags of all pucks in their intervals
     misfit: float
+    reason: str  # why it is not to be used; empty if it is
 
 
 def vehicle() -> Vehicle:
@@ -70,8 +72,8 @@ def doubts(model: Vehicle) -> tuple[dict[str, Floats], PlanarDoubt]:
     return links, PlanarDoubt(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, imu)
 
 
-def run_one(body: free_flyer.Body, seed: int) -> Outcome:
-    """One run from MuJoCo to the answer."""
+def run_one(body: free_flyer.Body, seed: int) -> Outcome | None:
+    """One run from MuJoCo to the answer; none, where the fit finds none."""
     rng = np.random.default_rng(seed)
     base = as_built(free_flyer.BASE, BASE_SIGMA, rng)
     arm = tuple(as_built(link, LINK_SIGMA, rng) for link in free_flyer.ARM)
@@ -89,7 +91,10 @@ def run_one(body: free_flyer.Body, seed: int) -> Outcome:
     model = vehicle()
     links, doubt = doubts(model)
     exiddm = PlanarExiddm(model, "imu_base", signals, PAYLOAD_SIGMA, links, doubt)
-    found = exiddm.fit()
+    try:
+        found = exiddm.fit()
+    except ConvergenceError:
+        return None
     scale = np.array([body.mass_kg, body.inertia_kg_m2[2, 2]])
     plain = np.full(2, np.nan)
     with contextlib.suppress(SignalError):  # a mass below zero is no body
@@ -107,6 +112,7 @@ def run_one(body: free_flyer.Body, seed: int) -> Outcome:
         float(np.linalg.norm(payload.body.centre_of_mass_m - body.centre_of_mass_m)),
         np.abs(off) <= stdtrit(np.inf, 0.975) * found.drag_sigma,
         found.fit.residual_sum / found.freedom,
+        found.reason,
     )
 
 
@@ -117,7 +123,9 @@ def run(arguments: argparse.Namespace) -> None:
         _print("planar, 5 kg", list(pool.map(partial(run_one, BOXES[5]), seeds)))
 
 
-def _print(title: str, runs: Sequence[Outcome]) -> None:
+def _print(title: str, flown: Sequence[Outcome | None]) -> None:
+    runs = [one for one in flown if one is not None and not one.reason]
+    refused = [one.reason for one in flown if one is not None and one.reason]
     error, sigma, plain = (np.array([one[k] for one in runs]) for k in range(3))
     inside = np.abs(error) <= stdtrit(np.inf, 0.975) * sigma
     print(f"\n{title}, {len(runs)} runs of {DURATION_s:g} s; misfit {np.mean([one.misfit for one in runs]):.3f}")
@@ -130,4 +138,5 @@ def _print(title: str, runs: Sequence[Outcome]) -> None:
         print(f"{name:16}{rms:9.4f}{told:9.4f}{p95:9.4f}{bar:>6}{100 * inside[:, k].mean():8.1f}%{'92-98':>9}{least}")
     pucks = 100.0 * np.mean([one.inside for one in runs])
     centre = 1e3 * np.percentile([one.centre_m for one in runs], 95)
+    print(f"of {len(flown)} runs {flown.count(None)} found no fit, {len(refused)} refused {sorted(set(refused)) or ''}")
     print(f"drag of all pucks covered {pucks:.1f} %; centre of mass, p95 {centre:.2f} mm")
