@@ -87,6 +87,16 @@ def test_residual_gate_needs_a_spread_first():
         assert gate.check(np.array([100.0]), np.ones(1))[0] == 0
 
 
+def test_the_spread_is_of_the_newest_innovations_however_they_came(rng):
+    innovation = rng.normal(size=70)
+    for step in (1, 3, 7):
+        gate = ResidualGate(6.0, memory=20, minimum=5)
+        for first in range(0, 70, step):
+            some = innovation[first : first + step]
+            gate.check(some, np.ones(some.size))
+        assert gate.spread == pytest.approx(1.4826 * np.median(np.abs(innovation[-20:])))
+
+
 def test_a_wrong_early_estimate_is_put_right(rng):
     """The first rows are wrong and make the estimate wrong and sure; without re-admission it stays so."""
     rls, gate = SquareRootRls(1), ResidualGate(6.0, memory=100)
