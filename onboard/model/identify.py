@@ -280,9 +280,10 @@ class Identifier:
             self._fill_scales(Y, signals.measured[at], signals.sigma[at], use)
         rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
         sigma = signals.sigma[at][use]
-        doubt = None
+        doubt, changes, group = None, None, np.zeros(at.size, np.intp)
         if signals.noise is not None:
-            doubt = self._row_noise(signals, signals.noise, at, attached)[use]  # (r, s, p + 1)
+            changes, group = self._row_noise(signals, signals.noise, at, attached)
+            doubt = changes[group][use]  # (r, s, p + 1)
             effect = (doubt @ [*self.rls.solve().mean, -1.0]) * signals.noise.inflation
             sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
         innovation, spread = self.rls.innovation(rows, y, sigma)
@@ -305,7 +306,7 @@ class Identifier:
         if self._instruments is not None:
             own = signals.sigma[at][use] * widening[kept]
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
-            taken = MotionRows(*moved, use, rows, y, own, doubt, C)
+            taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
             self._instruments.take(taken)
         if self.observer is not None:
             self.observer(times, attached[at][tick], rows, y, sigma, doubt)
@@ -328,22 +329,25 @@ class Identifier:
             for row, column in self._scales:
                 Y[:, row, column] = predicted[:, row]
 
-    def _row_noise(self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
+    def _row_noise(
+        self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray
+    ) -> tuple[FloatArray, NDArray[np.intp]]:
         """Change of the rows and of their left-hand sides per standard deviation of each motion signal.
 
-        (t, rows, s, p + 1).
-
         Signals change little over a few ticks, so one tick in the middle of every few stands for its neighbours.
+
+        Returns:
+            ``(changes, group)``: (groups, rows, s, p + 1), and the group of each tick, (t,).
         """
-        nj = len(self.model.vehicle.joints)
-        out = np.empty((at.size, len(self.model.rows), 3 * nj + 9, len(self.base.names) + 1))
+        changes: list[FloatArray] = []
+        group = np.empty(at.size, np.intp)
         for held in (True, False):
             kind = np.flatnonzero(attached[at] == held)
             for first in range(0, kind.size, _NOISE_TICKS):
-                group = kind[first : first + _NOISE_TICKS]
-                tick = at[group[group.size // 2]]
-                out[group] = self._noise_at(signals, noise, tick, held)
-        return out
+                mine = kind[first : first + _NOISE_TICKS]
+                group[mine] = len(changes)
+                changes.append(self._noise_at(signals, noise, at[mine[mine.size // 2]], held))
+        return np.stack(changes), group
 
     def _noise_at(self, signals: Signals, noise: SignalNoise, tick: np.intp, held: bool) -> FloatArray:
         """The same at one tick, (rows, s, p + 1), by finite differences one standard deviation wide."""
@@ -373,7 +377,7 @@ class Identifier:
         if self._scales:
             predicted = change @ [*self.rls.solve().mean, -1.0]  # (rows, s)
             for row, column in self._scales:
-                change[row, :, column] = 0.0
+                change[row, :, column] = predicted[row]
         return np.asarray(change, np.float64)
 
     def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:

@@ -40,7 +40,8 @@ class MotionRows(NamedTuple):
     Y: FloatArray  # (r, p)
     y: FloatArray  # (r,)
     sigma: FloatArray  # (r,) of the left-hand sides by themselves
-    noise: FloatArray | None  # (r, s, p + 1) change of row and left-hand side per standard deviation of a signal
+    noise: FloatArray | None  # (groups, rows, s, p + 1) change of row and left-hand side per sigma of a signal
+    group: NDArray[np.intp]  # (n,) of each tick
     C: FloatArray | None  # (r, k)
 
 
@@ -57,7 +58,7 @@ def whitening(rows: MotionRows, mean: FloatArray) -> tuple[FloatArray, list[tupl
     """
     if rows.noise is None:
         return rows.sigma, []
-    effect = rows.noise @ np.append(mean, -1.0)  # (r, s)
+    effect = (rows.noise @ np.append(mean, -1.0))[rows.group][rows.used]  # (r, s)
     sigma = np.sqrt(rows.sigma**2 + np.einsum("rs,rs->r", effect, effect))
     scaled = effect / sigma[:, None]
     sizes = rows.used.sum(axis=1)

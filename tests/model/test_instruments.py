@@ -94,11 +94,12 @@ def test_instruments_take_the_bias_out_of_a_flight(flown, rng):
 def test_whitening_makes_the_errors_of_a_tick_independent(rng):
     used = np.array([[True] * 3, [True, False, True], [False] * 3, [True] * 3])
     r = int(used.sum())
-    noise, mean, sigma = rng.normal(size=(r, 4, 3)), rng.normal(size=2), rng.uniform(0.5, 1.0, r)
-    none = np.zeros((4, 1))
-    rows = MotionRows(np.arange(4.0), *[none] * 4, np.ones(4, bool), used, noise[:, 0, :2], none, sigma, noise, None)
+    noise, mean, sigma = rng.normal(size=(2, 3, 4, 3)), rng.normal(size=2), rng.uniform(0.5, 1.0, r)
+    none, held, group = np.zeros((4, 1)), np.ones(4, bool), np.array([0, 1, 1, 0])
+    Y = rng.normal(size=(r, 2))
+    rows = MotionRows(np.arange(4.0), *[none] * 4, held, used, Y, none, sigma, noise, group, None)
     spread, parts = whitening(rows, mean)
-    effect = noise @ [*mean, -1.0]
+    effect = np.concatenate([noise[g, use] for g, use in zip(group, used, strict=True)]) @ [*mean, -1.0]
     np.testing.assert_allclose(spread**2, sigma**2 + (effect**2).sum(axis=1))
     seen = 0
     for index, inverse in parts:
