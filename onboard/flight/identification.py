@@ -1,5 +1,7 @@
 """From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -119,6 +121,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
         row_model = RowModel(model, rows, zero_force=zero_force is not None)
         offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
         prior = named_relative_sigma(row_model, settings.prior.relative, {**settings.prior.absolute, **offsets})
+        _check_prior(prior, settings.prior.relative, model)
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=prior == 0.0)
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
@@ -152,6 +155,14 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
         raise config.ConfigError(f"{vehicle.path}: {text}. Go on with the vehicle that flew then")
     sensitivity = np.array(carried.sensitivity, np.float64).reshape(len(names), -1)
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
+
+
+def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: Vehicle) -> None:
+    """A link is exact because the file says so, and not because a share of nothing is nothing."""
+    for index, link in enumerate(model.links):
+        if relative[link] > 0.0 and not prior[10 * index : 10 * index + 10].all():
+            text = f"link {link!r} has no mass or no inertia in the URDF that a relative sigma could be of"
+            raise UrdfError(f"{text}; give absolute ones, M_{link} to ZZ_{link}, or a relative one of 0 if it is exact")
 
 
 def _check_joints(roles: Roles, model: Vehicle) -> None:

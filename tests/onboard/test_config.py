@@ -194,6 +194,24 @@ def test_names_that_the_urdf_does_not_have_are_refused_before_the_flight(old: st
         Estimator(vehicle)
 
 
+@pytest.mark.parametrize(("payload", "refused"), [("1.0", True), ("0.0", False)])
+def test_a_share_of_nothing_is_not_taken_for_exact(payload: str, refused: bool) -> None:
+    """The payload link has no inertia in the URDF: nobody may take it for a known nothing without saying so."""
+    path = config.packaged("dymaflex_parabolic")
+    links = ", ".join(f"link_{k} = 0.0" for k in range(1, 6))
+    rows = '[estimation]\nmethod = "instrumental"\nbase_rows = ["force", "moment"]'
+    prior = f"[estimation.prior]\nrelative = {{ base = 0.01, {links}, payload = {payload} }}"
+    devices, _, _ = path.read_text().partition("[estimation]")
+    vehicle = config.parse(f"{devices}\n{rows}\n{prior}\n", path)
+    if refused:
+        with pytest.raises(config.ConfigError, match=r"'payload' has no mass.*M_payload to ZZ_payload"):
+            Estimator(vehicle)
+    else:
+        names = Estimator(vehicle).identifier.parameter_names
+        assert names
+        assert all(name.removesuffix("_R").endswith("_base") for name in names)
+
+
 def test_a_missing_file_says_so(tmp_path: Path) -> None:
     with pytest.raises(config.ConfigError, match=r"No such file.*give the path of a vehicle\.toml"):
         config.load(tmp_path / "nowhere.toml")
