@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from drivers import records
 from onboard import config
 from onboard.flight.identification import build_identifier
 from onboard.offline import truth
@@ -17,6 +18,7 @@ from onboard.offline.phases import Phase
 from onboard.offline.report import report
 from onboard.offline.report.alone import alone
 from onboard.offline.report.story import Sweep
+from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -172,3 +174,16 @@ class TestInABrowser:
         )  # fmt: skip
         pages = len(re.findall(rb"/Type\s*/Page\b", pdf.read_bytes()))
         assert 4 <= pages <= 12
+
+
+def test_a_log_of_one_channel_and_no_vehicle_makes_a_page(tmp_path: Path) -> None:
+    rows = np.zeros(50, records.IMU)
+    rows["sequence"] = range(50)
+    rows["host_ns"] = np.arange(50) * 1_000_000
+    with LogWriter.create(tmp_path / "bare.mcap", durable=False) as writer:
+        writer.register("imu_0", records.IMU)
+        writer.write("imu_0", rows)
+    report(tmp_path / "bare.mcap", tmp_path / "bare.html")
+    text = (tmp_path / "bare.html").read_text()
+    assert "carries no vehicle" in text
+    assert "imu_0" in text

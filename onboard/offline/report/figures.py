@@ -28,10 +28,10 @@ def timeline(story: Story) -> Figure:
     """Phases, use of rows, clocks, gaps, and whatever went wrong."""
     lanes = _lanes(story)
     longest = max((len(name) for name, _ in lanes), default=0)
-    figure, [axes] = subplots(height_in=0.25 * len(lanes), left_in=0.3 + 0.073 * longest)
+    figure, [axes] = subplots(height_in=0.25 * max(1, len(lanes)), left_in=0.3 + 0.073 * longest)
     duration_s = max(story.info.duration_s, 1e-9)
     axes.set_xlim(0.0, duration_s)
-    axes.set_ylim(len(lanes), 0)
+    axes.set_ylim(max(1, len(lanes)), 0)
     axes.set_yticks(np.arange(len(lanes)) + 0.5, [name for name, _ in lanes])
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)
