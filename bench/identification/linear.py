@@ -22,9 +22,10 @@ from onboard.estimation.consistency import HonestEstimate
 from onboard.estimation.smoothing import Window, correlation_inflation
 from onboard.model.base_parameters import base_parameters
 from onboard.model.composite import RigidBody
-from onboard.model.identify import Identifier, SignalNoise, Signals
+from onboard.model.identify import Identifier
 from onboard.model.payload import standard_of
 from onboard.model.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, base_motion
+from onboard.model.signals import SignalNoise, Signals
 from onboard.model.vehicle import Vehicle
 
 Floats = NDArray[np.float64]

@@ -21,9 +21,10 @@ from onboard import config
 from onboard.estimation.smoothing import Window, correlation_inflation
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.grasped import Grasped, grasped
-from onboard.model.identify import Identifier, SignalNoise, Signals
+from onboard.model.identify import Identifier
 from onboard.model.rows import RowModel, standing
 from onboard.model.sensor_rows import wrist_cell_rows
+from onboard.model.signals import SignalNoise, Signals
 from onboard.model.vehicle import STANDARD, BaseKind, Vehicle, VehicleSpec
 
 Floats = NDArray[np.float64]

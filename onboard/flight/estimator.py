@@ -21,10 +21,12 @@ from onboard.flight.roles import roles_of
 from onboard.flight.signals import Signals, kernel_of
 from onboard.flight.zeroing import Zeroing
 from onboard.model.change import Change
-from onboard.model.identify import Estimate, Identifier, SignalNoise
-from onboard.model.identify import Signals as ModelSignals
+from onboard.model.identify import Identifier
 from onboard.model.online import OnlineIdentifier
+from onboard.model.quantities import Estimate
 from onboard.model.rows import BaseMotion, base_motion, standing
+from onboard.model.signals import SignalNoise
+from onboard.model.signals import Signals as ModelSignals
 
 Floats = NDArray[np.float64]
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard import config
+from onboard.config.errors import line_of
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import Memory
 from onboard.flight.roles import Cell, Roles, roles_of
@@ -13,12 +14,14 @@ from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import ModelError, UrdfError
 from onboard.model.exiddm import ImuDoubt
 from onboard.model.free_body import free_body_quantities
-from onboard.model.identify import Considered, Identifier, Quantity, Start, mass_quantities
+from onboard.model.identify import Considered, Identifier, Start
 from onboard.model.imu_prediction import ImuPredictor
 from onboard.model.online import ExiddmIdentifier, OnlineIdentifier
 from onboard.model.payload import standard_covariance
+from onboard.model.quantities import Quantity, mass_quantities
 from onboard.model.recursive_exiddm import RecursiveExiddm
 from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
+from onboard.model.table_run import TableRun
 from onboard.model.vehicle import STANDARD, BaseKind, Vehicle, VehicleSpec
 
 FloatArray = NDArray[np.float64]
@@ -44,6 +47,8 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle]:
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
+    if vehicle.file.planar is not None:
+        return build_planar(vehicle)
     if vehicle.file.estimation.method == "exiddm":
         return build_exiddm(vehicle)
     return build_identifier(vehicle)
@@ -75,6 +80,29 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.path}: {error}") from error
     return ExiddmIdentifier(exiddm), model
+
+
+def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, Vehicle]:
+    """What flies on a vehicle on an air-bearing table, which is estimated when its run is over; and its model.
+
+    Raises:
+        ConfigError: a name that the URDF does not have.
+    """
+    roles = roles_of(vehicle)
+    try:
+        model = build_model(vehicle)
+        _check_joints(roles, model)
+        model.pose_in_base(roles.imu.frame)
+        exiddm_prior(vehicle, model)
+    except ModelError as error:
+        raise config.ConfigError(f"{vehicle.path}: {error}") from error
+    for index, puck in enumerate(vehicle.file.planar.puck if vehicle.file.planar else ()):
+        try:
+            model.pose_in_base(puck.frame)
+        except ModelError as error:
+            line = line_of(vehicle.text, ["planar", "puck", str(index), "frame"])
+            raise config.ConfigError(f"{vehicle.path}:{line}: {error}") from error
+    return TableRun(str(model.spec.payload_link)), model
 
 
 def exiddm_prior(vehicle: config.Vehicle, model: Vehicle) -> tuple[dict[str, FloatArray], ImuDoubt, FloatArray]:

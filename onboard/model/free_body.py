@@ -28,7 +28,8 @@ from onboard.model.composite import (
     take_away,
 )
 from onboard.model.errors import SignalError
-from onboard.model.identify import Identifier, Quantity
+from onboard.model.identify import Identifier
+from onboard.model.quantities import Quantity
 from onboard.model.rows import RowModel
 
 FloatArray = NDArray[np.float64]

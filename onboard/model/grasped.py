@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from onboard.estimation.gates import GateReason
 from onboard.model.composite import RigidBody, elements
 from onboard.model.errors import UnknownFrameError
-from onboard.model.identify import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, Identifier
+from onboard.model.identify import Identifier
 from onboard.model.payload import body_jacobian, body_of
+from onboard.model.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
 
 FloatArray = NDArray[np.float64]
 

@@ -21,44 +21,22 @@ from onboard.model.base_parameters import BaseParameters
 from onboard.model.change import Change
 from onboard.model.errors import SignalError, UnknownFrameError
 from onboard.model.instruments import Instruments, MotionRows
-from onboard.model.rows import BaseMotion, RowModel, joint_torque_row, skew
-from onboard.model.vehicle import Vehicle
+from onboard.model.quantities import (
+    SUPPORTED_FREEDOM,
+    SUPPORTED_SHRINKAGE,
+    Estimate,
+    Quantity,
+    QuantityEstimate,
+)
+from onboard.model.row_noise import RowNoise
+from onboard.model.rows import BaseMotion, RowModel
+from onboard.model.signals import Signals
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# A quantity is reported when the data determine it:
-SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
-SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information
-_NOISE_TICKS = 8
 _SCALE_ROUNDS = 2
 _BATCH_TICKS = 64  # rows judged by one estimate before they change it
-
-
-class SignalNoise(NamedTuple):
-    """Standard deviation of the smoothed signals: sample noise times the kernel's noise gain, each axis alone."""
-
-    q: FloatArray  # (n, joints)
-    dq: FloatArray  # (n, joints)
-    ddq: FloatArray  # (n, joints)
-    rate: FloatArray  # (n, 3) IMU axes, as the three below
-    acceleration: FloatArray  # (n, 3)
-    specific_force: FloatArray  # (n, 3)
-    inflation: float = 1.0  # for the correlation of neighbouring rows
-
-
-class Signals(NamedTuple):
-    """Smoothed signals at n ticks; every one through the same kernel. NaN where a window was not valid."""
-
-    time_s: FloatArray  # (n,)
-    q: FloatArray  # (n, joints)
-    dq: FloatArray  # (n, joints)
-    ddq: FloatArray  # (n, joints)
-    motion: BaseMotion  # (n, 3) each, of the base frame
-    measured: FloatArray  # (n, rows) left-hand sides; zero for a wrench known to be zero
-    sigma: FloatArray  # (n, rows) of `measured`, correlation inflation included; zero for what is known exactly
-    measured_rate: FloatArray | None = None  # (n, rows) time derivative of `measured`; for delays considered
-    noise: SignalNoise | None = None  # of the motion; where not given, the regressor is taken for exact
 
 
 class Considered(NamedTuple):
@@ -68,43 +46,6 @@ class Considered(NamedTuple):
     row: str
     effect: Literal["scale", "delay"]
     sigma: float  # relative for a scale, s for a delay
-
-
-class Quantity(NamedTuple):
-    """A linear combination of base parameters somebody wants to read."""
-
-    name: str
-    unit: str
-    weights: FloatArray  # (p,)
-    note: str = ""
-
-
-class QuantityEstimate(NamedTuple):
-    """A quantity with its interval; NaN where the data do not support it."""
-
-    name: str
-    unit: str
-    mean: float
-    sigma: float
-    low: float
-    high: float
-    shrinkage: float  # posterior sigma over prior sigma
-    supported: bool
-    note: str
-
-
-class Estimate(NamedTuple):
-    """All that is known after the rows so far."""
-
-    names: tuple[str, ...]  # of the base parameters
-    mean: FloatArray  # (p,)
-    sigma: FloatArray  # (p,)
-    low: FloatArray  # (p,)
-    high: FloatArray  # (p,)
-    supported: BoolArray  # (p,)
-    quantities: tuple[QuantityEstimate, ...]
-    rows_used: int
-    refused: dict[GateReason, int]  # rows by reason; a row with two reasons counts in both
 
 
 class Start(NamedTuple):
@@ -194,7 +135,7 @@ class Identifier:
             self._instruments = Instruments(instrumental, model, self._fold, base, prior_sigma, instruments_lag_s)
         self.rls.prior(*(start or (base.value(model.chi), self._prior_covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
-        self._imu_pose = model.vehicle.pose_in_base(imu_frame or model.vehicle.spec.base_link)
+        self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self.observer: RowObserver | None = None
@@ -282,7 +223,8 @@ class Identifier:
         sigma = signals.sigma[at][use]
         doubt, changes, group = None, None, np.zeros(at.size, np.intp)
         if signals.noise is not None:
-            changes, group = self._row_noise(signals, signals.noise, at, attached)
+            mean = self.rls.solve().mean if self._scales else None
+            changes, group = self._noise.changes(signals, signals.noise, at, attached, mean)
             doubt = changes[group][use]  # (r, s, p + 1)
             effect = (doubt @ [*self.rls.solve().mean, -1.0]) * signals.noise.inflation
             sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
@@ -328,57 +270,6 @@ class Identifier:
             predicted = unscaled @ [*trial.solve().mean, 1.0]  # (t, rows)
             for row, column in self._scales:
                 Y[:, row, column] = predicted[:, row]
-
-    def _row_noise(
-        self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray
-    ) -> tuple[FloatArray, NDArray[np.intp]]:
-        """Change of the rows and of their left-hand sides per standard deviation of each motion signal.
-
-        Signals change little over a few ticks, so one tick in the middle of every few stands for its neighbours.
-
-        Returns:
-            ``(changes, group)``: (groups, rows, s, p + 1), and the group of each tick, (t,).
-        """
-        changes: list[FloatArray] = []
-        group = np.empty(at.size, np.intp)
-        for held in (True, False):
-            kind = np.flatnonzero(attached[at] == held)
-            for first in range(0, kind.size, _NOISE_TICKS):
-                mine = kind[first : first + _NOISE_TICKS]
-                group[mine] = len(changes)
-                changes.append(self._noise_at(signals, noise, at[mine[mine.size // 2]], held))
-        return np.stack(changes), group
-
-    def _noise_at(self, signals: Signals, noise: SignalNoise, tick: np.intp, held: bool) -> FloatArray:
-        """The same at one tick, (rows, s, p + 1), by finite differences one standard deviation wide."""
-        R_BS, p_BS = self._imu_pose
-        nj = len(self.model.vehicle.joints)
-        s = 3 * nj + 9
-        joints = np.stack([signals.q[tick], signals.dq[tick], signals.ddq[tick]])  # (3, nj)
-        moved = np.repeat(joints[None], s + 1, axis=0)  # (s + 1, 3, nj); the last one stays as it is
-        spread = np.stack([noise.q[tick], noise.dq[tick], noise.ddq[tick]])
-        for source in range(3 * nj):
-            moved[source].flat[source] += spread.flat[source]
-        w, dw, f = (np.repeat(v[tick][None], s + 1, axis=0) for v in signals.motion)  # (s + 1, 3) each
-        rate, acceleration, force = (slice(3 * nj + 3 * k, 3 * nj + 3 * k + 3) for k in range(3))
-        dw_noise, w_noise = (R_BS * noise.acceleration[tick]).T, (R_BS * noise.rate[tick]).T  # row k: axis k of the IMU
-        # What the IMU gets wrong in rate or acceleration also goes into the lever arm's part of f.
-        arm, turning = skew(p_BS), skew(w[-1])
-        f[rate] -= w_noise @ skew(turning @ p_BS) - w_noise @ arm @ turning
-        f[acceleration] -= dw_noise @ arm
-        f[force] += (R_BS * noise.specific_force[tick]).T
-        w[rate] += w_noise
-        dw[acceleration] += dw_noise
-        flags, none = np.full(s + 1, held), np.zeros((s + 1, len(self.model.rows)))
-        joints_moved = moved[:, 0], moved[:, 1], moved[:, 2]
-        Y = self.model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, none, self._fold)
-        change = (Y[:-1] - Y[-1]).transpose(1, 0, 2)
-        change[..., -1] *= -1.0  # what is known goes to the other side
-        if self._scales:
-            predicted = change @ [*self.rls.solve().mean, -1.0]  # (rows, s)
-            for row, column in self._scales:
-                change[row, :, column] = predicted[row]
-        return np.asarray(change, np.float64)
 
     def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:
         """``d y / d c``, (r, k): the reading itself for a scale, minus its rate for a delay."""
@@ -435,79 +326,3 @@ class Identifier:
             self.rows_used,
             dict(self.refused),
         )
-
-
-def inertia_about_joint(vehicle: Vehicle, joint: str, q: FloatArray | None = None) -> FloatArray:
-    """Each link's part in the rotational inertia a joint feels, as a functional of the standard parameters, (links, P).
-
-    The torque of unit joint acceleration with all else at rest: ``row[l] @ chi`` is the inertia of link l about the
-    joint's axis, kg m^2 (its mass for a prismatic joint).
-
-    Args:
-        vehicle: the model.
-        joint: by name.
-        q: joint positions, (joints,); zero where not given.
-
-    Raises:
-        UnknownFrameError: no such joint.
-    """
-    model = RowModel(vehicle, [joint_torque_row(vehicle, joint, friction=False)])
-    ddq = np.zeros((1, len(vehicle.joints)))
-    ddq[0, vehicle.joints.index(vehicle.joint(joint))] = 1.0
-    still = np.zeros((1, 3))
-    at = np.zeros_like(ddq) if q is None else np.asarray(q, np.float64).reshape(1, -1)
-    row = model.regressor(at, np.zeros_like(ddq), ddq, BaseMotion(still, still, still))[0, 0]
-    parts = np.zeros((len(vehicle.links), row.size))
-    for link in range(len(vehicle.links)):
-        parts[link, 10 * link : 10 * link + 10] = row[10 * link : 10 * link + 10]
-    return parts
-
-
-def mass_quantities(model: RowModel, base: BaseParameters, joint: str, arm_link: str) -> tuple[Quantity, ...]:
-    """Inertias about the joint, and the masses they mean under the drawing's geometry.
-
-    A single joint's motion shows inertia, not mass: ``m = ZZ / k^2`` with k the radius of gyration of the link about
-    the joint's axis, from the URDF. In order: ``ZZ_R`` held and released; arm, arm + payload, payload (masses); and
-    arm + payload from ``ZZ_R`` held alone, which needs no row without the payload but takes the *ratio* of the two
-    masses from the drawing too.
-
-    Args:
-        model: the rows.
-        base: their base parameters.
-        joint: about which the inertias are.
-        arm_link: the link that stays.
-
-    Raises:
-        UnknownFrameError: no payload link, or a name that the URDF does not have.
-        SignalError: the rows can never tell these inertias, or a link weighs nothing in the URDF.
-    """
-    vehicle = model.vehicle
-    payload = vehicle.spec.payload_link
-    if payload is None or arm_link not in vehicle.links:
-        raise UnknownFrameError(f"masses need a payload link and a link {arm_link!r}; links are {vehicle.links}")
-    parts = inertia_about_joint(vehicle, joint)
-    functionals = []
-    masses = []
-    for link in (arm_link, payload):
-        index = vehicle.links.index(link)
-        inertia = float(parts[index] @ vehicle.chi)
-        mass = float(vehicle.chi[10 * index])
-        if not (mass > 0.0 and inertia > 0.0):
-            raise SignalError(f"link {link!r} has no mass or no inertia about {joint!r} in the URDF; masses need both")
-        padded = np.zeros(len(model.names))
-        padded[: parts.shape[1]] = parts[index]
-        functionals.append(base.weights(padded))
-        masses.append((mass, inertia))
-    (arm, tip), ((m_arm, zz_arm), (m_tip, zz_tip)) = functionals, masses
-    both = (m_arm + m_tip) / (zz_arm + zz_tip)
-    drawn = "radii of gyration from the drawing"
-    return (
-        Quantity(f"ZZ_{joint}_R_held", "kg m^2", arm + tip),
-        Quantity(f"ZZ_{joint}_R_released", "kg m^2", arm),
-        Quantity(f"m_{arm_link}", "kg", arm * m_arm / zz_arm, drawn),
-        Quantity(f"m_{arm_link}+m_{payload}", "kg", arm * m_arm / zz_arm + tip * m_tip / zz_tip, drawn),
-        Quantity(f"m_{payload}", "kg", tip * m_tip / zz_tip, drawn),
-        Quantity(
-            f"m_{arm_link}+m_{payload}_held", "kg", (arm + tip) * both, f"{drawn}, and the ratio of the two masses"
-        ),
-    )

@@ -13,16 +13,17 @@ from onboard.model.change import Change
 from onboard.model.composite import elements
 from onboard.model.errors import SignalError
 from onboard.model.exiddm_window import Ticks
-from onboard.model.identify import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate, Signals
 from onboard.model.imu_prediction import PAYLOAD
 from onboard.model.payload import body_jacobian, possible_body
+from onboard.model.quantities import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
 from onboard.model.recursive_exiddm import RecursiveExiddm
+from onboard.model.signals import Signals
 from onboard.model.vehicle import STANDARD
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
+IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 _BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 _UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
@@ -71,7 +72,7 @@ class ExiddmIdentifier:
     def __init__(self, exiddm: RecursiveExiddm) -> None:
         self.exiddm = exiddm
         payload = exiddm.predictor.vehicle.spec.payload_link
-        self.row_names: tuple[str, ...] = _ROWS
+        self.row_names: tuple[str, ...] = IMU_ROWS
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
         self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in _BODY)
         self.rows_used = 0

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.rls import Observability
-from onboard.model.identify import SUPPORTED_SHRINKAGE
+from onboard.model.quantities import SUPPORTED_SHRINKAGE
 
 FloatArray = NDArray[np.float64]
 

@@ -27,9 +27,10 @@ from onboard.model.errors import ModelError
 from onboard.model.exiddm import ImuDoubt, NonLinearExiddm, PayloadFit
 from onboard.model.exiddm_window import Ticks
 from onboard.model.held_out import HeldOut, Prediction
-from onboard.model.identify import SUPPORTED_SHRINKAGE, Signals
 from onboard.model.online import ExiddmIdentifier
-from onboard.model.payload import body_of
+from onboard.model.payload import BodyEstimate, body_of
+from onboard.model.quantities import SUPPORTED_SHRINKAGE
+from onboard.model.signals import Signals
 from onboard.model.standard import link_estimate
 from onboard.model.subspace import subspace
 from onboard.model.ticks import FlightSignals
@@ -122,7 +123,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
     link = link_estimate(
         str(model.spec.payload_link), found.fit.x[_PAYLOAD], wider * found.fit.covariance[_PAYLOAD, _PAYLOAD]
     )
-    answers = _answers(names, link.body or found.payload.body, found.payload.covariance, wider)
+    answers = body_answers(names, link.body or found.payload.body, found.payload.covariance, wider)
     asked = {answer.name: answer.supported for answer in answers}
     evidence = Evidence(used, refused, asked, held_out, away={link.link: link.away}, misfit=misfit)
     return Identified(
@@ -135,7 +136,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
         verdict(evidence),
         held_out=held_out,
         misfit=misfit,
-        subspace=subspace(_seen(found), names),
+        subspace=subspace(body_seen(found.payload), names),
         links=(link,),
     )
 
@@ -167,7 +168,7 @@ def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, 
     return ticks.part(slice(longest.start, min(longest.stop, longest.start + round(LONGEST_S / period_s))))
 
 
-def _answers(names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float) -> tuple[Answer, ...]:
+def body_answers(names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float) -> tuple[Answer, ...]:
     """Each is supported when it is known to a fifth of the body's own size."""
     values = np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
     bound = np.sqrt(np.diag(covariance))
@@ -191,12 +192,12 @@ def _size(body: RigidBody) -> FloatArray:
     return np.array([body.mass_kg, *[np.sqrt(half_trace / body.mass_kg)] * 3, *[half_trace] * 6])
 
 
-def _seen(found: PayloadFit) -> Observability:
+def body_seen(payload: BodyEstimate) -> Observability:
     """The payload's ten numbers against its own size, as if that had been the prior."""
-    size = _size(found.payload.body)
-    values, vectors = np.linalg.eigh(found.payload.covariance / np.outer(size, size))
+    size = _size(payload.body)
+    values, vectors = np.linalg.eigh(payload.covariance / np.outer(size, size))
     gain = 1.0 / np.maximum(values[::-1], np.finfo(np.float64).tiny) - 1.0  # ascending
-    shrinkage = np.sqrt(np.diag(found.payload.covariance)) / size
+    shrinkage = np.sqrt(np.diag(payload.covariance)) / size
     return Observability(shrinkage, np.maximum(gain, 0.0), size[:, None] * vectors[:, ::-1])
 
 

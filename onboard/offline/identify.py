@@ -19,7 +19,8 @@ from onboard.flight.identification import build_model
 from onboard.flight.roles import roles_of
 from onboard.model.essential import essential
 from onboard.model.held_out import RowBlocks
-from onboard.model.identify import SUPPORTED_SHRINKAGE, Estimate, Identifier
+from onboard.model.identify import Identifier
+from onboard.model.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.model.standard import identified_links, without_rotors
 from onboard.model.subspace import subspace
 from onboard.model.urdf import with_bodies

@@ -26,7 +26,8 @@ from onboard.model.free_body import (
     whole_body,
     without_carrier,
 )
-from onboard.model.identify import SUPPORTED_SHRINKAGE, Estimate, Identifier
+from onboard.model.identify import Identifier
+from onboard.model.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.model.standard import LinkEstimate, whole_estimate
 
 FloatArray = NDArray[np.float64]

@@ -14,10 +14,10 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_exiddm
 from onboard.model.composite import RigidBody
-from onboard.model.identify import Signals
 from onboard.model.online import ExiddmIdentifier
 from onboard.model.payload import standard_of
 from onboard.model.rows import BaseMotion
+from onboard.model.signals import Signals
 from onboard.offline.feed import feed
 from onboard.offline.importer import import_recordings
 from onboard.recording.reader import LogReader

@@ -14,9 +14,10 @@ from onboard.estimation.smoothing import Window, correlation_inflation
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import UnknownFrameError
 from onboard.model.grasped import grasped
-from onboard.model.identify import Identifier, SignalNoise, Signals
+from onboard.model.identify import Identifier
 from onboard.model.rows import RowModel, standing
 from onboard.model.sensor_rows import wrist_cell_rows
+from onboard.model.signals import SignalNoise, Signals
 from onboard.model.vehicle import STANDARD, BaseKind, Vehicle, VehicleSpec
 
 URDF = (Path(onboard.__file__).parent / "vehicles" / "workshop" / "workshop.urdf").read_text()

@@ -12,15 +12,10 @@ from onboard.estimation.memory import Memory
 from onboard.estimation.smoothing import Window, correlation_inflation
 from onboard.model.base_parameters import base_parameters, named_relative_sigma
 from onboard.model.errors import SignalError, UnknownFrameError
-from onboard.model.identify import (
-    Considered,
-    Identifier,
-    SignalNoise,
-    Signals,
-    inertia_about_joint,
-    mass_quantities,
-)
+from onboard.model.identify import Considered, Identifier
+from onboard.model.quantities import inertia_about_joint, mass_quantities
 from onboard.model.rows import BaseMotion, RowModel, base_motion, load_cell_row
+from onboard.model.signals import SignalNoise, Signals
 from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
 
 WIDTH_S, ROW_S, CELL_S, IMU_S = 0.1, 0.01, 0.005, 0.001

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from onboard.estimation.consistency import BlockScores, HonestEstimate
 from onboard.estimation.memory import FOR_EVER
 from onboard.estimation.rls import SquareRootRls
-from onboard.model.identify import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, Identifier
+from onboard.model.identify import Identifier
+from onboard.model.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
 from onboard.offline.report.story import Sweep
 
 Floats = NDArray[np.float64]
