@@ -26,9 +26,10 @@ from onboard.model.ticks import FlightSignals
 
 FloatArray = NDArray[np.float64]
 
+_ITERATIONS = 40
 _FIRST_TICKS = 10  # that tell the momentum to begin with
 _ROUGH_WIDTH_s = 0.3
-_GOOD_FIT = 1.3  # whitened residual sum per row of a guess that needs no other
+_GOOD_FIT = 1e-2  # by chance: a misfit that is likelier needs no other guess
 _GLITCH = 1e-9  # by chance, of one tick's residual
 _FEW = 0.03  # of the ticks may be glitches
 
@@ -125,7 +126,7 @@ class Window:
         problem = _Problem(mean, information, active)
         with contextlib.suppress(ConvergenceError, SingularError):
             found = self._from_guesses(problem, story, use) if start is None else start
-            fitted = None if found is None else self._fit(problem, found, use, 1e-2)
+            fitted = None if found is None else self._settle(problem, found, use)
             if fitted is None:
                 return None
             glitches = 0
@@ -136,7 +137,7 @@ class Window:
                     break
                 use[np.flatnonzero(use)[worst]] = False
                 glitches += 1
-                fitted = self._fit(problem, problem.state(fitted.x), use, 1e-2)
+                fitted = self._settle(problem, problem.state(fitted.x), use)
             found = problem.state(fitted.x)
             end = self._predictor.predict(self._links, found)
             F = end.transition[:, active]
@@ -145,26 +146,31 @@ class Window:
         return None
 
     def _from_guesses(self, problem: "_Problem", story: Story, use: NDArray[np.bool_]) -> FloatArray | None:
-        """A first half that fits, from one guess after the other."""
-        half = len(use) // 2
+        """The best fit from one guess after the other, until one is good; half a second is too short to tell."""
         found: Fit | None = None
         for payload in self._guesses(story):
             x = problem.mean.copy()
             x[PAYLOAD] = payload
             x[MOMENTUM] = self._first_momentum(x)
             with contextlib.suppress(ConvergenceError, SingularError):
-                tried = self._fit(problem, x, use[:half], 1.0)
+                tried = self._fit(problem, x, use, 1.0)
                 if found is None or tried.residual_sum < found.residual_sum:
                     found = tried
-                if tried.residual_sum < _GOOD_FIT * 6 * use[:half].sum():
+                if chdtrc(6.0 * use.sum(), tried.residual_sum) > _GOOD_FIT:
                     break
         return None if found is None else problem.state(found.x)
+
+    def _settle(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_]) -> Fit:
+        """To the bottom; but for a valley without a slope, near enough is good enough."""
+        with contextlib.suppress(ConvergenceError):
+            return self._fit(problem, start, use, 1e-2)
+        return self._fit(problem, start, use, 1.0)
 
     def _fit(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_], tolerance: float) -> Fit:
         active = problem.active
         prior = problem.information[np.ix_(active, active)]
         residuals = partial(self._residuals, problem, use)
-        return fit(residuals, start[active], problem.mean[active], prior, 25, tolerance)
+        return fit(residuals, start[active], problem.mean[active], prior, _ITERATIONS, tolerance)
 
     def _residuals(self, problem: "_Problem", use: NDArray[np.bool_], x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whitened, predicted less measured, of the ticks to use, and their derivatives by what is active."""

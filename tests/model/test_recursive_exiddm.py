@@ -285,6 +285,20 @@ def test_nothing_is_said_before_the_first_window_and_of_axes_that_are_swapped(he
     assert wrong.estimate() is None
 
 
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_the_first_second_is_enough_for_a_start_whatever_is_held(seed):
+    rng = np.random.default_rng(seed)
+    body = BOX.grown(rng.uniform(8.0, 18.0))
+    motion = free_flyer.JointMotion.draw(rng)
+    flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), 1.3)
+    signals = recorded(flight, rng, ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
+    recursive = online(signals, doubt=DOUBT, links=[*(f"link_{k}" for k in range(1, 6)), "base"])
+    recursive.update(ticks_of(signals))
+    found = recursive.estimate()
+    assert found is not None
+    assert abs(found.body.mass_kg - body.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
+
+
 class Late:
     """A motion that begins softly, after a while of none."""
 
