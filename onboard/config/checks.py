@@ -174,6 +174,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         fail(["estimation", "phases", "channel"], f"{what}; there are: {listed or 'none'}")
     if file.free_body and file.vehicle.base != "free":
         fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
+    _check_planar(vehicle, fail)
     if file.estimation.method == "exiddm":
         _check_exiddm(vehicle, fail)
     if file.estimation.method == "instrumental":
@@ -192,8 +193,8 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
 def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     where = ["estimation", "method"]
-    if file.vehicle.base != "free":
-        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free"')
+    if file.vehicle.base not in ("free", "planar"):
+        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free" or "planar"')
     if file.vehicle.payload_link is None:
         fail(where, 'method "exiddm" finds the payload; name its payload_link')
     others = {
@@ -210,3 +211,23 @@ def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
         fail(["estimation", "phases", "payload_taken"], "nothing is held before it; give exiddm.held_at_start = false")
     if file.free_body:
         fail(["free_body"], 'a free body is told from rows; leave method = "exiddm" out')
+
+
+def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
+    file, settings = vehicle.file, vehicle.file.estimation
+    if file.vehicle.base != "planar":
+        if file.planar:
+            fail(["planar"], f'the base is {file.vehicle.base!r}; pucks and a table need base = "planar"')
+        return
+    if settings.method != "exiddm":
+        fail(["estimation", "method"], 'rows know nothing of drag: base = "planar" needs method = "exiddm"')
+    if file.planar is None:
+        fail(["vehicle", "base"], 'base = "planar" needs a section [planar] for the table and its pucks; add it')
+    if settings.carried:
+        fail(["estimation", "carried"], "a run on a table is estimated as a whole; leave carried out")
+    if settings.gates.joint_rate_min_rad_s:
+        where = ["estimation", "gates", "joint_rate_min_rad_s"]
+        fail(where, "a slow arm is as good as a fast one where its motion is predicted; leave joint_rate_min_rad_s out")
+    if not settings.exiddm.held_at_start and (settings.phases is None or settings.phases.payload_taken is None):
+        where = ["estimation", "exiddm", "held_at_start"]
+        fail(where, "nobody finds a capture on a table; give phases.payload_taken, or leave held_at_start out")

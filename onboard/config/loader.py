@@ -12,6 +12,7 @@ from onboard.config.devices import CHANNELS, DEVICES
 from onboard.config.errors import ConfigError, line_of
 from onboard.config.estimation import Carried, Estimation, Gates, Masses, Memory, Phases, Prior, Zero
 from onboard.config.free_body import Carrier, FreeBody, Load
+from onboard.config.planar import Planar, Puck
 from onboard.config.vehicle import Bus, Recording, Vehicle, VehicleFile, VehicleSection
 
 
@@ -89,6 +90,8 @@ def _known_keys(where: list[str], tree: dict[str, Any]) -> list[str]:
         "free_body": FreeBody,
         "carrier": Carrier,
         "load": Load,
+        "planar": Planar,
+        "puck": Puck,
         "recording": Recording,
     }
     tables = [part for part in where if not part.isdigit()]  # an array of tables counts them

@@ -10,18 +10,19 @@ from onboard.config.devices import BusDevice, CanopenSyncDevice, Channels, Devic
 from onboard.config.devices.base import STANDARD_GRAVITY_M_S2
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
+from onboard.config.planar import Planar
 from onboard.config.types import NotNegative, Positive, Section, Vector3
 
 
 class VehicleSection(Section):
     """What flies. ``base``: what is known of the base's motion and of the wrench on it.
 
-    ``gravity_m_s2``: in base axes; counts where the base is fixed and no device is an IMU.
+    ``gravity_m_s2``: in base axes; counts where the base is fixed and no device is an IMU, and where it is planar.
     """
 
     name: str
     urdf: str
-    base: Literal["free", "prescribed", "fixed"]
+    base: Literal["free", "prescribed", "fixed", "planar"]
     base_link: str
     payload_link: str | None = None
     gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)
@@ -57,6 +58,7 @@ class VehicleFile(Section):
     device: dict[str, Device]
     estimation: Estimation = Estimation()
     free_body: FreeBody | None = None
+    planar: Planar | None = None
     recording: Recording = Recording()
 
 

@@ -61,11 +61,7 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
     settings, roles = vehicle.file.estimation, roles_of(vehicle)
-    asked, imu = settings.exiddm, roles.signals[roles.imu.channels[0]]
-    samples = round(1.0 / (imu.period_s * settings.row_rate_hz))
-    if samples < 2:
-        text = f"{imu.period_s * 1e3:g} ms between samples of {roles.imu.channels[0]!r}"
-        raise config.ConfigError(f"{vehicle.path}: {text}: lower row_rate_hz until two and more make a tick")
+    asked, samples = settings.exiddm, samples_per_tick(vehicle)
     try:
         model = build_model(vehicle)
         _check_joints(roles, model)
@@ -82,6 +78,21 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
     return ExiddmIdentifier(exiddm), model
 
 
+def samples_per_tick(vehicle: config.Vehicle) -> int:
+    """Samples of the base IMU in a tick.
+
+    Raises:
+        ConfigError: fewer than two.
+    """
+    channel = roles_of(vehicle).imu.channels[0]
+    period_s = roles_of(vehicle).signals[channel].period_s
+    samples = round(1.0 / (period_s * vehicle.file.estimation.row_rate_hz))
+    if samples < 2:
+        text = f"{period_s * 1e3:g} ms between samples of {channel!r}"
+        raise config.ConfigError(f"{vehicle.path}: {text}: lower row_rate_hz until two and more make a tick")
+    return samples
+
+
 def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, Vehicle]:
     """What flies on a vehicle on an air-bearing table, which is estimated when its run is over; and its model.
 
@@ -89,6 +100,7 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, Vehicle]:
         ConfigError: a name that the URDF does not have.
     """
     roles = roles_of(vehicle)
+    samples_per_tick(vehicle)
     try:
         model = build_model(vehicle)
         _check_joints(roles, model)

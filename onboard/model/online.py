@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
-_BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 _UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
 
@@ -74,7 +74,7 @@ class ExiddmIdentifier:
         payload = exiddm.predictor.vehicle.spec.payload_link
         self.row_names: tuple[str, ...] = IMU_ROWS
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
-        self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in _BODY)
+        self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._attached: bool | None = None

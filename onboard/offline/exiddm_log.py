@@ -123,7 +123,8 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
     link = link_estimate(
         str(model.spec.payload_link), found.fit.x[_PAYLOAD], wider * found.fit.covariance[_PAYLOAD, _PAYLOAD]
     )
-    answers = body_answers(names, link.body or found.payload.body, found.payload.covariance, wider)
+    body = found.payload._replace(body=link.body or found.payload.body)
+    answers = body_answers(names, *body, wider)
     asked = {answer.name: answer.supported for answer in answers}
     evidence = Evidence(used, refused, asked, held_out, away={link.link: link.away}, misfit=misfit)
     return Identified(
@@ -136,7 +137,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
         verdict(evidence),
         held_out=held_out,
         misfit=misfit,
-        subspace=subspace(body_seen(found.payload), names),
+        subspace=subspace(body_seen(body), names),
         links=(link,),
     )
 

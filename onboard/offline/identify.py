@@ -29,6 +29,7 @@ from onboard.offline import throws
 from onboard.offline.exiddm_log import EXIDDM, identify_exiddm
 from onboard.offline.feed import check_channels, feed
 from onboard.offline.identified import Answer, Identified
+from onboard.offline.planar_log import identify_planar
 from onboard.offline.throws import Calibration, Summary
 from onboard.recording.reader import LogReader
 
@@ -108,8 +109,9 @@ def identify(
     calibration: dict[str, Identifier] = {}
     found = []
     by_rows = vehicle.file.estimation.method != EXIDDM
+    by_likelihood = identify_planar if vehicle.file.planar else identify_exiddm
     for reader, load in zip(readers, loads, strict=True):
-        found.append(_one(vehicle, reader, load) if by_rows else identify_exiddm(vehicle, reader))
+        found.append(_one(vehicle, reader, load) if by_rows else by_likelihood(vehicle, reader))
         if load is not None and load.role != "load":
             again = Estimator(vehicle, calibration.get(load.role))
             calibration[load.role] = again.identifier

@@ -61,7 +61,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
         ),
         ('urdf = "rocksat.urdf"', 'urdf = "lost.urdf"', "put the URDF beside the vehicle file"),
         ("[vehicle]", "[vehicle", "not TOML"),
-        ('base = "prescribed"', 'base = "floating"', "'free', 'prescribed' or 'fixed'"),
+        ('base = "prescribed"', 'base = "floating"', "'free', 'prescribed', 'fixed' or 'planar'"),
         ("lever_m = 0.040", "lever_mm = 40", "did you mean 'lever_m'"),
         (
             "[estimation.gates]",
