@@ -57,8 +57,6 @@ def _dump(arguments: argparse.Namespace) -> int:
     piped = target == "-"
     if piped and len(groups) > 1:
         raise ValueError(f"{len(groups)} logs into one pipe: dump them one by one")
-    if arguments.aligned is not None and (selection.start_s, selection.end_s, selection.phases) != (None, None, ()):
-        raise ValueError("--aligned takes the whole flight: cut the table afterwards, its first column is vehicle time")
     codes: list[int] = []
     with progress(to_stderr=piped) as bar:
         for group in groups:
@@ -71,7 +69,7 @@ def _dump(arguments: argparse.Namespace) -> int:
             else:
                 from onboard.offline.aligned import dump_aligned
 
-                result = dump_aligned(log, where, arguments.aligned, channels, kind=kind, progress=bar)
+                result = dump_aligned(log, where, arguments.aligned, selection, kind=kind, progress=bar)
             for path in result.files:
                 print(path)
             warn(result.damage)

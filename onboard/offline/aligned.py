@@ -20,6 +20,7 @@ from onboard.offline import si
 from onboard.offline.columns import Column
 from onboard.offline.dump import DumpResult
 from onboard.offline.export import opener
+from onboard.offline.selection import Selection, inside
 from onboard.offline.vehicle_file import attached_vehicle
 from onboard.offline.vehicle_time import Timed, timed
 from onboard.recording.reader import LogReader
@@ -69,7 +70,7 @@ def dump_aligned(
     log: LogReader,
     target: str | Path | BinaryIO,
     rate_hz: float,
-    channels: Sequence[str] | None = None,
+    selection: Selection = Selection(),  # noqa: B008  # frozen
     *,
     kind: str = "csv",
     progress: Progress | None = None,
@@ -80,16 +81,18 @@ def dump_aligned(
         log: a flight, with its vehicle file.
         target: as for :func:`dump`.
         rate_hz: of the instants.
-        channels: only these.
+        selection: which channels, and which of the instants.
         kind: format; an open file takes CSV only.
         progress: gets a task that counts the bytes of the log.
 
     Raises:
-        ValueError: the log carries no vehicle file, or a channel cannot be resampled, or the format cannot be had.
+        ValueError: the log carries no vehicle file, or a channel cannot be resampled, or the format cannot be had, or
+            see :meth:`Selection.windows`.
         OSError: a file cannot be read or written.
     """
     make = opener(kind)
-    found = aligned(log, attached_vehicle(log), channels, rate_hz)
+    found = aligned(log, attached_vehicle(log), selection.channels, rate_hz)
+    windows = selection.windows(log)
     files: tuple[Path, ...] = ()
     if isinstance(target, str | Path):
         Path(target).mkdir(parents=True, exist_ok=True)
@@ -100,7 +103,8 @@ def dump_aligned(
     count = 0
     table = make(files[0] if files else target, found.columns)  # type: ignore[arg-type]  # an open file it is
     try:
-        for rows in found.blocks:
+        for block in found.blocks:
+            rows = block if windows is None else block[inside(block["vehicle_ns"], windows)]
             table.write(rows)
             count += len(rows)
             if progress is not None and task is not None:

@@ -1,9 +1,10 @@
 """Which part of a log is meant: channels, times, phases."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.records import Batch
 from onboard import config
@@ -63,14 +64,19 @@ class Selection:
         return batches if windows is None else _inside(batches, windows)
 
 
-def _inside(batches: Iterator[Batch], windows: list[tuple[int, int]]) -> Iterator[Batch]:
+def inside(at_ns: NDArray[np.int64], windows: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Which of ``at_ns`` (n,) lie in any of ``windows``."""
+    found = np.zeros(len(at_ns), np.bool_)
+    for start_ns, end_ns in windows:
+        found |= (at_ns >= start_ns) & (at_ns < end_ns)
+    return found
+
+
+def _inside(batches: Iterator[Batch], windows: Sequence[tuple[int, int]]) -> Iterator[Batch]:
     for batch in batches:
-        at_ns = batch.rows["host_ns"]
-        inside = np.zeros(len(at_ns), np.bool_)
-        for start_ns, end_ns in windows:
-            inside |= (at_ns >= start_ns) & (at_ns < end_ns)
-        if inside.any():
-            yield Batch(batch.channel, batch.rows[inside])
+        chosen = inside(batch.rows["host_ns"], windows)
+        if chosen.any():
+            yield Batch(batch.channel, batch.rows[chosen])
 
 
 def _phase_settings(log: LogReader) -> config.Phases | None:
