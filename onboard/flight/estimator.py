@@ -146,7 +146,9 @@ class Estimator:
             (measured,), (sigma,) = means.derivatives, means.sigma
             refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
-            signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma)
+            unknown = np.full((3, len(at_ns), 3), np.nan)
+            noise = SignalNoise(*joint_sigma, *unknown, self.inflation)
+            signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
@@ -292,7 +294,8 @@ class Estimator:
 
 def _said(now_ns: int, change: Change) -> Batch:
     """A change of the payload as an event."""
-    text = f"{change.kind} at {change.time_s:.2f} s"
+    ago_s, since_s = (1e-9 * now_ns - at_s for at_s in (change.time_s, change.since_s))
+    text = f"{change.kind} {ago_s:.2f} s ago"
     if np.isfinite(change.score):
-        text += f", since {change.since_s:.2f} s or later; innovations {change.score:.1f} times what they should be"
+        text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times what they should be"
     return event(now_ns, Severity.INFO, change.kind, "estimation", text)
