@@ -34,6 +34,7 @@ FloatArray = NDArray[np.float64]
 
 _GOOD_FIT = 1.3  # whitened residual sum per row of a guess that needs no other
 _ROUGH_WIDTH_s = 0.3
+_PATIENCE = 60  # iterations: the valley of a payload on a weak motion is flat
 _FIRST_TICKS = 10  # that tell the momentum to begin with
 
 
@@ -196,7 +197,7 @@ class NonLinearExiddm:
 
     def _fit(self, x: FloatArray, ticks: int, tolerance: float) -> Fit:
         early = partial(self.residuals, ticks=ticks)
-        return fit(early, x, np.zeros_like(x), self.prior_information, 25, tolerance)
+        return fit(early, x, np.zeros_like(x), self.prior_information, _PATIENCE, tolerance)
 
     def bound(self, truth: FloatArray) -> BodyEstimate:
         """The payload at ``truth`` with the Cramer-Rao bound of this motion as its covariance."""
