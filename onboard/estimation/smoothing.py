@@ -248,6 +248,27 @@ def smooth(
     )
 
 
+class Response:
+    """What a kernel lets through: gain of a sine by its frequency, of its value and its two derivatives.
+
+    Args:
+        width_s: full width of the kernel.
+        kernel: as given to :class:`Window`.
+    """
+
+    def __init__(self, width_s: float, kernel: Kernel = SPLINE) -> None:
+        u = np.linspace(-0.5, 0.5, 1001)
+        self._width_s = width_s
+        self._turns = np.arange(0.0, 60.0, 0.1)  # angle over the kernel; far beyond what any kernel lets through
+        waves = np.exp(1j * self._turns[:, None] * u)
+        self._gains = [np.abs(waves @ part(u)) * (u[1] - u[0]) / width_s**k for k, part in enumerate(kernel.parts)]
+
+    def gain(self, rate_rad_s: FloatArray, derivative: int = 0) -> FloatArray:
+        """Amplitude of the derivative per amplitude of a sine of these angular frequencies."""
+        gain = np.interp(np.abs(rate_rad_s) * self._width_s, self._turns, self._gains[derivative], right=0.0)
+        return np.asarray(gain, np.float64)
+
+
 def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = SPLINE) -> float:
     """Factor on the sigma of smoothed rows that makes a least squares without correlations weigh them right.
 

@@ -138,7 +138,7 @@ class Estimator:
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64]) -> list[Batch]:
         made: list[Batch] = []
-        joints, joint_sigma, refused = self._at_joints(at_ns)
+        joints, (q_sigma, dq_sigma, ddq_sigma), refused = self._at_joints(at_ns)
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and self.vehicle.file.estimation.method == "exiddm":
@@ -146,15 +146,13 @@ class Estimator:
             (measured,), (sigma,) = means.derivatives, means.sigma
             refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
-            unknown = np.full((3, len(at_ns), 3), np.nan)
-            noise = SignalNoise(*joint_sigma, *unknown, self.inflation)
+            noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *motion, self.inflation)
             signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
             measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
             refused |= base.refused | refused_rows | self._gates(at_ns, joints, base.sensed_m_s2)
-            q_sigma, dq_sigma, ddq_sigma = joint_sigma
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
             motion = base.motion
             signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)

@@ -27,6 +27,7 @@ class Signal(NamedTuple):
         zero_count: raw value at zero.
         limit: values as large as this are saturated, SI.
         absolute: it still measures from the same zero after its device was reset.
+        ripple: its cyclic errors: periods of each in a radian of what it measures, times 2 pi, and its rms, SI.
     """
 
     delays_s: tuple[float, ...]
@@ -36,6 +37,7 @@ class Signal(NamedTuple):
     zero_count: int = 0
     limit: float = math.inf
     absolute: bool = True
+    ripple: tuple[tuple[float, float], ...] = ()
 
 
 class Imu(NamedTuple):
@@ -91,7 +93,11 @@ def roles_of(vehicle: config.Vehicle) -> Roles:
                 roles.joints.append(Joint(device.joint, name))
                 absolute = not isinstance(device, config.QsbDevice)
                 angle = _scalar(0.0, device.noise_rad, period_s, ANGLE)
-                roles.signals[name] = angle._replace(zero_count=device.zero_count, absolute=absolute)
+                turns = device.gear_ratio
+                ripple = (turns, device.eccentricity_rad), (2.0 * turns, device.transmission_error_rad)
+                roles.signals[name] = angle._replace(
+                    zero_count=device.zero_count, absolute=absolute, ripple=tuple(tone for tone in ripple if tone[1])
+                )
             case config.RecordedAngle():
                 roles.joints.append(Joint(device.joint, name))
                 angle = _scalar(0.0, device.noise_rad, period_s, ANGLE)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows, SampleStatus
 from onboard import config
 from onboard.estimation.gates import GateReason, reasons, window_contains
-from onboard.estimation.smoothing import SPLINE, Kernel, Window
+from onboard.estimation.smoothing import SPLINE, Kernel, Response, Window
 from onboard.flight.history import History
 from onboard.flight.roles import Signal, roles_of
 from onboard.timebase.timebase import Timebase
@@ -48,6 +48,7 @@ class Signals:
     def __init__(self, vehicle: config.Vehicle) -> None:
         self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
         self._kernel = kernel_of(vehicle)
+        self._response = Response(self.width_s, self._kernel)
         self._signals = roles_of(vehicle).signals
         self._histories = {
             name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
@@ -185,6 +186,10 @@ class Signals:
             if not recent.valid.all():
                 held = window_contains(recent.times_s, ~recent.valid, at_s, self.width_s)
                 refused = gaps | reasons(held, GateReason.SATURATED)
+            for periods, rms in self._signals[name].ripple if derivatives else ():
+                for order in range(derivatives + 1):
+                    passed = rms * self._response.gain(periods * out[1, :, part], order)
+                    sigma[order, :, part] = np.hypot(sigma[order, :, part], passed)
             found[name] = Smoothed(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused)
         return found
 

@@ -22,6 +22,7 @@ from onboard.model.floating import LinkMotion, link_motions
 from onboard.model.free_rows import rough_payload
 from onboard.model.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor
 from onboard.model.payload import standard_of
+from onboard.model.signals import Signals
 from onboard.model.ticks import FlightSignals
 
 FloatArray = NDArray[np.float64]
@@ -43,6 +44,7 @@ class Ticks(NamedTuple):
     ddq: FloatArray
     measured: FloatArray  # (n, 6) means of rate and specific force, IMU axes; NaN for a tick without
     sigma: FloatArray  # (n, 6) of these
+    joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
 
     def part(self, which: slice) -> "Ticks":
         """Some of them."""
@@ -55,7 +57,21 @@ class Ticks(NamedTuple):
     @staticmethod
     def none(joints: int) -> "Ticks":
         """No ticks."""
-        return Ticks(np.zeros(0), *(np.zeros((0, width)) for width in (joints, joints, joints, 6, 6)))
+        angles, six = np.zeros((0, joints)), np.zeros((0, 6))
+        return Ticks(np.zeros(0), angles, angles, angles, six, six, np.zeros((0, 2, joints)))
+
+
+def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
+    """Signals as ticks, their noise inflated for the correlation of neighbours.
+
+    Args:
+        signals: at n ticks; joints without a noise are taken for exact.
+        measured: (n, 6) rate and specific force, NaN where refused.
+    """
+    joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
+    if signals.noise is not None:
+        joint_sigma = signals.noise.inflation * np.stack([signals.noise.dq, signals.noise.ddq], axis=1)
+    return Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma, joint_sigma)
 
 
 class Story(Enum):
@@ -100,6 +116,7 @@ class Window:
     ) -> None:
         self._predictor, self._imu_frame, self._payload_sigma = predictor, imu_frame, payload_sigma
         self._ticks, self._mean, self._covariance = ticks, mean, covariance
+        self._sigma = ticks.sigma
         self._links = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
 
     def solve(self, story: Story, start: FloatArray | None) -> Solved | None:
@@ -169,6 +186,8 @@ class Window:
     def _fit(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_], tolerance: float) -> Fit:
         active = problem.active
         prior = problem.information[np.ix_(active, active)]
+        noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
+        self._sigma = np.hypot(self._ticks.sigma, noise)
         residuals = partial(self._residuals, problem, use)
         return fit(residuals, start[active], problem.mean[active], prior, _ITERATIONS, tolerance)
 
@@ -176,7 +195,7 @@ class Window:
         """Whitened, predicted less measured, of the ticks to use, and their derivatives by what is active."""
         n = len(use)
         predicted = self._predictor.predict(_first(self._links, n + 2), problem.state(x))
-        sigma = self._ticks.sigma[1 : n + 1]
+        sigma = self._sigma[1 : n + 1]
         r = ((predicted.values - self._ticks.measured[1 : n + 1]) / sigma)[use]
         J = (predicted.jacobian[:, :, problem.active] / sigma[:, :, None])[use]
         return r.ravel(), J.reshape(r.size, -1)

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from onboard.model.errors import UnknownFrameError
 from onboard.model.exiddm import ImuDoubt
-from onboard.model.floating import LinkMotion, hat
+from onboard.model.floating import (
+    LinkMotion,
+    bodies_of,
+    composite_of,
+    cross,
+    hat,
+    link_motions,
+    relative_momentum,
+    stacked,
+    turned,
+)
 from onboard.model.free_flight import at_sensor, predict_base
 from onboard.model.vehicle import STANDARD, Vehicle
 
@@ -23,6 +33,7 @@ IndexArray = NDArray[np.intp]
 MOMENTUM, PAYLOAD = slice(0, 3), slice(3, 13)
 _IMU = 13  # first column of the IMU's errors: bias, drift, scale, turn of the gyro, of the accelerometer, delay
 _LINKS = _IMU + 25
+_POSTURE_TICKS = 10  # over which the arm's posture is one, for what its noise does
 _WHITE = (
     1e-3  # of an effect on a tick, in units of the noise of one: a direction of the links that has less is left out
 )
@@ -102,6 +113,30 @@ class ImuPredictor:
             if f"{kind}_drift_{drift}_{axis}" in self.names and f"{kind}_bias_{unit}_{axis}" in self.names
         ]
 
+    def joint_noise(self, q: FloatArray, joint_sigma: FloatArray, state: FloatArray) -> FloatArray:
+        """What the joints' own noise makes of the prediction, one sigma, (n, 6).
+
+        The base takes up what momentum the joints seem to have: its twist errs by ``-C^-1 M`` times the error of their
+        rates, its acceleration by the same times that of their accelerations. The products of rates are left out.
+
+        Args:
+            q: joint positions, (n, joints).
+            joint_sigma: of joint rates and accelerations, (n, 2, joints).
+            state: (p,).
+        """
+        n, joints = q.shape
+        if not joint_sigma.any():
+            return np.zeros((n, 6))
+        some = np.arange(0, n, _POSTURE_TICKS)
+        one = np.tile(np.eye(joints), (len(some), 1))  # each joint's unit rate by itself
+        links = link_motions(self.vehicle, np.repeat(q[some], joints, axis=0), one, np.zeros_like(one))
+        bodies = bodies_of(stacked(links), self._chi(state))
+        twist = turned(np.asarray(np.linalg.inv(composite_of(bodies)), np.float64), relative_momentum(bodies))
+        force = twist[:, :3] + cross(twist[:, 3:], self._p)
+        effect = np.stack([twist[:, 3:] @ self._R, force @ self._R], axis=1).reshape(len(some), joints, 2, 3) ** 2
+        variance = np.einsum("njki,nkj->nki", effect[np.arange(n) // _POSTURE_TICKS], joint_sigma**2)
+        return np.asarray(np.sqrt(variance).reshape(n, 6), np.float64)
+
     def predict(self, links: tuple[LinkMotion, ...], state: FloatArray) -> Prediction:
         """From a state at the first of b + 2 ticks.
 
@@ -115,10 +150,7 @@ class ImuPredictor:
         n, p = len(links[0].p), len(self.names)
         x = np.zeros(_LINKS)
         x[self._kept] = state[: self.links.start]
-        chi = self.vehicle.chi.copy()
-        chi[self._columns] = x[PAYLOAD]
-        chi[self._others] += self._basis @ state[self.links]
-        base = predict_base(links, self.period_s, chi, x[MOMENTUM], self._free)
+        base = predict_base(links, self.period_s, self._chi(state), x[MOMENTUM], self._free)
         true, d_true = at_sensor(base, self._R, self._p)
         time = self.period_s * np.arange(n)[1:-1]
         here, before, after = slice(1, -1), slice(0, -2), slice(2, None)
@@ -152,3 +184,10 @@ class ImuPredictor:
             state[bias_at] += time[-1] * state[drift_at]
             transition[bias_at, drift_at] = time[-1]
         return Prediction(values, jacobian, state, transition)
+
+    def _chi(self, state: FloatArray) -> FloatArray:
+        """Standard parameters of all links, (10 x links,)."""
+        chi = self.vehicle.chi.copy()
+        chi[self._columns] = state[PAYLOAD]
+        chi[self._others] += self._basis @ state[self.links]
+        return chi

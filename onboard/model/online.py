@@ -12,7 +12,7 @@ from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.model.change import Change
 from onboard.model.composite import elements
 from onboard.model.errors import SignalError
-from onboard.model.exiddm_window import Ticks
+from onboard.model.exiddm_window import Ticks, ticks_of
 from onboard.model.imu_prediction import PAYLOAD
 from onboard.model.payload import body_jacobian, possible_body
 from onboard.model.quantities import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
@@ -96,7 +96,7 @@ class ExiddmIdentifier:
         joints = np.isfinite(np.concatenate([signals.q, signals.dq, signals.ddq], axis=1)).all(axis=1)
         found[~(whole & joints)] |= GateReason.GAP
         measured = np.where((found == 0), signals.measured, np.nan)
-        ticks = Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma)
+        ticks = ticks_of(signals, measured)
         first, glitches = 0, self.exiddm.glitches
         for last in [*(np.flatnonzero(np.diff(attached)) + 1), n]:
             held = bool(attached[first]) if n else self._attached

@@ -8,7 +8,7 @@ it grows (:mod:`onboard.model.exiddm_window`); after that every batch is one ste
 When the payload changes, momentum and payload are forgotten, everything else is kept, and a new window begins. What
 happened is decided by which story explains that window: nothing held, the same payload after a push, or a new payload.
 
-Known wart: the joints' own noise is not modelled; behind a 100:1 gear it is 1/300 of the gyro's at 1 Hz.
+The joints' own noise, the ripple of their gears above all, is added to that of the IMU as far as it shows there.
 """
 
 from collections import deque
@@ -202,7 +202,8 @@ class RecursiveExiddm:
         ticks = self._pending
         links = link_motions(self.predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
         predicted = self.predictor.predict(links, self.state)
-        measured, sigma = ticks.measured[1:-1], ticks.sigma[1:-1]
+        noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
+        measured, sigma = ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1]
         use = np.logical_and.reduce(np.isfinite(measured), axis=1)  # (b,)
         state, covariance = self.state, self.covariance
         if use.any():

@@ -25,7 +25,7 @@ from onboard.model.change import Change
 from onboard.model.composite import RigidBody, elements
 from onboard.model.errors import ModelError
 from onboard.model.exiddm import ImuDoubt, NonLinearExiddm, PayloadFit
-from onboard.model.exiddm_window import Ticks
+from onboard.model.exiddm_window import Ticks, ticks_of
 from onboard.model.held_out import HeldOut, Prediction
 from onboard.model.online import ExiddmIdentifier
 from onboard.model.payload import BodyEstimate, body_of
@@ -62,7 +62,7 @@ class _Recorder(ExiddmIdentifier):
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         found = super().update(signals, attached, excluded)
         measured = np.where(found == 0, signals.measured, np.nan)
-        self.kept.append(Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma))
+        self.kept.append(ticks_of(signals, measured))
         return found
 
 

@@ -19,7 +19,7 @@ from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_planar, exiddm_prior, samples_per_tick
 from onboard.flight.roles import roles_of
 from onboard.model.errors import ModelError
-from onboard.model.exiddm_window import Ticks
+from onboard.model.exiddm_window import Ticks, ticks_of
 from onboard.model.held_out import HeldOut, Prediction
 from onboard.model.online import BODY
 from onboard.model.payload import standard_of
@@ -43,7 +43,6 @@ BoolArray = NDArray[np.bool_]
 _PAYLOAD = slice(3, 13)
 _OF_A_RUN = ("velocity", "rate", "tilt", "gyro_bias", "accelerometer_bias")  # not of the vehicle
 _LEVEL = 0.95
-_CLOSE = 0.3  # enough to a minimum of what is only compared, in squared sigmas
 _UNDERWAY_m_s = 0.5  # what the velocity may be at any other time than at the start
 
 
@@ -61,7 +60,7 @@ class _Recorder(TableRun):
         self._told.append(told)
         q, dq, ddq = (np.where(told[:, None], x, np.nan) for x in (signals.q, signals.dq, signals.ddq))
         measured = np.where(found == 0, signals.measured, np.nan)
-        self.kept.append(Ticks(signals.time_s, q, dq, ddq, measured, signals.sigma))
+        self.kept.append(ticks_of(signals._replace(q=q, dq=dq, ddq=ddq), measured))
         return found
 
     def begins_at(self, time_s: float) -> bool:
@@ -191,7 +190,7 @@ def _held_out(table: _Table, ticks: Ticks, exiddm: PlanarExiddm, found: PlanarFi
         return None
     earlier = table.exiddm(ticks.part(slice(0, middle)), let_go=let_go)
     later = table.exiddm(ticks.part(slice(middle, None)), let_go=False)
-    first, second, whole = earlier.fit(_CLOSE).fit.x, later.fit(_CLOSE).fit.x, found.fit.x
+    first, second, whole = earlier.fit().fit.x, later.fit().fit.x, found.fit.x
     return HeldOut(
         _prediction(later, first, second), _prediction(earlier, second, first), _prediction(exiddm, whole, whole)
     )
@@ -211,7 +210,7 @@ def _prediction(exiddm: PlanarExiddm, x: FloatArray, own: FloatArray) -> Predict
         r, J = exiddm.residuals(tried)
         return r, J[:, anew]
 
-    done = fit(residuals, own[anew], np.zeros(anew.size), exiddm.prior_information[np.ix_(anew, anew)], tolerance=_CLOSE)
+    done = fit(residuals, own[anew], np.zeros(anew.size), exiddm.prior_information[np.ix_(anew, anew)], tolerance=1.0)
     tried[anew], tried[_PAYLOAD] = done.x, standard_of(NOTHING)
     none, _ = exiddm.residuals(tried)
     return Prediction(float(np.sqrt(done.residual_sum / (none @ none))), done.residual_sum / none.size)

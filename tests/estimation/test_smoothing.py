@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
 from onboard.estimation.errors import RowError
-from onboard.estimation.smoothing import Window, correlation_inflation, smooth
+from onboard.estimation.smoothing import Response, Window, correlation_inflation, smooth
 
 WIDTH = 0.1
 A_BILLIONTH = 1e-9
@@ -49,6 +49,17 @@ def test_cubics_pass_because_the_second_moment_is_zero(rng):
     t = np.arange(0, 1, 0.001)
     found = smooth(t, (t - 0.4) ** 3, [0.5], WIDTH)
     assert found.values[0, 0] == pytest.approx(0.001, abs=1e-9)
+
+
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+@pytest.mark.parametrize("frequency_hz", [0.0, 3.0, 12.0, 25.0])
+def test_what_a_kernel_lets_through_is_what_becomes_of_a_sine(derivative, frequency_hz):
+    t = np.arange(0, 2, 0.0005)
+    omega = 2 * np.pi * frequency_hz
+    at = np.linspace(0.5, 1.5, 1001)
+    found = smooth(t, np.cos(omega * t), at, WIDTH, derivative).values[:, 0]
+    told = Response(WIDTH).gain(np.array([-omega]), derivative)[0]
+    assert np.abs(found).max() == pytest.approx(told, rel=1e-3, abs=1e-4 * max(1.0, omega**derivative))
 
 
 @pytest.mark.parametrize("derivative", [1, 2])

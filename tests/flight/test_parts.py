@@ -176,6 +176,27 @@ def test_a_time_that_is_not_known_well_makes_what_changes_uncertain(tmp_path: Pa
     assert added[1, 2] == pytest.approx(two_milliseconds * abs(rate[1]), rel=0.2)
 
 
+@pytest.mark.parametrize("rate_rad_s", [0.05, 0.1, 0.2])
+def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_rad_s: float) -> None:
+    vehicle = config.load(config.packaged("dymaflex"))
+    device, signals = vehicle.file.device["joint_1"], Signals(vehicle)
+    assert isinstance(device, config.Cia406Device)
+    seconds = np.arange(0.0, 2.0, 2e-3)
+    motor = device.gear_ratio * rate_rad_s * seconds
+    ripple = device.eccentricity_rad * np.sin(motor + 1.0) + device.transmission_error_rad * np.sin(2.0 * motor)
+    rows = np.zeros(len(seconds), records.SCALAR)
+    rows["host_ns"], rows["unit"] = np.rint(seconds * 1e9), b"rad"
+    rows["scale"] = 2.0 * np.pi / device.counts_per_revolution
+    angle = rate_rad_s * seconds + np.sqrt(2.0) * ripple
+    rows["value_raw"] = device.zero_count + np.floor(angle / rows["scale"])
+    signals.append({"joint_1": rows})
+    at_ns = np.arange(200, 1800, 10) * 1_000_000
+    smoothed = signals.at("joint_1", recorded("joint_1"), at_ns, 2)
+    for order, truth in ((1, rate_rad_s), (2, 0.0)):
+        scatter = np.sqrt(np.mean((smoothed.derivatives[order] - truth) ** 2))
+        assert scatter == pytest.approx(np.sqrt(np.mean(smoothed.sigma[order] ** 2)), rel=0.25)
+
+
 def test_a_hole_and_a_saturated_sample_refuse_the_ticks_around_them(tmp_path: Path) -> None:
     signals = Signals(recorded_vehicle(tmp_path))
     seconds = np.arange(0.0, 1.0, 1e-3)

@@ -30,7 +30,7 @@ def ticks_of(signals):
     sigma = np.tile(np.r_[signals.rate_sigma, signals.specific_force_sigma], (n, 1))
     measured = np.c_[signals.rate, signals.specific_force]
     joints = (x.copy() for x in (signals.q, signals.dq, signals.ddq))
-    return Ticks(0.054 + signals.period_s * np.arange(n), *joints, measured, sigma)
+    return Ticks(0.054 + signals.period_s * np.arange(n), *joints, measured, sigma, np.zeros((n, 2, 5)))
 
 
 def recorded(flight, rng, errors=BIASED):
@@ -346,6 +346,40 @@ def test_derivatives_of_the_prediction_are_finite_differences(held):
         assert np.abs(found.jacobian[:, :, k] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-9, predictor.names[k]
         carried = (up.state - down.state) / (2.0 * size)
         assert np.abs(found.transition[:, k] - carried).max() <= 2e-3 * np.abs(carried).max(), predictor.names[k]
+
+
+def test_the_noise_of_the_joints_is_what_their_errors_make_of_the_prediction(held):
+    predictor = online(held).predictor
+    q, still = np.repeat(held.q[300:301], 4, axis=0), np.zeros((4, 5))
+    x = np.zeros(len(predictor.names))
+    x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    rest = predictor.predict(link_motions(predictor.vehicle, q, still, still), x).values
+    small, variance = 1e-6, np.zeros((4, 6))
+    for kind, rows in enumerate([slice(0, 3), slice(3, 6)]):  # of a rate the gyro, of an acceleration the force
+        for joint in range(5):
+            sigma = np.zeros((4, 2, 5))
+            sigma[:, kind, joint] = small
+            moved = predictor.predict(link_motions(predictor.vehicle, q, sigma[:, 0], sigma[:, 1]), x).values - rest
+            alone = predictor.joint_noise(q, sigma, x)
+            np.testing.assert_allclose(alone[1:3, rows], np.abs(moved[:, rows]), rtol=1e-3, atol=1e-3 * small)
+            variance += alone**2
+    together = predictor.joint_noise(q, np.full((4, 2, 5), small), x)
+    np.testing.assert_allclose(together**2, variance, rtol=1e-9)
+    assert (together > 0.01 * small).all()
+
+
+def test_noise_of_the_joints_that_is_told_is_no_change(held):
+    rng = np.random.default_rng(4)
+    ticks, sigma = ticks_of(held), np.full((len(held.q), 2, 5), [[[2e-3], [0.05]]])
+    dq, ddq = np.moveaxis(sigma * rng.normal(size=sigma.shape), 1, 0)
+    noisy = ticks._replace(dq=ticks.dq + dq, ddq=ticks.ddq + ddq)
+    trusting, knowing = online(held), online(held)
+    trusting.update(noisy.part(slice(0, 100)))
+    knowing.update(noisy._replace(joint_sigma=sigma))
+    assert trusting.estimate() is None  # nothing explains its window
+    assert knowing.changes == []
+    found = knowing.estimate()
+    assert abs(found.body.mass_kg - 5.0) < 3.0 * np.sqrt(found.covariance[0, 0]) < 0.5
 
 
 @pytest.mark.parametrize(

@@ -126,7 +126,7 @@ def test_the_longest_time_with_one_payload(
 ) -> None:
     time_s = 0.01 * np.arange(1000)
     joints = np.zeros((1000, 5))
-    ticks = Ticks(time_s, joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)))
+    ticks = Ticks(time_s, joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)), np.zeros((1000, 2, 5)))
     found = longest_held([ticks.part(slice(0, 400)), ticks.part(slice(400, None))], changes, held, 0.01)
     if wanted is None:
         assert len(found.time_s) == 0
@@ -137,7 +137,9 @@ def test_the_longest_time_with_one_payload(
 def test_ticks_without_joints_cut_the_time() -> None:
     joints = np.zeros((1000, 5))
     joints[300] = np.nan
-    ticks = Ticks(0.01 * np.arange(1000), joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)))
+    ticks = Ticks(
+        0.01 * np.arange(1000), joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)), np.zeros((1000, 2, 5))
+    )
     found = longest_held([ticks], [], True, 0.01)
     assert (found.time_s[0], len(found.time_s)) == (pytest.approx(3.01), 699)
     late = ticks._replace(time_s=ticks.time_s + 0.5 * (np.arange(1000) >= 800))

@@ -68,12 +68,19 @@ class ImuDevice(DeviceSection):
 
 
 class JointDevice(BusDevice):
-    """It measures the angle of ``joint``: ``zero_count`` is what it reads at angle zero."""
+    """It measures the angle of ``joint``: ``zero_count`` is what it reads at angle zero.
+
+    On the motor's side of a gear it errs with the motor's turns: ``eccentricity_rad`` once, ``transmission_error_rad``
+    twice in each.
+    """
 
     joint: str
     counts_per_revolution: int
     zero_count: int = 0
     noise_rad: Positive
+    gear_ratio: Positive = 1.0
+    eccentricity_rad: NotNegative = 0.0
+    transmission_error_rad: NotNegative = 0.0
 
 
 class LoadCellKeys(Section):
