@@ -32,6 +32,7 @@ FloatArray = NDArray[np.float64]
 
 _ROUGH_WIDTH_s = 0.3
 _EARLY_s = 4.0  # of a run that the guesses are tried on
+_PATIENT = 200  # iterations over all ticks: velocity and Coulomb's drag lie along a curved valley
 _GOOD_FIT = 1.3  # whitened residual sum per row of a guess that needs no other
 _PAYLOAD = slice(3, 13)
 WORST_MISFIT = 1.3  # whitened residual sum by its degrees of freedom
@@ -177,7 +178,7 @@ class PlanarExiddm:
                 break
         if found is None:
             raise ConvergenceError("no guess leads anywhere; check frames, signs and units of joints and IMU")
-        found = self._fit(self._fit(found.x, max(early, n // 3), 3.0).x, n, 1e-2)
+        found = self._fit(self._fit(found.x, max(early, n // 3), 3.0).x, n, 1e-2, _PATIENT)
         return self.estimate(found)
 
     def estimate(self, found: Fit) -> PlanarFit:
@@ -209,8 +210,10 @@ class PlanarExiddm:
         jacobian = derivative[valid][:, :, self._kept] / self._sigma[:, None]
         return residual.ravel(), jacobian.reshape(residual.size, -1)
 
-    def _fit(self, x: FloatArray, ticks: int, tolerance: float) -> Fit:
-        return fit(lambda at: self.residuals(at, ticks), x, np.zeros_like(x), self.prior_information, 60, tolerance)
+    def _fit(self, x: FloatArray, ticks: int, tolerance: float, iterations: int = 60) -> Fit:
+        return fit(
+            lambda at: self.residuals(at, ticks), x, np.zeros_like(x), self.prior_information, iterations, tolerance
+        )
 
     def _predict(self, x: FloatArray, ticks: int) -> tuple[FloatArray, FloatArray]:
         """What the IMU shows, (n, 6), and its derivative, (n, 6, all parameters)."""

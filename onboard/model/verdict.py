@@ -67,6 +67,7 @@ class Evidence(NamedTuple):
     failure: str = ""  # why the estimator gave up
     away: Mapping[str, float] = MappingProxyType({})  # by link: sigmas from what was found to a body
     misfit: float | None = None  # of a maximum likelihood fit: residual sum over its degrees of freedom
+    unchecked: str = "too short to be checked on motion that was not used"  # why nothing is held out, where it is not
 
 
 def verdict(evidence: Evidence) -> Verdict:
@@ -83,7 +84,7 @@ def verdict(evidence: Evidence) -> Verdict:
     held_out = evidence.held_out
     reasons = []
     if held_out is None:
-        reasons.append("too short to be checked on motion that was not used")
+        reasons.append(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):
         said = f"one half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
         if held_out.worst.relative_error >= MOST_UNPREDICTED:

@@ -12,6 +12,7 @@ from hil_sim import planar_bed
 from hil_sim.free_flyer import Body, JointMotion
 from hil_sim.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, Samples, sample
 from onboard import cli, config
+from onboard.estimation.gates import GateReason
 from onboard.flight.estimator import Estimator
 from onboard.model.rows import BaseMotion
 from onboard.model.signals import Signals
@@ -39,7 +40,7 @@ def fly(rng: np.random.Generator, seconds: float, swing: float = 1.0) -> Samples
     return sample(planar_bed.fly(world, motion, (0.02, -0.01, 0.05), DRAGS, seconds), ERRORS, rng)
 
 
-def write(path: Path, read: Samples) -> Path:
+def write(path: Path, read: Samples, imu_until_s: float = np.inf) -> Path:
     n = len(read.time_s)
     imu, host_ns = np.zeros(n, IMU), np.rint(1e9 * (10.0 + read.time_s))
     imu["sequence"], imu["host_ns"] = np.arange(n), host_ns
@@ -48,7 +49,7 @@ def write(path: Path, read: Samples) -> Path:
     imu["accel_raw"] = np.rint(read.specific_force_m_s2 / 1e-3)
     with LogWriter.create(path, durable=False, overwrite=True) as writer:
         writer.register("imu_base", IMU)
-        writer.write("imu_base", imu)
+        writer.write("imu_base", imu[read.time_s < imu_until_s])
         for joint in range(5):
             rows = np.zeros(n, SCALAR)
             rows["sequence"], rows["host_ns"] = np.arange(n), host_ns
@@ -60,8 +61,13 @@ def write(path: Path, read: Samples) -> Path:
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("table") / "table.mcap", fly(np.random.default_rng(3), 8.0))
+def read() -> Samples:
+    return fly(np.random.default_rng(3), 8.0)
+
+
+@pytest.fixture(scope="module")
+def log(read: Samples, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("table") / "table.mcap", read)
 
 
 def test_payload_and_drag_with_their_verdict(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -104,8 +110,17 @@ def test_a_fit_that_is_not_usable_says_why(log: Path) -> None:
     assert not found.usable
 
 
+def test_an_answer_that_half_of_the_run_cannot_check_is_weak(read: Samples, tmp_path: Path) -> None:
+    (found,) = identify(VEHICLE, [write(tmp_path / "half.mcap", read, 5.0)]).logs
+    assert found.verdict.level is Level.WEAK
+    assert "not checked on motion that was not used: half of the run tells too little (more" in found.verdict.text
+    (mass,) = (answer for answer in found.answers if answer.name == "m_payload")
+    assert mass.supported
+    assert mass.low < BOX.mass_kg < mass.high
+
+
 def test_an_arm_that_stands_still_shows_nothing(tmp_path: Path) -> None:
-    (found,) = identify(VEHICLE, [write(tmp_path / "still.mcap", fly(np.random.default_rng(3), 3.0, 0.0))]).logs
+    (found,) = identify(VEHICLE, [write(tmp_path / "still.mcap", fly(np.random.default_rng(3), 2.5, 0.0))]).logs
     assert found.verdict.level is Level.DO_NOT_USE
     assert "not determine" in found.verdict.text
     assert not found.usable
@@ -118,7 +133,10 @@ def test_a_run_begins_where_the_base_is_let_go_and_not_after_a_gap() -> None:
     still = BaseMotion(*np.zeros((3, n, 3)))
     signals = Signals(0.01 * np.arange(n), joints, joints, joints, still, np.zeros((n, 6)), np.ones((n, 6)))
     recorder = _Recorder("payload", 5)
-    recorder.update(signals, np.arange(n) >= 20, np.zeros(n, np.int64))
+    excluded = np.where(np.arange(n) < 20, int(GateReason.PHASE), 0)
+    found = recorder.update(signals, np.arange(n) >= 10, excluded)
+    assert (found[60] == GateReason.GAP).all()
+    assert recorder.refused[GateReason.GAP] == 6
     assert recorder.begins_at(0.20)
     assert not recorder.begins_at(0.61)
 
