@@ -5,6 +5,7 @@ comes meanwhile. Before a flight, the rings of flights that died as a whole are 
 """
 
 import contextlib
+import math
 import multiprocessing
 import signal
 import time
@@ -30,6 +31,7 @@ START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 WATCH_PERIOD_S = 0.05
 HUNG_S = 7.0  # without a beat of a worker's; the rings hold 10 s
+_LAST_WORDS_S = 0.25  # from the phase that ends the flight to its end: an answer may be on its way
 _LONGEST_PAUSE_S = 5.0  # before a worker that keeps dying is started again
 _STABLE_S = 30.0  # a worker that lived so long starts with a clean slate
 
@@ -242,15 +244,19 @@ class _StopSignals:
 
 
 class _EndOfMission:
-    """Watches the phase channel for the phase that ends the flight."""
+    """Watches the phase channel for the phase that ends the flight; what is under way then still comes in."""
 
     def __init__(self, vehicle: config.Vehicle, directory: Path) -> None:
         phases = vehicle.file.estimation.phases
         self._end = phases.end if phases else None
         self._reader = RingReader(directory / f"{phases.channel}.ring") if phases else None
+        self._seen_s = math.inf
 
     def reached(self) -> bool:
         if self._reader is None or self._end is None:
             return False
         rows, _ = self._reader.read()
-        return bool((rows["value_raw"] == self._end).any())
+        now_s = time.monotonic()
+        if (rows["value_raw"] == self._end).any():
+            self._seen_s = min(self._seen_s, now_s)
+        return now_s - self._seen_s > _LAST_WORDS_S
