@@ -24,8 +24,8 @@ from onboard import config
 from onboard.flight import hil
 from onboard.offline import table
 
-BARS = {"rocksat": {"m_arm": 3.0, "m_arm+m_tip_mass": 1.5, "m_tip_mass": 5.0}}  # percent, 95th percentile of |error|
-COVERAGE = (90.0, 99.0)
+BARS = {"rocksat": {"m_arm": 2.0, "m_arm+m_tip_mass": 1.0, "m_tip_mass": 3.0}}  # percent, 95th percentile of |error|
+COVERAGE = (92.0, 98.0)
 
 
 def fly(scenario: str, seed: int) -> dict[str, Any]:
