@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
 from onboard.estimation.wls import Group, least_squares
-from onboard.model.base_parameters import BaseParameters, base_parameters
-from onboard.model.friction import presliding
-from onboard.model.rows import BaseMotion, RowModel, joint_torque_row
-from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
+from onboard.regressor.base_parameters import BaseParameters, base_parameters
+from onboard.regressor.friction import presliding
+from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ LWR_INFLATION = 12.5  # rows an independent one: 100 Hz of band over 8 Hz
 
 def arm(urdf: Path, root: str) -> tuple[RowModel, BaseParameters]:
     """Torque rows of every joint, with friction, actuator inertia and an offset."""
-    vehicle = Vehicle(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.FIXED, root))
+    vehicle = VehicleModel(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.FIXED, root))
     rows = [replace(joint_torque_row(vehicle, joint.name), bias=True) for joint in vehicle.joints]
     model = RowModel(vehicle, rows)
     return model, base_parameters(model, np.random.default_rng(1), released=False)

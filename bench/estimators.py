@@ -26,14 +26,14 @@ from filterpy.kalman import FadingKalmanFilter, KalmanFilter, SquareRootKalmanFi
 from numpy.typing import NDArray
 
 from bench.identification.free_flyer import PAYLOAD_SIGMA, vehicle
+from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.gates import ResidualGate
 from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
-from onboard.model.base_parameters import base_parameters
-from onboard.model.predicted_motion import PredictedMotion
-from onboard.model.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, joint_torque_row
-from onboard.model.vehicle import Vehicle
+from onboard.identification.rows.predicted_motion import PredictedMotion
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, joint_torque_row
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ void update(double *R, double *rows, int m, int p, double *x) {
 class Ticks:
     """Random motion of the free-flyer, and its rows."""
 
-    def __init__(self, model: Vehicle, n: int, rng: np.random.Generator) -> None:
+    def __init__(self, model: VehicleModel, n: int, rng: np.random.Generator) -> None:
         self.q, self.dq, self.ddq = (rng.normal(size=(n, len(model.joints))) for _ in range(3))
         self.motion = BaseMotion(*(rng.normal(size=(n, 3)) for _ in range(3)))
         self.held = np.ones(n, bool)
@@ -79,7 +79,7 @@ class Ticks:
 class TextbookRegressor:
     """Newton and Euler link by link in NumPy: six rows of the payload's ten columns, and the known links' wrench."""
 
-    def __init__(self, model: Vehicle) -> None:
+    def __init__(self, model: VehicleModel) -> None:
         pinocchio = model.model
         self._joints = [
             (
@@ -151,7 +151,7 @@ def line(name: str, value_us: float, bar: str = "") -> None:
 class Ours:
     """The estimator's tick in pieces."""
 
-    def __init__(self, model: Vehicle, ticks: Ticks) -> None:
+    def __init__(self, model: VehicleModel, ticks: Ticks) -> None:
         self.ticks = ticks
         self.rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])
         columns = model.payload_columns()
@@ -219,7 +219,7 @@ def c_reference(Y: Floats, y: Floats) -> float:
         return median_us(call)
 
 
-def peers(model: Vehicle, ticks: Ticks) -> None:
+def peers(model: VehicleModel, ticks: Ticks) -> None:
     """Whole ticks and updates of other programs."""
     textbook = TextbookRegressor(model)
     Y, y = textbook(ticks, 0)
@@ -258,7 +258,7 @@ def peers(model: Vehicle, ticks: Ticks) -> None:
     line("C: Givens, estimate, no covariance; by ctypes", c_reference(Y, y))
 
 
-def ours(model: Vehicle, rng: np.random.Generator) -> None:
+def ours(model: VehicleModel, rng: np.random.Generator) -> None:
     """The tick alone, and in the batches that a flight's step makes."""
     for n in (1, 5, 25):
         one = Ours(model, Ticks(model, n, rng))
@@ -281,7 +281,7 @@ def ours(model: Vehicle, rng: np.random.Generator) -> None:
     line("update of a window of 20 s and of its blocks", add)
 
 
-def all_links(model: Vehicle, rng: np.random.Generator) -> None:
+def all_links(model: VehicleModel, rng: np.random.Generator) -> None:
     """Every link unknown, with joint torques: all base parameters."""
     torques = [joint_torque_row(model, joint.name) for joint in model.joints]
     rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model), *torques])
@@ -304,7 +304,7 @@ def all_links(model: Vehicle, rng: np.random.Generator) -> None:
         line(f"regressor, gates, update; {n} at once, per tick", median_us(call, 40) / n, "bar 120")
 
 
-def an_hour(model: Vehicle, rng: np.random.Generator) -> None:
+def an_hour(model: VehicleModel, rng: np.random.Generator) -> None:
     """720,000 ticks offline, from kinematics to estimate; then what a million ticks leave behind."""
     chunk = Ours(model, Ticks(model, 600, rng))
     recursion = RecursiveLeastSquares(P, 0, 1.0)

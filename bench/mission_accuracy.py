@@ -22,7 +22,7 @@ import numpy as np
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
-from onboard.offline import table
+from onboard.offline.views import mission_table as table
 
 BARS = {"rocksat": {"m_arm": 2.0, "m_arm+m_tip_mass": 1.0, "m_tip_mass": 3.0}}  # percent, 95th percentile of |error|
 COVERAGE = (92.0, 98.0)

@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers import records
-from onboard.offline.dump import dump
+from onboard.offline.export.dump import dump
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
@@ -95,7 +95,7 @@ def write_report(path: Path, output: Path) -> None:
 
 def replay_all(path: Path) -> None:
     """Replay a flight, which must be identical."""
-    from onboard.offline.replay import replay
+    from onboard.offline.estimate_again.replay import replay
 
     assert replay(path).identical
 
@@ -103,12 +103,12 @@ def replay_all(path: Path) -> None:
 def fly_long(path: Path, minutes: float) -> float:
     """Fly RockSat-X with its sweeps repeated, with the tip mass and without; returns its length in s."""
     from hil_sim.mission import open_in_process
-    from hil_sim.scenario import load
+    from hil_sim.scenario.load import load
     from onboard import config
     from onboard.flight import hil
-    from onboard.offline import truth
+    from onboard.offline.tables import truth
 
-    table = tomllib.loads(files("hil_sim").joinpath("scenarios", "rocksat.toml").read_text(encoding="utf-8"))
+    table = tomllib.loads(files("hil_sim.scenario").joinpath("packaged", "rocksat.toml").read_text(encoding="utf-8"))
     sequence = table["sequence"]
     eject = next(n for n, part in enumerate(sequence) if part["action"] == "eject")
     sweeps = [n for n, part in enumerate(sequence) if part["action"] == "sweep"]

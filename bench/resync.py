@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.identification.free_flyer import BOXES, ERRORS, PAYLOAD_SIGMA, vehicle
-from hil_sim import free_flyer
-from hil_sim.free_flyer_sensors import COUNTS_PER_TURN, sample
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, sample
+from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
-from onboard.model.exiddm import ImuDoubt, NonLinearExiddm, PayloadFit
-from onboard.model.ticks import FlightSignals, tick_signals
-from onboard.offline.rescue import Recorded, coarse_clocks, rescue
+from onboard.identification.exiddm.batch import ImuPrior, NonLinearExiddm, PayloadFit
+from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.timebase.resync import ResyncError
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 DURATION_S, ENCODERS_S = 20.0, 16.0
 RATE_LIMIT = 0.02
 PAYLOAD_KG = 5
-DOUBT = ImuDoubt(
+DOUBT = ImuPrior(
     ERRORS.gyro_bias_rad_s,
     ERRORS.gyro_drift_rad_s2,
     ERRORS.scale,
@@ -70,7 +70,7 @@ def fly(seed: int) -> Outcome:
     """One parabola, both ways."""
     rng, model, body = np.random.default_rng(seed), vehicle(), BOXES[PAYLOAD_KG]
 
-    def build(signals: FlightSignals, doubt: ImuDoubt) -> NonLinearExiddm:
+    def build(signals: FlightSignals, doubt: ImuPrior) -> NonLinearExiddm:
         return NonLinearExiddm(model, "imu_base", signals, PAYLOAD_SIGMA, {}, doubt)
 
     motion = free_flyer.JointMotion.draw(rng)

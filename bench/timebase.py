@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from drivers.records import Rows
 from drivers.sync_pulse import code
-from hil_sim.device_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.buses.in_process import in_process
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.modbus_load_cell import ModbusLoadCell
 from hil_sim.devices.mpu6050 import Mpu6050
@@ -33,8 +33,8 @@ from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
 from hil_sim.devices.qsb import Qsb
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync_box import SyncBox
-from hil_sim.in_process import in_process
 from hil_sim.mission import open_in_process
+from hil_sim.scenario.device_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config
 from onboard.channels import CLOCK
 from onboard.flight import hil
@@ -165,15 +165,15 @@ class WarmingClock:
         return self._rate * time_s + self._swing / self._turn * wave
 
     def chip_ns(self, time_ns: int) -> int:
-        """See ``hil_sim.analog.ChipClock``."""
+        """See ``hil_sim.sensing.analog.ChipClock``."""
         return round(1e9 * float(self._chip_s(np.array([(time_ns - START_NS) * 1e-9]))[0]))
 
     def time_ns(self, chip_ns: int) -> int:
-        """See ``hil_sim.analog.ChipClock``."""
+        """See ``hil_sim.sensing.analog.ChipClock``."""
         return START_NS + round(1e9 * float(self.times_s(np.array([float(chip_ns)]))[0]))
 
     def times_s(self, chip_ns: Floats) -> Floats:
-        """See ``hil_sim.analog.ChipClock``."""
+        """See ``hil_sim.sensing.analog.ChipClock``."""
         target_s = 1e-9 * chip_ns
         time_s = target_s / self._rate
         for _ in range(4):
@@ -197,7 +197,7 @@ class CountingImu:
     def counts(
         self, times_s: Floats, accel_lsb_per_g: float, gyro_lsb_per_dps: float, dlpf_cfg: int
     ) -> NDArray[np.int16]:
-        """See ``hil_sim.analog.ImuAnalog``."""
+        """See ``hil_sim.sensing.analog.ImuAnalog``."""
         del accel_lsb_per_g, gyro_lsb_per_dps, dlpf_cfg
         number = self._count + np.arange(len(times_s))
         words = np.zeros((len(times_s), 7), np.int16)

@@ -14,15 +14,15 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from onboard import config
-from onboard.offline import importer
-from onboard.offline.identify import identify
-from onboard.offline.throws import Summary
+from onboard.offline.bring_in import importer
+from onboard.offline.estimate_again.identify import identify
+from onboard.offline.estimate_again.throws import LoadSummary
 
 ROW_PERIOD_US = 5000
 MAPPING = Path(importer.__file__).parent / "mappings" / "tudelft.toml"
 
 
-def identify_at(source: Path, offset_us: float, smoothing: str, width_ms: float) -> list[Summary]:
+def identify_at(source: Path, offset_us: float, smoothing: str, width_ms: float) -> list[LoadSummary]:
     """The summaries of all loads, with the recorder's clock moved by ``offset_us``."""
     text = MAPPING.read_text(encoding="utf-8").replace('unit = "us"', f'unit = "us"\noffset = {offset_us}', 1)
     with tempfile.TemporaryDirectory() as directory:

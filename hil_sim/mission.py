@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from hil_sim.buses import Bus, CanBus, PulseLine
+from hil_sim.buses.in_process import in_process
+from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.faults import Fault, FaultPlan
-from hil_sim.free_flyer_plant import FreeFlyerPlant
-from hil_sim.free_flyer_tables import FreeFlyerScenario
-from hil_sim.in_process import in_process
-from hil_sim.plant import Plant as RocketPlant
-from hil_sim.rocket_tables import RocketScenario
-from hil_sim.scenario import Scenario, ScenarioError, load
-from hil_sim.sensors import DriftingClock
+from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
+from hil_sim.plants.rocket_arm import Plant as RocketPlant
+from hil_sim.plants.world import Plant
+from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
+from hil_sim.scenario.load import Scenario, ScenarioError, load
+from hil_sim.scenario.rocket_tables import RocketScenario
+from hil_sim.sensing.sensors import DriftingClock
 from hil_sim.twins import Sensor, Twins, sensor
-from hil_sim.world import Plant
 
 _VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
 

@@ -23,15 +23,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil_sim.buses import CanBus, I2cBus
-from hil_sim.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
-from hil_sim.i2c_socket import I2cSocket
-from hil_sim.in_process import EdgePort
-from hil_sim.ports import Port, Ports, open_ports, serial_options
-from hil_sim.realtime import Server
-from hil_sim.serial_bus import SerialBus
-from hil_sim.serial_port import PtySerial
-from hil_sim.slcan import SlcanAdapter
+from hil_sim.buses.i2c_socket import I2cSocket
+from hil_sim.buses.in_process import EdgePort
+from hil_sim.buses.media import CanBus, I2cBus
+from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
+from hil_sim.buses.realtime import Server
+from hil_sim.buses.serial_bus import SerialBus
+from hil_sim.buses.serial_port import PtySerial
+from hil_sim.buses.slcan import SlcanAdapter
+from hil_sim.scenario.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 
 _PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
 _USB_FRAME_NS: Final = 1_000_000  # no adapter hands characters over more often
@@ -155,7 +155,7 @@ def stops_on_signals() -> list[int]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve one scenario to its end; returns the exit status."""
     from hil_sim.mission import Mission  # noqa: PLC0415  (MuJoCo is loaded only where it is needed)
-    from hil_sim.scenario import load  # noqa: PLC0415
+    from hil_sim.scenario.load import load  # noqa: PLC0415
 
     parser = argparse.ArgumentParser(
         prog="python -m hil_sim.serve", description="Serve simulated devices in real time."

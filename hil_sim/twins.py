@@ -5,10 +5,23 @@ from typing import TypeVar
 
 import numpy as np
 
-from hil_sim.analog import ChipClock
-from hil_sim.buses import Bus, CanBus, I2cBus, PulseLine
-from hil_sim.controller_sensors import MotorTorqueSensor, PhaseSensor
-from hil_sim.device_tables import (
+from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
+from hil_sim.buses.serial_bus import SerialBus
+from hil_sim.devices.arm_controller import ArmController
+from hil_sim.devices.drive402 import Drive402
+from hil_sim.devices.dsc_load_cell import DscLoadCell
+from hil_sim.devices.encoder406 import Encoder406
+from hil_sim.devices.loadcell404 import LoadCell404
+from hil_sim.devices.modbus_load_cell import ModbusLoadCell
+from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.nimu import Nimu
+from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
+from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, Qsb
+from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.sync_box import SYNC_COB_ID, Pin, SyncBox
+from hil_sim.faults import DeviceFaults, FaultError
+from hil_sim.plants.world import Plant
+from hil_sim.scenario.device_tables import (
     DSC_BAUD_RATES,
     ArmControllerTable,
     CanBusTable,
@@ -27,25 +40,12 @@ from hil_sim.device_tables import (
     SerialBusTable,
     SyncBoxTable,
 )
-from hil_sim.devices.arm_controller import ArmController
-from hil_sim.devices.drive402 import Drive402
-from hil_sim.devices.dsc_load_cell import DscLoadCell
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.modbus_load_cell import ModbusLoadCell
-from hil_sim.devices.mpu6050 import Mpu6050
-from hil_sim.devices.nimu import Nimu
-from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
-from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, Qsb
-from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.devices.sync_box import SYNC_COB_ID, Pin, SyncBox
-from hil_sim.faults import DeviceFaults, FaultError
-from hil_sim.scenario import Scenario, ScenarioError
-from hil_sim.sensor_tables import Encoder, ForceCell, Imu, LoadCell, MotorTorque, Phase
-from hil_sim.sensor_tables import Sensor as SensorTable
-from hil_sim.sensors import EncoderSensor, ImuSensor, LoadCellSensor
-from hil_sim.serial_bus import SerialBus
-from hil_sim.world import Plant
+from hil_sim.scenario.load import Scenario, ScenarioError
+from hil_sim.scenario.sensor_tables import Encoder, ForceCell, Imu, LoadCell, MotorTorque, Phase
+from hil_sim.scenario.sensor_tables import Sensor as SensorTable
+from hil_sim.sensing.analog import ChipClock
+from hil_sim.sensing.controller_sensors import MotorTorqueSensor, PhaseSensor
+from hil_sim.sensing.sensors import EncoderSensor, ImuSensor, LoadCellSensor
 
 Sensor = ImuSensor | EncoderSensor | LoadCellSensor | MotorTorqueSensor | PhaseSensor
 Kind = TypeVar("Kind")

@@ -106,11 +106,27 @@ def estimation_is_pure(path: str, source: str) -> list[str]:
     ]
 
 
-def model_stands_on_estimation_at_most(path: str, source: str) -> list[str]:
-    if not path.startswith("onboard/model"):
+LAYERS = {  # each room may import those before it, and itself
+    "onboard": ("estimation", "dynamics", "regressor", "identification", "flight", "offline", "cli"),
+    "hil_sim": (
+        *("arrays", "scenario", "plants", "sensing", "faults", "devices", "buses"),
+        *("twins", "mission", "serve", "kernel"),
+    ),
+}
+MATHEMATICS = ("estimation", "dynamics", "regressor", "identification")  # import nothing else of onboard
+
+
+def rooms_stand_on_those_before_them(path: str, source: str) -> list[str]:
+    top, _, rest = path.partition("/")
+    room = rest.split("/")[0].removesuffix(".py")
+    order = LAYERS.get(top, ())
+    if room not in order:
         return []
-    names = [i for i in imports(path, source) if within(i.name, *OURS)]
-    return [f"{path}:{i.line}: {i.name}" for i in names if not within(i.name, "onboard.model", "onboard.estimation")]
+    below = {f"{top}.{name}" for name in order[: order.index(room) + 1]}
+    ordered = {f"{top}.{name}" for name in order}
+    judged = OURS if top == "onboard" and room in MATHEMATICS else ordered
+    names = [i for i in imports(path, source) if within(i.name, *judged)]
+    return [f"{path}:{i.line}: {i.name}" for i in names if not within(i.name, *below)]
 
 
 def simulator_knows_the_ports_only(path: str, source: str) -> list[str]:
@@ -215,7 +231,7 @@ RULES: tuple[Rule, ...] = (
     drivers_import_nothing_of_ours,
     transports_alone_open_buses,
     estimation_is_pure,
-    model_stands_on_estimation_at_most,
+    rooms_stand_on_those_before_them,
     simulator_knows_the_ports_only,
     flight_code_knows_no_simulator,
     strangers_use_different_dynamics,
@@ -251,25 +267,33 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (transports_alone_open_buses, "drivers/canopen_pdo/device.py", "from can.interfaces import virtual"),
     (transports_alone_open_buses, "drivers/qsb/device.py", "import serial.tools.list_ports"),
     (transports_alone_open_buses, "onboard/flight/acquisition.py", "from gpiod.line import Edge"),
-    (estimation_is_pure, "onboard/estimation/rls.py", "from onboard.model import rows"),
+    (estimation_is_pure, "onboard/estimation/rls.py", "from onboard.dynamics import rows"),
     (estimation_is_pure, "onboard/estimation/rls.py", "from .. import ring"),
     (estimation_is_pure, "onboard/estimation/rls.py", "import drivers.records"),
     (estimation_is_pure, "onboard/estimation/rls.py", "import pinocchio"),
     (estimation_is_pure, "onboard/estimation/rls.py", "import logging"),
     (estimation_is_pure, "onboard/estimation/rls.py", "from pathlib import Path"),
-    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "from onboard.config import Vehicle"),
-    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "from ..flight import modes"),
-    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "from drivers import records"),
+    (rooms_stand_on_those_before_them, "onboard/regressor/rows.py", "from onboard.config import Vehicle"),
+    (rooms_stand_on_those_before_them, "onboard/dynamics/vehicle.py", "from onboard.regressor import rows"),
+    (
+        rooms_stand_on_those_before_them,
+        "onboard/flight/estimator.py",
+        "def f():\n    from onboard.offline import views",
+    ),
+    (rooms_stand_on_those_before_them, "hil_sim/plants/world.py", "from hil_sim.sensing import analog"),
+    (rooms_stand_on_those_before_them, "hil_sim/twins.py", "from hil_sim import mission"),
+    (rooms_stand_on_those_before_them, "onboard/regressor/rows.py", "from ..flight import modes"),
+    (rooms_stand_on_those_before_them, "onboard/regressor/rows.py", "from drivers import records"),
     (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "from drivers.mpu6050 import registers"),
     (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "from drivers import records"),
     (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "import drivers"),
     (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "import drivers.ports_of_call"),
-    (simulator_knows_the_ports_only, "hil_sim/plant.py", "from onboard.config import load"),
+    (simulator_knows_the_ports_only, "hil_sim/plants/rocket_arm.py", "from onboard.config import load"),
     (flight_code_knows_no_simulator, "onboard/flight/runner.py", "def f():\n    import hil_sim.serve"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "from hil_sim import serve"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "if True:\n    import hil_sim"),
-    (strangers_use_different_dynamics, "hil_sim/plant.py", "import pinocchio as pin"),
-    (strangers_use_different_dynamics, "onboard/model/rows.py", "from mujoco import MjModel"),
+    (strangers_use_different_dynamics, "hil_sim/plants/rocket_arm.py", "import pinocchio as pin"),
+    (strangers_use_different_dynamics, "onboard/regressor/rows.py", "from mujoco import MjModel"),
     (only_the_command_line_prints, "onboard/flight/runner.py", "print('tick')"),
     (only_the_command_line_prints, "hil_sim/serve.py", "def f():\n    print()"),
     (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time\ntime.monotonic_ns()"),
@@ -278,8 +302,12 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time\ndef f(now=time.time_ns): ..."),
     (only_transports_and_runners_read_clocks, "onboard/ring.py", "from time import perf_counter_ns as now\nf(now)"),
     (only_transports_and_runners_read_clocks, "drivers/ports.py", "import datetime\ndatetime.datetime.now()"),
-    (only_transports_and_runners_read_clocks, "hil_sim/plant.py", "from datetime import datetime as D\nD.utcnow()"),
-    (only_transports_and_runners_read_clocks, "hil_sim/plant.py", "import time\ntime.clock_gettime_ns(1)"),
+    (
+        only_transports_and_runners_read_clocks,
+        "hil_sim/plants/rocket_arm.py",
+        "from datetime import datetime as D\nD.utcnow()",
+    ),
+    (only_transports_and_runners_read_clocks, "hil_sim/plants/rocket_arm.py", "import time\ntime.clock_gettime_ns(1)"),
     (files_stay_short, "onboard/ring.py", "a = 1\n" * (CODE_LINES + 1)),
     (files_stay_short, "onboard/ring.py", "a = [\n" + "1,\n" * CODE_LINES + "]"),
 ]
@@ -289,22 +317,26 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     (drivers_import_nothing_of_ours, "onboard/ring.py", "import onboard"),
     (transports_alone_open_buses, "drivers/transports/i2c.py", "import smbus2"),
     (transports_alone_open_buses, "drivers/canopen_pdo/decode.py", "from drivers import canopen_pdo\nimport candid"),
-    (transports_alone_open_buses, "hil_sim/buses.py", "import can, serial, smbus2"),
+    (transports_alone_open_buses, "hil_sim/buses/media.py", "import can, serial, smbus2"),
     (
         estimation_is_pure,
         "onboard/estimation/rls.py",
         "import math\nimport numpy as np\nfrom scipy.linalg import lapack",
     ),
     (estimation_is_pure, "onboard/estimation/window.py", "from .rls import R\nfrom onboard.estimation import rls"),
-    (model_stands_on_estimation_at_most, "onboard/model/rows.py", "import pinocchio\nfrom ..estimation import rls"),
+    (
+        rooms_stand_on_those_before_them,
+        "onboard/regressor/rows.py",
+        "import pinocchio\nfrom ..estimation import rls\nfrom onboard.dynamics import inertia",
+    ),
     (
         simulator_knows_the_ports_only,
         "hil_sim/devices/mpu6050.py",
         "from drivers.ports import Edge\nfrom .. import faults",
     ),
-    (simulator_knows_the_ports_only, "hil_sim/buses.py", "from drivers import ports"),
+    (simulator_knows_the_ports_only, "hil_sim/buses/media.py", "from drivers import ports"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "def hil():\n    from hil_sim import serve"),
-    (strangers_use_different_dynamics, "hil_sim/plant.py", "import mujoco"),
+    (strangers_use_different_dynamics, "hil_sim/plants/rocket_arm.py", "import mujoco"),
     (only_the_command_line_prints, "onboard/cli/looking.py", "print()"),
     (only_the_command_line_prints, "onboard/offline/report.py", "console.print()\nprint_table()"),
     (only_transports_and_runners_read_clocks, "drivers/transports/i2c.py", "import time\ntime.monotonic_ns()"),

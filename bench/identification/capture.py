@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from bench.identification import free_flyer as case
 from bench.identification.recursive import estimator, ticks_of
-from hil_sim import free_flyer
-from hil_sim.free_flyer_sensors import sample
-from onboard.model.recursive_exiddm import BATCH_TICKS, RecursiveExiddm
-from onboard.model.ticks import FlightSignals, tick_signals
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import sample
+from onboard.dynamics.ticks import FlightSignals, tick_signals
+from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm
 
 Floats = NDArray[np.float64]
 

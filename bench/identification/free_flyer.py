@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from hil_sim import free_flyer
-from hil_sim.free_flyer_sensors import ImuErrors, sample
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.kinematics import composite_inertia, link_motions, momentum_columns
+from onboard.dynamics.payload import BodyEstimate, body_of, standard_covariance, standard_of
+from onboard.dynamics.ticks import FlightSignals, tick_signals
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.model.composite import RigidBody
-from onboard.model.exiddm import CERTAIN, ImuDoubt, NonLinearExiddm
-from onboard.model.floating import composite_inertia, link_motions, momentum_columns
-from onboard.model.free_rows import measured_base, zero_wrench_rows
-from onboard.model.payload import BodyEstimate, body_of, standard_covariance, standard_of
-from onboard.model.ticks import FlightSignals, tick_signals
-from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
+from onboard.identification.exiddm.batch import CERTAIN, ImuPrior, NonLinearExiddm
+from onboard.regressor.free_rows import measured_base, zero_wrench_rows
 
 Floats = NDArray[np.float64]
 
@@ -63,10 +63,10 @@ class Outcome(NamedTuple):
     misfit: float  # whitened residual sum over its degrees of freedom
 
 
-def vehicle() -> Vehicle:
+def vehicle() -> VehicleModel:
     """The free-flyer as its flight computer knows it."""
     urdf = config.packaged("rocksat").parents[1] / "dymaflex_parabolic" / "dymaflex.urdf"
-    return Vehicle(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    return VehicleModel(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.FREE, "base", "payload"))
 
 
 def tools(directory: Path) -> list[free_flyer.Body]:
@@ -101,7 +101,7 @@ def vehicle_as_built(rng: np.random.Generator) -> tuple[free_flyer.Body, tuple[f
     return base, tuple(as_built(link, LINK_SIGMA, rng) for link in free_flyer.ARM)
 
 
-def _momentum(model: Vehicle, chi: Floats, signals: FlightSignals, rate: Floats) -> Floats:
+def _momentum(model: VehicleModel, chi: Floats, signals: FlightSignals, rate: Floats) -> Floats:
     """Angular momentum about the centre of mass at the first tick, from the true rate of the base."""
     links = link_motions(model, signals.q[:1], signals.dq[:1], signals.ddq[:1])
     C, still = composite_inertia(links, chi)[0], np.zeros((1, 3))
@@ -150,7 +150,7 @@ def record(body: free_flyer.Body, real: bool, seed: int) -> Recorded:
     return Recorded(flight, tick_signals(*sampled[:4], sampled[4:], SAMPLES_PER_TICK, SMOOTHING_s))
 
 
-def doubts(model: Vehicle, real: bool) -> tuple[dict[str, Floats], ImuDoubt]:
+def doubts(model: VehicleModel, real: bool) -> tuple[dict[str, Floats], ImuPrior]:
     """What is known beforehand of the links, and what may be wrong with the IMU."""
     if not real:
         return {}, CERTAIN
@@ -158,7 +158,7 @@ def doubts(model: Vehicle, real: bool) -> tuple[dict[str, Floats], ImuDoubt]:
     for index, link in enumerate(model.links[:-1]):
         own = model.chi[10 * index : 10 * index + 10]
         covariance[link] = standard_covariance(own, *(LINK_SIGMA if index else BASE_SIGMA))
-    doubt = ImuDoubt(
+    doubt = ImuPrior(
         ERRORS.gyro_bias_rad_s,
         ERRORS.gyro_drift_rad_s2,
         ERRORS.scale,

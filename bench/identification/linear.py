@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.identification.free_flyer import BOXES, PAYLOAD_SIGMA, DURATION_s, vehicle
-from hil_sim import free_flyer
-from hil_sim.free_flyer_sensors import ImuErrors, Samples, sample
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.consistency import HonestEstimate
-from onboard.estimation.smoothing import Window, correlation_inflation
-from onboard.model.base_parameters import base_parameters
-from onboard.model.composite import RigidBody
-from onboard.model.identify import Identifier
-from onboard.model.payload import standard_of
-from onboard.model.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, base_motion
-from onboard.model.signals import SignalNoise, Signals
-from onboard.model.vehicle import Vehicle
+from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
+from onboard.identification.rows.identifier import Identifier
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, base_motion
+from onboard.regressor.signals import SignalNoise, Signals
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Answer(NamedTuple):
     inside: Floats  # (10,) whether the 95 % interval of each standard parameter holds
 
 
-def identifier(model: Vehicle, instruments: bool, smoothing_s: float = SMOOTHING_s) -> Identifier:
+def identifier(model: VehicleModel, instruments: bool, smoothing_s: float = SMOOTHING_s) -> Identifier:
     """Six zero-wrench rows of the free-flyer, all but the payload taken for exact."""
     rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])
     sigma = np.zeros(len(rows.names))
@@ -55,11 +55,11 @@ def identifier(model: Vehicle, instruments: bool, smoothing_s: float = SMOOTHING
     return Identifier(rows, base, sigma, 5 * smoothing_s, imu_frame="imu_base", instruments_lag_s=lag_s)
 
 
-def signals_of(model: Vehicle, samples: Samples, smoothing_s: float = SMOOTHING_s) -> Signals:
+def signals_of(model: VehicleModel, samples: Samples, smoothing_s: float = SMOOTHING_s) -> Signals:
     """Every signal through the flight's kernel at the row rate, with its noise."""
     t = samples.time_s
     at = np.arange(t[0] + 0.5 * smoothing_s + ROW_s, t[-1] - 0.5 * smoothing_s, ROW_s)
-    window = Window(t, at, smoothing_s)
+    window = SmoothingWindow(t, at, smoothing_s)
     joints = [window.apply(samples.angle_rad, derivative) for derivative in range(3)]
     imu = [
         window.apply(samples.rate_rad_s),

@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from bench.identification.free_flyer import BASE_SIGMA, BOXES, ERRORS, LINK_SIGMA, PAYLOAD_SIGMA, as_built
-from hil_sim import free_flyer, planar_bed
-from hil_sim.free_flyer_sensors import sample
+from hil_sim.plants import free_flyer, planar_bed
+from hil_sim.sensing.free_flyer_sensors import sample
 from onboard import config
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.payload import standard_covariance
+from onboard.dynamics.ticks import tick_signals
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.model.errors import SignalError
-from onboard.model.exiddm import ImuDoubt
-from onboard.model.payload import standard_covariance
-from onboard.model.planar_exiddm import PlanarDoubt, PlanarExiddm, PuckDoubt
-from onboard.model.ticks import tick_signals
-from onboard.model.vehicle import BaseKind, Vehicle, VehicleSpec
+from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, PlanarExiddm
+from onboard.identification.exiddm.batch import ImuPrior
 
 Floats = NDArray[np.float64]
 
@@ -53,13 +53,13 @@ class Outcome(NamedTuple):
     reason: str  # why it is not to be used; empty if it is
 
 
-def vehicle() -> Vehicle:
+def vehicle() -> VehicleModel:
     """The vehicle as its flight computer knows it."""
     urdf = config.packaged("rocksat").parents[1] / "dymaflex_air_bearing" / "dymaflex.urdf"
-    return Vehicle(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.PLANAR, "base", "payload"))
+    return VehicleModel(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.PLANAR, "base", "payload"))
 
 
-def doubts(model: Vehicle) -> tuple[dict[str, Floats], PlanarDoubt]:
+def doubts(model: VehicleModel) -> tuple[dict[str, Floats], AirBearingPrior]:
     """What is not known: covariances of the links, and the rest."""
     links = {
         link: standard_covariance(model.chi[10 * k : 10 * k + 10], *(LINK_SIGMA if k else BASE_SIGMA))
@@ -67,9 +67,9 @@ def doubts(model: Vehicle) -> tuple[dict[str, Floats], PlanarDoubt]:
     }
     gyro = (ERRORS.gyro_bias_rad_s, ERRORS.gyro_drift_rad_s2, ERRORS.scale, ERRORS.turn_rad)
     accelerometer = (ERRORS.accelerometer_bias_m_s2, ERRORS.accelerometer_drift_m_s3, ERRORS.scale, ERRORS.turn_rad)
-    pucks = {f"puck_{k}": PuckDoubt(5.0, 0.5) for k in (1, 2, 3)}
-    imu = ImuDoubt(*gyro, *accelerometer, ERRORS.delay_s)
-    return links, PlanarDoubt(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, imu)
+    pucks = {f"puck_{k}": DragPrior(5.0, 0.5) for k in (1, 2, 3)}
+    imu = ImuPrior(*gyro, *accelerometer, ERRORS.delay_s)
+    return links, AirBearingPrior(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, imu)
 
 
 def run_one(body: free_flyer.Body, seed: int) -> Outcome | None:

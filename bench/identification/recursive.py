@@ -17,16 +17,16 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
 from bench.identification import free_flyer as case
-from hil_sim import free_flyer
-from onboard.model.composite import RigidBody
-from onboard.model.exiddm import ImuDoubt, NonLinearExiddm
-from onboard.model.exiddm_window import Ticks
-from onboard.model.floating import link_motions
-from onboard.model.imu_prediction import ImuPredictor
-from onboard.model.payload import BodyEstimate, body_estimate
-from onboard.model.recursive_exiddm import BATCH_TICKS, RecursiveExiddm, SOLVED_AT_s
-from onboard.model.ticks import FlightSignals
-from onboard.model.vehicle import Vehicle
+from hil_sim.plants import free_flyer
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.payload import BodyEstimate, body_estimate
+from onboard.dynamics.ticks import FlightSignals
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.identification.exiddm.batch import ImuPrior, NonLinearExiddm
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm, SOLVED_AT_s
+from onboard.identification.exiddm.window import Ticks
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def ticks_of(signals: FlightSignals, first_s: float = 0.0) -> Ticks:
 
 
 def estimator(
-    model: Vehicle, signals: FlightSignals, covariance: dict[str, Floats], doubt: ImuDoubt, held: bool
+    model: VehicleModel, signals: FlightSignals, covariance: dict[str, Floats], doubt: ImuPrior, held: bool
 ) -> RecursiveExiddm:
     """One that knows nothing yet."""
     predictor = ImuPredictor(model, "imu_base", signals.period_s, signals.samples, covariance, doubt)

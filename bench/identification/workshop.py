@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.identification.free_flyer import as_built, tools
-from hil_sim import fixed_arm
-from hil_sim.free_flyer import Body, JointMotion
+from hil_sim.plants import fixed_arm
+from hil_sim.plants.free_flyer import Body, JointMotion
 from onboard import config
-from onboard.estimation.smoothing import Window, correlation_inflation
-from onboard.model.base_parameters import base_parameters, named_relative_sigma
-from onboard.model.grasped import Grasped, grasped
-from onboard.model.identify import Identifier
-from onboard.model.rows import RowModel, standing
-from onboard.model.sensor_rows import wrist_cell_rows
-from onboard.model.signals import SignalNoise, Signals
-from onboard.model.vehicle import STANDARD, BaseKind, Vehicle, VehicleSpec
+from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
+from onboard.identification.rows.grasped import Grasped, grasped
+from onboard.identification.rows.identifier import Identifier
+from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.rows import RowModel, standing
+from onboard.regressor.sensor_rows import wrist_cell_rows
+from onboard.regressor.signals import SignalNoise, Signals
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Outcome(NamedTuple):
 def identifier() -> Identifier:
     """Of the workshop's arm: six rows, gripper and tool and the cell's biases and scales unknown."""
     urdf = config.packaged("rocksat").parents[1] / "workshop" / "workshop.urdf"
-    vehicle = Vehicle(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.FIXED, "bench", "tool"))
+    vehicle = VehicleModel(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.FIXED, "bench", "tool"))
     model = RowModel(vehicle, wrist_cell_rows("wrist", "wrist", scale=True))
     base = base_parameters(model, np.random.default_rng(1))
     extras = {f"{name}_tool": sigma for name, sigma in zip(STANDARD, PAYLOAD_SIGMA, strict=True)}
@@ -61,12 +61,12 @@ def identifier() -> Identifier:
     return Identifier(model, base, prior, 5.0 * SMOOTHING_s)
 
 
-def rows(readings: fixed_arm.Readings, vehicle: Vehicle) -> Signals:
+def rows(readings: fixed_arm.Readings, vehicle: VehicleModel) -> Signals:
     """Encoders and cell through one kernel."""
     t = readings.time_s
     at = np.arange(t[0] + SMOOTHING_s, t[-1] - SMOOTHING_s, ROW_s)
     at = at[np.abs(at - GRASP_s) > SETTLE_s]
-    window = Window(t, at, SMOOTHING_s)
+    window = SmoothingWindow(t, at, SMOOTHING_s)
     q, dq, ddq = (window.apply(readings.angle_rad, order) for order in range(3))
     wrist = window.apply(readings.wrench)
     inflation = correlation_inflation(SMOOTHING_s, ROW_s)

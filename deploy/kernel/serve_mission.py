@@ -15,10 +15,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
+from hil_sim.realtime import Server
 
 from hil_sim.kernel.server import open_nodes
 from hil_sim.mission import Mission
-from hil_sim.realtime import Server
 from hil_sim.scenario import load
 from hil_sim.serve import say, stops_on_signals
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
-from drivers.canopen_pdo.channel import Channel, ProcessData
+from drivers.canopen_pdo.channel import PdoChannel, ProcessData
 from drivers.canopen_pdo.cia402 import Cia402Config, drive_values
 from drivers.canopen_pdo.cia404 import Cia404Config, LoadCell
 from drivers.canopen_pdo.cia406 import Cia406Config, Encoder
@@ -80,7 +80,7 @@ class CanopenBus:
         self._sync_sent_ns: int | None = None
         self._sync_missed = False
         self._started_ns = 0
-        self._channels: list[Channel] = []
+        self._channels: list[PdoChannel] = []
         self._synchronous: list[SyncChannel] = []
         values = [data for config in nodes for data in process_data(config)]
         names = [sync.name, *(data.name for data in values)]
@@ -88,11 +88,11 @@ class CanopenBus:
             raise ConfigurationError(
                 f"bus {name} has two channels of one name ({', '.join(sorted(names))}): rename one"
             )
-        by_node: dict[int, list[Channel]] = {}
+        by_node: dict[int, list[PdoChannel]] = {}
         for data in values:
             if not 1 <= data.node <= 127:
                 raise ConfigurationError(f"{data.name}: node = {data.node}: CANopen has 1..127")
-            channel: Channel
+            channel: PdoChannel
             if isinstance(data, MappedObject) and not data.synchronous:
                 channel = EventChannel(data, self._report, self._sync)
             else:

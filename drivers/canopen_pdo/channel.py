@@ -31,7 +31,7 @@ class ProcessData(ABC):
     """One value of one node: how the node is set up for it, and how its TPDO is read.
 
     Attributes:
-        name: Channel.
+        name: PdoChannel.
         node: Node number.
         cob_id: COB-ID of the TPDO.
         profile: Low word of 1000h that the node must have; None: any.
@@ -60,7 +60,7 @@ class ProcessData(ABC):
         """Read a TPDO. Raises FrameError when its length is wrong."""
 
 
-class Channel(ABC):
+class PdoChannel(ABC):
     """Rows of one ``ProcessData``, gathered between two pumps.
 
     Args:

@@ -7,7 +7,7 @@ one told is one loss at the least. A TPDO whose counter does not follow on the l
 agrees with it, or the node when asked, says which of the two was right.
 """
 
-from drivers.canopen_pdo.channel import Channel, Sample
+from drivers.canopen_pdo.channel import PdoChannel, Sample
 from drivers.canopen_pdo.mapped_object import MappedObject, Reading
 from drivers.canopen_pdo.sdo import Setup
 from drivers.canopen_pdo.sync import SyncCounter
@@ -18,7 +18,7 @@ CHECK_NS = 500_000_000
 QUIET_NS = 20_000_000  # after a TPDO, before it is read back: what comes fast confirms itself
 
 
-class EventChannel(Channel):
+class EventChannel(PdoChannel):
     """One row for each TPDO, and for each value read back. ``tick`` is the SYNC number current when it arrived.
 
     Args:
@@ -46,12 +46,12 @@ class EventChannel(Channel):
             self._read(reading)
 
     def node_rebooted(self) -> None:
-        """See ``Channel``. What it counts may have begun anew."""
+        """See ``PdoChannel``. What it counts may have begun anew."""
         super().node_rebooted()
         self._counter = self._value = None
 
     def accept(self, host_ns: int, data: bytes) -> None:
-        """See ``Channel``."""
+        """See ``PdoChannel``."""
         sample = self._decoded(host_ns, data) if self.live else None
         if sample is None:
             return
@@ -67,11 +67,11 @@ class EventChannel(Channel):
             self._put(host_ns, sample, SampleStatus.NOT_VALID)
 
     def suspect(self, host_ns: int) -> None:
-        """See ``Channel``."""
+        """See ``PdoChannel``."""
         self._checked_ns = min(self._checked_ns, host_ns - CHECK_NS)
 
     def check(self, now_ns: int) -> Setup | None:
-        """See ``Channel``."""
+        """See ``PdoChannel``."""
         if not (self.live and self._object.is_readable) or now_ns - self._heard_ns < QUIET_NS:
             return None
         if not (self._unconfirmed or self._doubted) and now_ns - self._checked_ns < CHECK_NS:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from enum import Enum, auto
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.channel import Channel
+from drivers.canopen_pdo.channel import PdoChannel
 from drivers.canopen_pdo.frame import NmtCommand, NmtState
 from drivers.canopen_pdo.guarding import Guard
 from drivers.canopen_pdo.sdo import SdoClient, Setup, attempt, read_unsigned, write_unsigned
@@ -51,7 +51,7 @@ class Node:
     def __init__(
         self,
         number: int,
-        channels: Sequence[Channel],
+        channels: Sequence[PdoChannel],
         send: Callable[[int, bytes], None],
         report: Reporter,
         guard: Guard | None = None,

@@ -1,6 +1,6 @@
 """TPDOs that answer SYNCs: each is given the number of the SYNC it answers, and a SYNC without answer is a gap."""
 
-from drivers.canopen_pdo.channel import Channel, ProcessData, Sample
+from drivers.canopen_pdo.channel import PdoChannel, ProcessData, Sample
 from drivers.canopen_pdo.sync import ROUND, SyncCounter
 from drivers.records import Severity
 from drivers.reporter import Reporter
@@ -9,7 +9,7 @@ SILENT_AFTER = 20  # SYNCs without an answer before an event says so
 LATEST = 400  # SYNCs after a gap of answers in which they may yet come, too late to be told which is which
 
 
-class SyncChannel(Channel):
+class SyncChannel(PdoChannel):
     """One row for each SYNC answered.
 
     TPDOs are held until the next SYNC, for only then is it known whether a SYNC between was lost. Order decides:
@@ -40,13 +40,13 @@ class SyncChannel(Channel):
         self._silent = 0
 
     def node_reset(self) -> None:
-        """See ``Channel``. What it answered before is handed over first."""
+        """See ``PdoChannel``. What it answered before is handed over first."""
         self.settle()
         super().node_reset()
         self._reset_since_row = self.started
 
     def accept(self, host_ns: int, data: bytes) -> None:
-        """See ``Channel``. An answer to a SYNC before the first one seen is no sample yet."""
+        """See ``PdoChannel``. An answer to a SYNC before the first one seen is no sample yet."""
         if self.live and self._sync.tick is not None:
             self._held.append((host_ns, data))
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import FrameError
 from drivers.nimu.packet import STANDARD_GRAVITY_M_S2, NimuConfig, Packets, PacketStream
-from drivers.nimu.timer import PacketTimer, Placed
+from drivers.nimu.timer import PacketTicks, PacketTimer
 from drivers.records import IMU, SCALAR, Rows, SampleStatus, Severity
 from drivers.repeats import Repeats, longest_run
 from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
@@ -84,7 +84,7 @@ class Nimu(SerialDevice):
             placed = self._timer.place(timer, np.array(broken), chunk.host_ns, chunk.fresh)
             self._hand_over(chunk.host_ns, words, placed)
 
-    def _hand_over(self, host_ns: int, words: NDArray[np.int16], placed: Placed) -> None:
+    def _hand_over(self, host_ns: int, words: NDArray[np.int16], placed: PacketTicks) -> None:
         numbers = self._next - 1 + np.cumsum(self._less_named(placed.steps))
         for place in np.flatnonzero(placed.steps > 1):
             before = int(numbers[place - 1]) if place else self._next - 1
@@ -111,7 +111,9 @@ class Nimu(SerialDevice):
         for axis, channel in enumerate(self._magnetometer_channels()):
             self._report.rows(channel, self._magnetometer_rows(rows, words[:, _MAGNETOMETER][:, axis]))
 
-    def _imu_rows(self, host_ns: int, words: NDArray[np.int16], placed: Placed, numbers: NDArray[np.int64]) -> Rows:
+    def _imu_rows(
+        self, host_ns: int, words: NDArray[np.int16], placed: PacketTicks, numbers: NDArray[np.int64]
+    ) -> Rows:
         rows = np.zeros(len(words), IMU)
         rows["sequence"] = numbers
         rows["host_ns"] = host_ns

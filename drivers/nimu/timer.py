@@ -21,7 +21,7 @@ PERIOD_GAIN = 0.05
 MISFIT = 0.25  # of a period: no whole number of samples, so the timer began anew
 
 
-class Placed(NamedTuple):
+class PacketTicks(NamedTuple):
     """Where the packets of one read stand.
 
     Attributes:
@@ -52,7 +52,7 @@ class PacketTimer:
         """Sample period by the nominal tick, ns; None while it is not known."""
         return None if self._period is None else self._period * TICK_NS
 
-    def place(self, timer: NDArray[np.uint16], broken: NDArray[np.bool_], host_ns: int, fresh: bool) -> Placed:
+    def place(self, timer: NDArray[np.uint16], broken: NDArray[np.bool_], host_ns: int, fresh: bool) -> PacketTicks:
         """Place the packets of one read; there is at least one.
 
         Args:
@@ -84,7 +84,7 @@ class PacketTimer:
         elif fresh:
             self._reference = (host_ns, self._tick)
         samples[0] = 1 if first else samples[0]
-        return Placed(ticks.astype(np.uint64), samples, restarted, stuck)
+        return PacketTicks(ticks.astype(np.uint64), samples, restarted, stuck)
 
     def _missing_turns(self, since: int, host_ns: int) -> int:
         """Whole turns that the timer made and ``since`` does not show, by the host's clock."""

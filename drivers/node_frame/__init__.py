@@ -5,11 +5,18 @@ and a scale); frames of one port are of one node.
 """
 
 from drivers.node_frame.device import NodeFrame
-from drivers.node_frame.frame import Channel, Descriptor, FrameStream, NodeFrameConfig, decode_descriptor, payload_dtype
+from drivers.node_frame.frame import (
+    Descriptor,
+    FrameChannel,
+    FrameStream,
+    NodeFrameConfig,
+    decode_descriptor,
+    payload_dtype,
+)
 
 __all__ = [
-    "Channel",
     "Descriptor",
+    "FrameChannel",
     "FrameStream",
     "NodeFrame",
     "NodeFrameConfig",

@@ -11,7 +11,7 @@ TURN = 1 << 32
 SLACK_NS = 1_000_000_000  # by which frames may be late: the kernel holds so many
 
 
-class Placed(NamedTuple):
+class FrameTicks(NamedTuple):
     """Where some data frames stand.
 
     Attributes:
@@ -50,7 +50,7 @@ class NodeCounters:
         """Whether a frame of this sequence has been before: the node began anew."""
         return self._sequence is not None and steps(np.array([sequence]), 32, self._sequence)[0] <= 0
 
-    def place(self, sequences: NDArray[np.uint32], words: NDArray[np.uint32], host_ns: int) -> Placed:
+    def place(self, sequences: NDArray[np.uint32], words: NDArray[np.uint32], host_ns: int) -> FrameTicks:
         """Place data frames that arrived at ``host_ns``; there is at least one.
 
         Args:
@@ -65,7 +65,7 @@ class NodeCounters:
         if not self._fresh and self._follow(before, sequences.tolist(), ticks.tolist(), elapsed_ns):
             self._sequence, self._tick, self._host_ns = int(sequences[-1]), int(ticks[-1]), host_ns
             none = np.zeros(len(ticks), np.bool_)
-            return Placed(ticks, none, none, none, whole=True)
+            return FrameTicks(ticks, none, none, none, whole=True)
         forward = steps(sequences, 32, before)
         since = steps(words, 32, expected)
         rebooted = forward <= 0
@@ -79,7 +79,7 @@ class NodeCounters:
         jumped[0] &= not self._fresh
         self._fresh = False
         self._sequence, self._tick, self._host_ns = int(sequences[-1]), int(ticks[-1]), host_ns
-        return Placed(ticks, lost.astype(np.int64), rebooted, jumped)
+        return FrameTicks(ticks, lost.astype(np.int64), rebooted, jumped)
 
     def _follow(self, before: int, sequences: list[int], ticks: list[int], elapsed_ns: int) -> bool:
         """Whether each frame follows on the one before; nearly always, so this is what is to be fast."""

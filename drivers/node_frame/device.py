@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import FrameError, WrongDeviceError
 from drivers.marks import MARK
-from drivers.node_frame.counters import TURN, NodeCounters, Placed
+from drivers.node_frame.counters import TURN, FrameTicks, NodeCounters
 from drivers.node_frame.frame import (
     DATA,
     DESCRIPTOR,
@@ -227,7 +227,7 @@ class NodeFrame(SerialDevice):
             self._hand_over_marks(host_ns, frames, placed)
         self._last_ns = host_ns
 
-    def _number(self, host_ns: int, placed: Placed, tick_hz: int) -> NDArray[np.int64]:
+    def _number(self, host_ns: int, placed: FrameTicks, tick_hz: int) -> NDArray[np.int64]:
         """Sequence numbers of the rows, after naming those lost before them."""
         ticks = placed.ticks
         if placed.whole:
@@ -256,7 +256,7 @@ class NodeFrame(SerialDevice):
         self._next = int(numbers[-1]) + 1
         return numbers
 
-    def _tell(self, host_ns: int, placed: Placed) -> None:
+    def _tell(self, host_ns: int, placed: FrameTicks) -> None:
         if placed.rebooted.any():
             text = "frame sequence began anew: the node was reset, check its supply"
             self._report.event(host_ns, Severity.WARNING, "node_reset", text)
@@ -273,7 +273,7 @@ class NodeFrame(SerialDevice):
         self._values[place] = int(words[-1]), int(values[-1])
         return values
 
-    def _hand_over_marks(self, host_ns: int, frames: NDArray[np.void], placed: Placed) -> None:
+    def _hand_over_marks(self, host_ns: int, frames: NDArray[np.void], placed: FrameTicks) -> None:
         pulses = frames["pulse"]
         before = np.where(placed.rebooted, 0, np.concatenate([[self._pulse], pulses[:-1]]))
         at = np.flatnonzero((pulses != before) & (pulses != 0))

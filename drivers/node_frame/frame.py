@@ -36,7 +36,7 @@ TYPES = ("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<i8")
 WRAPS = 1  # flag of a channel: a counter that wraps at the width of its type
 
 
-class Channel(NamedTuple):
+class FrameChannel(NamedTuple):
     """One channel of a node as its descriptor tells it.
 
     Attributes:
@@ -73,7 +73,7 @@ class Descriptor(NamedTuple):
     tick: int
     boot: int
     tick_hz: int
-    channels: tuple[Channel, ...]
+    channels: tuple[FrameChannel, ...]
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class NodeFrameConfig:
             raise ConfigurationError(f"channels = {self.channels}: name each channel of the node, once")
 
 
-def payload_dtype(channels: tuple[Channel, ...]) -> np.dtype[np.void]:
+def payload_dtype(channels: tuple[FrameChannel, ...]) -> np.dtype[np.void]:
     """The packed dtype of a data frame: the header's fields, then ``value_0``, ``value_1`` ... and the CRC."""
     values = [(f"value_{place}", channel.dtype) for place, channel in enumerate(channels)]
     return np.dtype([*HEADER, *values, ("crc", ">u2")])
@@ -144,14 +144,14 @@ def decode_descriptor(payload: bytes) -> Descriptor:
     return Descriptor(node, schema, sequence, tick, boot, tick_hz, channels)
 
 
-def _channel(code: int, flags: int, mantissa: int, exponent: int, unit: bytes, name: bytes) -> Channel:
+def _channel(code: int, flags: int, mantissa: int, exponent: int, unit: bytes, name: bytes) -> FrameChannel:
     texts = [text.rstrip(b"\0") for text in (name, unit)]
     if code >= len(TYPES) or not all(text.isascii() and text.decode("ascii").isprintable() for text in texts):
         raise FrameError(f"channel of type {code}, name {name!r}, unit {unit!r}: mend the node's configuration")
     # from decimal text, as the nearest double: 1 and -3 are 0.001 and not 1 * 10 ** -3
     scale = float(f"{mantissa}e{exponent}")
     wraps = bool(flags & WRAPS) and TYPES[code] != "<i8"  # which never does
-    return Channel(texts[0].decode("ascii"), TYPES[code], wraps, scale, texts[1].decode("ascii"))
+    return FrameChannel(texts[0].decode("ascii"), TYPES[code], wraps, scale, texts[1].decode("ascii"))
 
 
 class FrameStream:

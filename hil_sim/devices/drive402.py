@@ -24,10 +24,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from hil_sim.analog import ScalarAnalog
 from hil_sim.devices.canopen_node import OFF, OPERATIONAL, CanopenNode
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.sensing.analog import ScalarAnalog
 
 # States by their bits in the statusword: 6, 5, 3, 2, 1, 0 (bit 4, voltage, and the others are added to them).
 SWITCH_ON_DISABLED = 0x40

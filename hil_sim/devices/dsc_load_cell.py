@@ -21,11 +21,11 @@ from typing import Final
 
 import numpy as np
 
-from hil_sim.analog import ChipClock, ScalarAnalog
 from hil_sim.devices.sampled_scalar import SampledScalar
 from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 
 _BAUD_RATES: Final = (2400, 4800, 9600, 19200, 38400, 57600, 76800, 115_200)
 _RATES_HZ: Final = (1, 2, 5, 10, 20, 50, 60, 100, 200, 500)

@@ -6,10 +6,10 @@ decoding included. 6004h is unsigned and wraps modulo 2^32.
 
 import math
 
-from hil_sim.analog import ScalarAnalog
 from hil_sim.devices.canopen_node import CanopenNode
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.sensing.analog import ScalarAnalog
 
 _POSITION = 0x6004_00_20
 _CODE_SEQUENCE, _SCALING = 0x0001, 0x0004

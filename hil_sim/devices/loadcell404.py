@@ -4,10 +4,10 @@ The converter clips at the cell's capacity. 6150h bit 0 (value not valid) follow
 ``flags_overload`` is set: as in the units that were flown, full scale is otherwise a reading like any other.
 """
 
-from hil_sim.analog import ScalarAnalog
 from hil_sim.devices.canopen_node import CanopenNode
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.sensing.analog import ScalarAnalog
 
 _PROCESS_VALUE = 0x9130_01_20
 _STATUS = 0x6150_01_08

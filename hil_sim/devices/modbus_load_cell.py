@@ -35,11 +35,11 @@ import math
 from collections import deque
 from typing import Final
 
-from hil_sim.analog import ChipClock, ScalarAnalog
 from hil_sim.devices.sampled_scalar import SampledScalar
 from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 
 DIVISIONS: Final = (
     *(100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1),

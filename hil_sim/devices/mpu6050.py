@@ -18,10 +18,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.analog import ChipClock, ImuAnalog
 from hil_sim.devices import mpu6050_map as reg
 from hil_sim.devices.mpu6050_fifo import Fifo
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
+from hil_sim.sensing.analog import ChipClock, ImuAnalog
 
 _RESET_NS = 1_000_000
 _FAST_TICK_NS = 125_000  # 8 kHz: DLPF_CFG 0 and 7

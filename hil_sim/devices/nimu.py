@@ -27,10 +27,10 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.analog import ChipClock, ImuAnalog
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyImu
+from hil_sim.sensing.analog import ChipClock, ImuAnalog
 
 _SIZE: Final = 38
 _GYRO_DPS: Final = 1.3733e-2  # a count, +-300 deg/s model

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from hil_sim.analog import ChipClock, ScalarAnalog
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 
 _DATA, _DESCRIPTOR = 0x10, 0x11
 _SATURATED: Final = 0x02  # status

@@ -23,12 +23,12 @@ import heapq
 import math
 from typing import Final
 
-from hil_sim.analog import ChipClock, ScalarAnalog
 from hil_sim.devices import qsb_map as reg
 from hil_sim.devices.quadrature import QuadratureCounter
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 
 TICK_512_HZ: Final = 1e9 / 512  # ns; the document's "1/512 Hz" and "1.95 ms"
 TICK_1900_US: Final = 1.9e6  # ns; its "5 ticks: 9.5 ms" and "rollover in 94.5 days"

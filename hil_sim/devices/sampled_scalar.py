@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil_sim.analog import ChipClock, ScalarAnalog
+from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 
 
 class SampledScalar:

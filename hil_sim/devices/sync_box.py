@@ -10,9 +10,9 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from hil_sim.analog import ChipClock
 from hil_sim.devices.can_wire import Transmit
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, garbled
+from hil_sim.sensing.analog import ChipClock
 
 SYNC_COB_ID: Final = 0x080
 _COUNTER_MAX: Final = 240

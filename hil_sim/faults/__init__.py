@@ -2,7 +2,7 @@
 
 from hil_sim.faults.inputs import FaultyImu, FaultyScalar, told_phases
 from hil_sim.faults.oscillator import FaultyClock
-from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, PowerCycle, Window, garbled
+from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, FaultWindow, PowerCycle, garbled
 from hil_sim.faults.vocabulary import CLOCK_KINDS, INPUT_KINDS, Fault, FaultError, FaultKind
 
 __all__ = [
@@ -15,11 +15,11 @@ __all__ = [
     "FaultError",
     "FaultKind",
     "FaultPlan",
+    "FaultWindow",
     "FaultyClock",
     "FaultyImu",
     "FaultyScalar",
     "PowerCycle",
-    "Window",
     "garbled",
     "told_phases",
 ]

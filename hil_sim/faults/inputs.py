@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.analog import ImuAnalog, ScalarAnalog
 from hil_sim.faults.plan import NEVER, DeviceFaults
 from hil_sim.faults.vocabulary import INPUT_KINDS, FaultKind
+from hil_sim.sensing.analog import ImuAnalog, ScalarAnalog
 
 _INERTIAL = np.array([0, 1, 2, 4, 5, 6])  # columns of ImuAnalog.counts without the temperature
 

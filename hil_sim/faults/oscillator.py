@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.analog import ChipClock
 from hil_sim.faults.plan import DeviceFaults
 from hil_sim.faults.vocabulary import FaultError, FaultKind
+from hil_sim.sensing.analog import ChipClock
 
 
 class _Segment(NamedTuple):

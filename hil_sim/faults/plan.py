@@ -12,7 +12,7 @@ from hil_sim.faults.vocabulary import Fault, FaultError, FaultKind
 NEVER = 1 << 62  # ns; later than any clock here
 
 
-class Window(NamedTuple):
+class FaultWindow(NamedTuple):
     """A fault on the true clock."""
 
     kind: FaultKind
@@ -31,7 +31,7 @@ class PowerCycle(NamedTuple):
 class DeviceFaults:
     """The faults of one device, on the true clock."""
 
-    def __init__(self, device: str, windows: Iterable[Window] = ()) -> None:
+    def __init__(self, device: str, windows: Iterable[FaultWindow] = ()) -> None:
         self.device = device
         self.windows = tuple(sorted(windows, key=lambda w: w.start_ns))
 
@@ -50,14 +50,14 @@ class DeviceFaults:
                 raise FaultError(f"{self.device} cannot have the fault {window.kind}; it can have: {possible}.")
         return self
 
-    def active(self, kind: FaultKind, now_ns: int) -> Window | None:
+    def active(self, kind: FaultKind, now_ns: int) -> FaultWindow | None:
         """The fault of this kind in force at ``now_ns``, or None."""
         for window in self.windows:
             if window.kind is kind and window.start_ns <= now_ns < window.end_ns:
                 return window
         return None
 
-    def within(self, now_ns: int, *kinds: FaultKind) -> Window | None:
+    def within(self, now_ns: int, *kinds: FaultKind) -> FaultWindow | None:
         """The first fault of one of these kinds in force at ``now_ns``, or None."""
         for window in self.windows:
             if window.kind in kinds and window.start_ns <= now_ns < window.end_ns:
@@ -140,11 +140,11 @@ class FaultPlan:
     """
 
     def __init__(self, faults: Iterable[Fault], start_ns: int) -> None:
-        self._windows: dict[str, list[Window]] = {}
+        self._windows: dict[str, list[FaultWindow]] = {}
         self._asked: set[str] = set()
         for fault in faults:
             end_ns = NEVER if math.isinf(fault.end_s) else start_ns + round(fault.end_s * 1e9)
-            window = Window(fault.kind, start_ns + round(fault.start_s * 1e9), end_ns, fault.value)
+            window = FaultWindow(fault.kind, start_ns + round(fault.start_s * 1e9), end_ns, fault.value)
             self._windows.setdefault(fault.device, []).append(window)
 
     def of(self, device: str) -> DeviceFaults:

@@ -1,4 +1,6 @@
-"""heft's command line. Thin: arguments in, one call, an exit code out; a module for each group of commands.
+"""heft's command line. Thin: arguments in, one call, an exit code out.
+
+Each command is a module of this package, named like it, with ``add(commands)``; nothing else names it.
 
 Exit codes: 0 done; 1 it ran and failed (nothing identified, a replay that differs, a worker that died, nothing
 recoverable); 2 the input cannot be used (arguments, vehicle file, mapping, no such file); 3 the log is truncated or
@@ -6,11 +8,12 @@ damaged, and what could be read was; 4 preflight found the vehicle not ready.
 """
 
 import argparse
+import importlib
 import os
+import pkgutil
 import sys
 from collections.abc import Callable, Sequence
 
-from onboard.cli import estimating, exporting, flying, looking, rescuing, watching
 from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK
 
 __all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "main"]
@@ -54,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="exit codes: 0 done, 1 ran and failed, 2 bad input, 3 log damaged but read, 4 not ready to fly",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for group in (flying, looking, exporting, estimating, rescuing, watching):
-        group.add(commands)
+    for found in sorted(module.name for module in pkgutil.iter_modules(__path__)):
+        if found not in ("__main__", "common"):
+            importlib.import_module(f"{__name__}.{found}").add(commands)
     return parser

@@ -1,15 +1,18 @@
-"""What the commands share: exit codes, the console, warnings."""
+"""What the commands share: exit codes, the console, warnings, options that several of them have."""
 
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
     from onboard import config
+
+Commands = Any  # argparse keeps the type of what add_subparsers returns to itself
 
 OK, FAILED, BAD_INPUT, DAMAGED, NOT_READY = 0, 1, 2, 3, 4
 
@@ -58,3 +61,41 @@ def warn(damage: Iterable[object]) -> None:
 def worst(codes: Sequence[int]) -> int:
     """The exit code of several logs together: failed before damaged before whole."""
     return FAILED if FAILED in codes else max(codes, default=OK)
+
+
+def add_live(command: Any) -> None:
+    """The option ``--live`` of a command that flies."""
+    command.add_argument(
+        "--live",
+        nargs="?",
+        const="127.0.0.1:8765",
+        metavar="HOST:PORT",
+        help="serve the flight to Foxglove or Lichtblick by WebSocket (default ws://127.0.0.1:8765)",
+    )
+
+
+def serve_live(address: str | None, log: Path) -> AbstractContextManager[int | None]:
+    """The live server of ``--live``; nothing where it was not asked for.
+
+    Raises:
+        ValueError: the Foxglove SDK is not installed.
+    """
+    if address is None:
+        return nullcontext()
+    try:
+        from onboard.live.process import serving
+    except ImportError as error:
+        raise ValueError(f"--live needs the Foxglove SDK ({error}): pip install 'heft-flight[live]'") from error
+    return serving(log, address)
+
+
+def bus_and_url(text: str) -> tuple[str, str]:
+    """``BUS=URL`` of the option ``--url``, taken apart.
+
+    Raises:
+        ValueError: there is no equals sign.
+    """
+    bus, separator, url = text.partition("=")
+    if not separator:
+        raise ValueError(f"--url {text}: write BUS=URL, e.g. can_0=can+socketcan://can0?bitrate=500000")
+    return bus, url

@@ -82,7 +82,7 @@ class Masses(Section):
     arm_link: str
 
 
-class Doubt(Section):
+class ImuPrior(Section):
     """Standard deviations by axis of what may be wrong with the base IMU; zero for what is taken for certain."""
 
     gyro_bias_rad_s: NotNegative = 0.0
@@ -156,4 +156,4 @@ class Estimation(Section):
     nuisance: list[str] = Field(default_factory=list)
     carried: Carried | None = None
     exiddm: Exiddm = Exiddm()
-    doubt: Doubt = Doubt()
+    doubt: ImuPrior = ImuPrior()

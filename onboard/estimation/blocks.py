@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import RowError
-
-FloatArray = NDArray[np.float64]
 
 
 class TimeBlocks:

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-FloatArray = NDArray[np.float64]
+from onboard.estimation.arrays import FloatArray
 
 _WINDOWS = (1, 2, 4, 8)
 _SUSPICION = 1e-4  # by chance, of one batch
 _GLITCH = 10.0  # times as likely by chance as an alarm: what a single tick counts for at most
 
 
-class Verdict(NamedTuple):
+class Detection(NamedTuple):
     """What one batch of innovations says."""
 
     glitches: NDArray[np.bool_]  # (n,) ticks that are beyond belief alone
@@ -49,7 +49,7 @@ class ChangeDetector:
         """Begin anew: the filter did."""
         self._recent.clear()
 
-    def check(self, squares: FloatArray) -> Verdict:
+    def check(self, squares: FloatArray) -> Detection:
         """Takes in the next batch.
 
         Args:
@@ -66,4 +66,4 @@ class ChangeDetector:
         rest = bounded[~glitches] if glitches.sum() == 1 else bounded
         suspect = rest.size > 0 and bool(chdtrc(self._width * rest.size, rest.sum()) < _SUSPICION)
         alarm = bool(chances[worst] < self._chance)
-        return Verdict(glitches, suspect, alarm, float(sums[span - 1] / freedom[span - 1]), span)
+        return Detection(glitches, suspect, alarm, float(sums[span - 1] / freedom[span - 1]), span)

@@ -27,14 +27,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.blocks import TimeBlocks
 from onboard.estimation.errors import RowError
 from onboard.estimation.rls import SquareRootRls
-
-FloatArray = NDArray[np.float64]
 
 _MOST_NOISE = 0.9  # of the information along a direction that may be noise before it is given back to the prior
 

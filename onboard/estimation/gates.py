@@ -9,10 +9,9 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import RowError
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 ReasonArray = NDArray[np.int64]
 
 

@@ -21,16 +21,14 @@ import copy
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.blocks import TimeBlocks
 from onboard.estimation.consistency import HonestEstimate
 from onboard.estimation.errors import RowError, SingularError
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
-
-FloatArray = NDArray[np.float64]
-
 
 _FEW_BLOCKS = 12  # to be trusted alone
 

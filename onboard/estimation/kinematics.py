@@ -1,7 +1,7 @@
 """Kinematics of encoders (and of any signal) by a steady-state Kalman filter, and by its smoother.
 
 The signal is four integrators driven by white noise (snap of a joint). In its steady state the Kalman filter is a fixed
-linear filter, and of its poles D two kernels are made for :class:`onboard.estimation.smoothing.Window`:
+linear filter, and of its poles D two kernels are made for :class:`onboard.estimation.smoothing.SmoothingWindow`:
 
 - ``FILTER``: ``G(s) = D(0) / D(s)``, causal: only samples before the newest. The filter's own estimates of position,
   rate and acceleration pass three different bands; rows need the *same* operator on both sides, so every derivative is
@@ -23,14 +23,12 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
+from onboard.estimation.arrays import ComplexArray, FloatArray
 from onboard.estimation.errors import RowError
-from onboard.estimation.smoothing import Kernel, Window
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from onboard.estimation.smoothing import Kernel, SmoothingWindow
 
 ORDER = 4  # integrators
 FILTER_BAND, SMOOTHER_BAND = 32.0, 56.0  # the filter's natural frequency times the window's width
@@ -140,9 +138,9 @@ def kinematics(times_s: ArrayLike, q: ArrayLike, at_s: ArrayLike, width_s: float
         kernel: :func:`filter_kernel`, :func:`smoother_kernel` or the spline.
 
     Raises:
-        RowError: see :class:`Window`.
+        RowError: see :class:`SmoothingWindow`.
     """
-    window = Window(times_s, at_s, width_s, kernel=kernel)
+    window = SmoothingWindow(times_s, at_s, width_s, kernel=kernel)
     position, rate, acceleration = (window.apply(q, derivative).values for derivative in range(3))
     weights = np.stack([window.weights(derivative) for derivative in range(3)], axis=1)  # (n, 3, l)
     covariance = weights @ weights.swapaxes(1, 2)

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import BlockScores, HonestEstimate
 from onboard.estimation.errors import RowError
-from onboard.estimation.rls import FloatArray, SquareRootRls
+from onboard.estimation.rls import SquareRootRls
 from onboard.estimation.window import WindowRls
 
 

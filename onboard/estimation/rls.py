@@ -17,12 +17,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import RowError, SingularError
-
-FloatArray = NDArray[np.float64]
 
 _BLOCK = 16  # block size of dtpqrt
 _RANK_TOLERANCE = 1e-11  # of a column of R against the column's own norm

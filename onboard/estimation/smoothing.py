@@ -18,13 +18,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, PPoly
 
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import RowError
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, which h'' needs, is still smooth
 _MU2 = 1.0 / (12.0 * ORDER)  # second moment of B on a full width of one
@@ -85,7 +83,7 @@ def _unit_kernels() -> tuple[PPoly, Kernel]:
 _BASE, SPLINE = _unit_kernels()
 
 
-class Window:
+class SmoothingWindow:
     """The samples under the kernel at each of a few ticks; weights for any derivative of anything sampled so.
 
     Args:
@@ -225,7 +223,7 @@ def smooth(
         max_gap_s: the longest hole a window may have; a fifth of the width where not given.
 
     Raises:
-        RowError: see :class:`Window`.
+        RowError: see :class:`SmoothingWindow`.
     """
     times = np.asarray(times_s, np.float64)
     columns = np.asarray(values, np.float64)
@@ -234,13 +232,13 @@ def smooth(
     spacing = (times[-1] - times[0]) / (times.size - 1) if times.size > 1 else 0.0
     step = max(1, int(_CHUNK_CELLS * spacing / width_s)) if 0.0 < spacing < np.inf and width_s > 0.0 else at.size
     if at.size <= step:
-        return Window(times, at, width_s, max_gap_s).apply(columns, derivative)
+        return SmoothingWindow(times, at, width_s, max_gap_s).apply(columns, derivative)
     parts = []
     for first in range(0, at.size, step):
         some = at[first : first + step]
         low = max(int(np.searchsorted(times, some.min() - width_s)) - 1, 0)
         high = int(np.searchsorted(times, some.max() + width_s)) + 1
-        parts.append(Window(times[low:high], some, width_s, max_gap_s).apply(columns[low:high], derivative))
+        parts.append(SmoothingWindow(times[low:high], some, width_s, max_gap_s).apply(columns[low:high], derivative))
     return Smoothed(
         np.concatenate([part.values for part in parts]),
         np.concatenate([part.valid for part in parts]),
@@ -253,7 +251,7 @@ class Response:
 
     Args:
         width_s: full width of the kernel.
-        kernel: as given to :class:`Window`.
+        kernel: as given to :class:`SmoothingWindow`.
     """
 
     def __init__(self, width_s: float, kernel: Kernel = SPLINE) -> None:
@@ -279,7 +277,7 @@ def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = 
     Args:
         width_s: full width of the kernel.
         row_period_s: time between rows.
-        kernel: as given to :class:`Window`.
+        kernel: as given to :class:`SmoothingWindow`.
 
     Raises:
         RowError: an argument that is not positive.

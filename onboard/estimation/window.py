@@ -14,8 +14,9 @@ parameters); the others take three.
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import RowError
-from onboard.estimation.rls import FloatArray, RlsState, SquareRootRls, merged
+from onboard.estimation.rls import RlsState, SquareRootRls, merged
 
 
 class WindowRls(SquareRootRls):

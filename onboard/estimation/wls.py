@@ -9,12 +9,10 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import RowError
 from onboard.estimation.rls import SquareRootRls
-
-FloatArray = NDArray[np.float64]
 
 
 class Group(NamedTuple):

@@ -12,31 +12,31 @@ from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.clocks import timebase_of
 from onboard.flight.identification import build_online
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
-from onboard.flight.signals import Signals, kernel_of
+from onboard.flight.signals import SignalSmoother, kernel_of
 from onboard.flight.zeroing import Zeroing
-from onboard.model.change import Change
-from onboard.model.identify import Identifier
-from onboard.model.online import OnlineIdentifier
-from onboard.model.quantities import Estimate
-from onboard.model.rows import BaseMotion, base_motion, standing
-from onboard.model.signals import SignalNoise
-from onboard.model.signals import Signals as ModelSignals
-
-Floats = NDArray[np.float64]
+from onboard.identification.change import Change
+from onboard.identification.online import OnlineIdentifier
+from onboard.identification.quantities import Estimate
+from onboard.identification.rows.identifier import Identifier
+from onboard.regressor.rows import BaseMotion, base_motion, standing
+from onboard.regressor.signals import SignalNoise, Signals
 
 
 class _Base(NamedTuple):
     """What is known of the base at n ticks."""
 
     motion: BaseMotion
-    sensed_m_s2: Floats  # (n, 3) specific force at the IMU, its axes
-    sigma: tuple[Floats, Floats, Floats]  # (n, 3) each, of rate, angular acceleration, specific force; IMU axes
+    sensed_m_s2: FloatArray  # (n, 3) specific force at the IMU, its axes
+    sigma: tuple[
+        FloatArray, FloatArray, FloatArray
+    ]  # (n, 3) each: rate, angular acceleration, specific force; IMU axes
     refused: NDArray[np.int64]  # (n,)
 
 
@@ -62,7 +62,7 @@ class Estimator:
         fresh, self.model = build_online(vehicle)
         self.online: OnlineIdentifier = fresh if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
-        self._signals = Signals(vehicle)
+        self._signals = SignalSmoother(vehicle)
         self._phases = PhaseTrack(settings.phases)
         self._zeroing = Zeroing(settings.zero)
         self._slow_force = np.zeros(3)
@@ -147,7 +147,7 @@ class Estimator:
             refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *motion, self.inflation)
-            signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise)
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
@@ -155,7 +155,7 @@ class Estimator:
             refused |= base.refused | refused_rows | self._gates(at_ns, joints, base.sensed_m_s2)
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
             motion = base.motion
-            signals = ModelSignals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)
         found = self.online.update(signals, self._phases.attached(at_ns), refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
         made += [_said(now_ns, change) for change in self.online.news()]
@@ -181,7 +181,7 @@ class Estimator:
         sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
         return _Base(motion, specific_force, sigma, imu.refused), made
 
-    def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """Angles, rates, accelerations of the joints and their sigmas, (3, n, joints) each, and reasons (n,)."""
         joints, sigma = np.zeros((2, 3, len(at_ns), len(self.model.joints)))
         refused = np.zeros(len(at_ns), np.int64)
@@ -215,7 +215,7 @@ class Estimator:
                 sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
         return measured, rate, sigma * self.inflation, refused
 
-    def _gates(self, at_ns: NDArray[np.int64], joints: Floats, specific_force: Floats) -> NDArray[np.int64]:
+    def _gates(self, at_ns: NDArray[np.int64], joints: FloatArray, specific_force: FloatArray) -> NDArray[np.int64]:
         settings = self.vehicle.file.estimation
         refused = np.zeros(len(at_ns), np.int64)
         if settings.phases:
@@ -237,7 +237,7 @@ class Estimator:
             refused |= magnitude_gate(self._slow(specific_force), settings.gates.specific_force_m_s2, GateReason.DRAG)
         return refused
 
-    def _slow(self, specific_force: Floats) -> Floats:
+    def _slow(self, specific_force: FloatArray) -> FloatArray:
         """Running mean of the specific force, (n, 3): drag grows slowly, and vibration is none of it."""
         weight = self._period_ns * 1e-6 / self.vehicle.file.estimation.gates.specific_force_window_ms
         means = np.full_like(specific_force, np.nan)

@@ -3,34 +3,32 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from onboard import config
 from onboard.config.errors import line_of
+from onboard.dynamics.errors import ModelError, UrdfError
+from onboard.dynamics.payload import standard_covariance
+from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import Memory
 from onboard.flight.roles import Cell, Roles, roles_of
-from onboard.model.base_parameters import base_parameters, named_relative_sigma
-from onboard.model.errors import ModelError, UrdfError
-from onboard.model.exiddm import ImuDoubt
-from onboard.model.free_body import free_body_quantities
-from onboard.model.identify import Considered, Identifier, Start
-from onboard.model.imu_prediction import ImuPredictor
-from onboard.model.online import ExiddmIdentifier, OnlineIdentifier
-from onboard.model.payload import standard_covariance
-from onboard.model.quantities import Quantity, mass_quantities
-from onboard.model.recursive_exiddm import RecursiveExiddm
-from onboard.model.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
-from onboard.model.table_run import TableRun
-from onboard.model.vehicle import STANDARD, BaseKind, Vehicle, VehicleSpec
-
-FloatArray = NDArray[np.float64]
+from onboard.identification.exiddm.batch import ImuPrior
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.table_run import TableRun
+from onboard.identification.online import ExiddmIdentifier, OnlineIdentifier
+from onboard.identification.quantities import Quantity, mass_quantities
+from onboard.identification.rows.free_body import free_body_quantities
+from onboard.identification.rows.identifier import Considered, Identifier, Start
+from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
 
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
 
 
-def build_model(vehicle: config.Vehicle) -> Vehicle:
+def build_model(vehicle: config.Vehicle) -> VehicleModel:
     """The Pinocchio model of a vehicle file.
 
     Raises:
@@ -38,10 +36,10 @@ def build_model(vehicle: config.Vehicle) -> Vehicle:
     """
     section = vehicle.file.vehicle
     spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link, section.gravity_m_s2)
-    return Vehicle(vehicle.urdf_path.read_text(encoding="utf-8"), spec)
+    return VehicleModel(vehicle.urdf_path.read_text(encoding="utf-8"), spec)
 
 
-def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle]:
+def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
     """What flies, by the method that the vehicle file asks for, and the model under it.
 
     Raises:
@@ -54,7 +52,7 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle]:
     return build_identifier(vehicle)
 
 
-def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, Vehicle]:
+def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleModel]:
     """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
 
     Raises:
@@ -93,7 +91,7 @@ def samples_per_tick(vehicle: config.Vehicle) -> int:
     return samples
 
 
-def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, Vehicle]:
+def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
     """What flies on a vehicle on an air-bearing table, which is estimated when its run is over; and its model.
 
     Raises:
@@ -117,7 +115,7 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, Vehicle]:
     return TableRun(str(model.spec.payload_link)), model
 
 
-def exiddm_prior(vehicle: config.Vehicle, model: Vehicle) -> tuple[dict[str, FloatArray], ImuDoubt, FloatArray]:
+def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
     """What is known before a flight: covariances of links, what may be wrong with the IMU, sigmas of a payload (10,).
 
     Raises:
@@ -134,10 +132,10 @@ def exiddm_prior(vehicle: config.Vehicle, model: Vehicle) -> tuple[dict[str, Flo
     asked = settings.exiddm
     first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
     payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
-    return covariance, ImuDoubt(**settings.doubt.model_dump()), payload_sigma
+    return covariance, ImuPrior(**settings.doubt.model_dump()), payload_sigma
 
 
-def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, Vehicle]:
+def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:
     """The identifier of a vehicle file, and the model under it.
 
     Raises:
@@ -197,7 +195,7 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
 
 
-def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: Vehicle) -> None:
+def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: VehicleModel) -> None:
     """A link is exact because the file says so, and not because a share of nothing is nothing."""
     for index, link in enumerate(model.links):
         if relative[link] > 0.0 and not prior[10 * index : 10 * index + 10].all():
@@ -205,7 +203,7 @@ def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: Vehicl
             raise UrdfError(f"{text}; give absolute ones, M_{link} to ZZ_{link}, or a relative one of 0 if it is exact")
 
 
-def _check_joints(roles: Roles, model: Vehicle) -> None:
+def _check_joints(roles: Roles, model: VehicleModel) -> None:
     """Every joint that moves is measured by one device, and every such device names a joint."""
     measured = [joint.joint for joint in roles.joints]
     moving = [joint.name for joint in model.joints]

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from drivers.records import Rows, SampleStatus
 from onboard import config
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons, window_contains
-from onboard.estimation.smoothing import SPLINE, Kernel, Response, Window
+from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
 from onboard.flight.history import History
 from onboard.flight.roles import Signal, roles_of
 from onboard.timebase.timebase import Timebase
-
-Floats = NDArray[np.float64]
 
 UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
 HISTORY_S = 2.0
@@ -27,8 +26,8 @@ HISTORY_S = 2.0
 class Smoothed(NamedTuple):
     """A channel at n ticks."""
 
-    derivatives: tuple[Floats, ...]  # each (n, columns): the signal, its rate of change, ...
-    sigma: tuple[Floats, ...]  # each (n, columns): noise of the above
+    derivatives: tuple[FloatArray, ...]  # each (n, columns): the signal, its rate of change, ...
+    sigma: tuple[FloatArray, ...]  # each (n, columns): noise of the above
     refused: NDArray[np.int64]  # (n,) GateReason
 
 
@@ -42,7 +41,7 @@ def kernel_of(vehicle: config.Vehicle) -> Kernel:
     return kinematics.filter_kernel() if asked == "filter" else kinematics.smoother_kernel()
 
 
-class Signals:
+class SignalSmoother:
     """The smoothed channels of one vehicle."""
 
     def __init__(self, vehicle: config.Vehicle) -> None:
@@ -167,7 +166,9 @@ class Signals:
         gaps = np.zeros(len(at_ns), np.int64)
         for delay_s in dict.fromkeys(delays_s.tolist()):
             mine = delays_s == delay_s
-            window = Window(one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s, kernel=self._kernel)
+            window = SmoothingWindow(
+                one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s, kernel=self._kernel
+            )
             columns = values if mine.all() else values[:, mine]
             for order in range(derivatives + 1):
                 smoothed = window.apply(columns, order)
@@ -227,8 +228,8 @@ class Signals:
 class _Recent(NamedTuple):
     """Samples of one channel that a step may need."""
 
-    times_s: Floats  # (k,) since the first tick, the filter's delay not removed
-    values: Floats  # (k, columns)
+    times_s: FloatArray  # (k,) since the first tick, the filter's delay not removed
+    values: FloatArray  # (k, columns)
     valid: NDArray[np.bool_]  # (k,)
     gap_s: float  # longer ones between samples are gaps
     timing_s: float  # sigma of the times, common to all
@@ -253,7 +254,7 @@ def _side_by_side(parts: Sequence[Smoothed]) -> Smoothed:
     return Smoothed(values, sigma, np.bitwise_or.reduce([part.refused for part in parts]))
 
 
-def _rate_of_change(values: Floats, at_s: Floats) -> Floats:
+def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
     """Of ``values`` (n, columns) from tick to tick; 0 where there is no neighbour to tell it."""
     rate = np.zeros_like(values)
     if len(at_s) > 1:
@@ -263,7 +264,7 @@ def _rate_of_change(values: Floats, at_s: Floats) -> Floats:
     return np.nan_to_num(rate)
 
 
-def _values(signal: Signal, rows: Rows) -> tuple[Floats, NDArray[np.bool_]]:
+def _values(signal: Signal, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
     """SI values, (n, columns), gyro and accelerometer in sensor axes or one scalar; and which may be used, (n,)."""
     usable = (rows["status"] & UNUSABLE) == 0
     if not signal.si:
@@ -273,5 +274,5 @@ def _values(signal: Signal, rows: Rows) -> tuple[Floats, NDArray[np.bool_]]:
     factor = np.full(len(rows), np.nan)
     for unit, si in signal.si.items():
         factor[rows["unit"] == unit] = si
-    values: Floats = (rows["value_raw"] - signal.zero_count) * rows["scale"] * factor
+    values: FloatArray = (rows["value_raw"] - signal.zero_count) * rows["scale"] * factor
     return values[:, None], usable & (np.abs(values) < signal.limit)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard import config
-
-Floats = NDArray[np.float64]
+from onboard.estimation.arrays import FloatArray
 
 
 class Zeroing:
@@ -26,9 +25,9 @@ class Zeroing:
         self._settings = settings
         self._sum = np.zeros(3)
         self.ticks = 0
-        self.offset_m_s2: Floats | None = np.zeros(3) if settings is None else None
+        self.offset_m_s2: FloatArray | None = np.zeros(3) if settings is None else None
 
-    def apply(self, specific_force: Floats, codes: NDArray[np.int64], usable: NDArray[np.bool_]) -> Floats:
+    def apply(self, specific_force: FloatArray, codes: NDArray[np.int64], usable: NDArray[np.bool_]) -> FloatArray:
         """Specific force less its offset, (n, 3); NaN where the offset is not known yet.
 
         Args:
@@ -44,7 +43,7 @@ class Zeroing:
                 out[tick] = specific_force[tick] - self.offset_m_s2
         return out
 
-    def _learn(self, specific_force: Floats, code: int, usable: bool) -> None:
+    def _learn(self, specific_force: FloatArray, code: int, usable: bool) -> None:
         assert self._settings is not None
         if code in self._settings.phases:
             if usable and np.isfinite(specific_force).all():

@@ -17,7 +17,7 @@ import numpy as np
 from drivers import records
 from drivers.records import Batch, Rows, Severity
 from onboard.recording.segmented import GAP_CHANNEL, Mark
-from onboard.recording.source import OVERRUN, Ring, Source
+from onboard.recording.source import OVERRUN, Ring, RingSource
 from onboard.recording.space import SpaceGuard
 
 EVENT_CHANNEL = "recorder_event"
@@ -89,7 +89,7 @@ class Recorder:
     ) -> None:
         recorded = recorded or {}
         self._writer, self._space = writer, space
-        self._sources = [Source(ring, recorded.get(ring.name)) for ring in rings]
+        self._sources = [RingSource(ring, recorded.get(ring.name)) for ring in rings]
         own = (GAP_CHANNEL, EVENT_CHANNEL)
         self._sequence = {name: recorded[name].sequence + 1 if name in recorded else 0 for name in own}
         self._failing_since_ns: int | None = None
@@ -166,7 +166,7 @@ class Recorder:
                 source.drop(0, FULL)
             self._tell_missing(now_ns, source)
 
-    def _tell_missing(self, now_ns: int, source: Source) -> None:
+    def _tell_missing(self, now_ns: int, source: RingSource) -> None:
         for first, last, from_ns, to_ns, cause in source.missing:
             self._own(GAP_CHANNEL, records.gap(now_ns, source.name, first, last, to_ns - from_ns, cause))
         source.missing.clear()
@@ -228,6 +228,6 @@ class Recorder:
                 self.say(now_ns, Severity.ERROR, "disk_nearly_full", text)
 
 
-def _essential(source: Source) -> bool:
+def _essential(source: RingSource) -> bool:
     """Events and gaps are small, and are recorded to the last."""
     return source.ring.dtype in (records.EVENT, records.GAP)

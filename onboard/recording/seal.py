@@ -16,7 +16,7 @@ from onboard.recording.decode import Decoder
 from onboard.recording.errors import LogFormatError
 from onboard.recording.mcap_format import Attachment, Chunk, MessageIndex, Metadata
 from onboard.recording.scan import Damage, Found, Scan
-from onboard.recording.summary import Summary
+from onboard.recording.summary import SummarySection
 
 
 class Sealed(NamedTuple):
@@ -39,7 +39,7 @@ class _Survey:
     """What a pass over the log has found."""
 
     def __init__(self) -> None:
-        self.summary = Summary()
+        self.summary = SummarySection()
         self._decoder = Decoder()
         self._last: _Placed | None = None
         self.end = len(mcap_format.MAGIC)
@@ -127,7 +127,7 @@ def seal(path: Path) -> Sealed:
     return Sealed(used, whole=True)
 
 
-def _write_end(path: Path, end: int, indexes: bytes, summary: Summary) -> None:
+def _write_end(path: Path, end: int, indexes: bytes, summary: SummarySection) -> None:
     with path.open("r+b") as file:
         crc, left = 0, end
         while left and (block := file.read(min(left, 1 << 20))):

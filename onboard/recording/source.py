@@ -38,7 +38,7 @@ class Missing(NamedTuple):
     cause: str
 
 
-class Source:
+class RingSource:
     """Takes the rows of a ring, or drops them, and accounts for each.
 
     Args:

@@ -6,7 +6,7 @@ from onboard.recording import mcap_format
 from onboard.recording.mcap_format import Attachment, Chunk, Metadata
 
 
-class Summary:
+class SummarySection:
     """The summary section in the making. Definitions are kept as packed records, in the order they came."""
 
     def __init__(self) -> None:

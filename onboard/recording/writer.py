@@ -24,7 +24,7 @@ from onboard.recording.chunk import ChunkBuilder, PackedChannel
 from onboard.recording.errors import ChannelError, RecordingError
 from onboard.recording.schema import message_name, ros2msg
 from onboard.recording.sink import FileSink, Sink
-from onboard.recording.summary import Summary
+from onboard.recording.summary import SummarySection
 
 LIBRARY = "heft"
 CHUNK_BYTES = 16384
@@ -61,7 +61,7 @@ class LogWriter:
         self._data_crc = 0
         self._last_sync_ns: int | None = None
         self._failing = False
-        self._summary = Summary()
+        self._summary = SummarySection()
         self._rows_written = 0
         self._ended = self._closed = False
         self._append(_HEADER)

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from onboard.timebase.clock import DRIFT_PER_S, ClockSolution, ClockState
 
-Floats = NDArray[np.float64]
-
 
 class ArrivalClock:
     """Fits one device's clock to when its samples arrived.

@@ -58,7 +58,7 @@ class Edges:
         return nearest if nearest is not None and abs(nearest.latest_ns - time_ns) < self.window_ns else None
 
 
-class Source:
+class TickSource:
     """A device with ticks of its own.
 
     Args:
@@ -155,7 +155,7 @@ class Source:
         return host_ns - round((newest - tick) * self.clock.nominal_period_ns)
 
 
-class FlaggingSource(Source):
+class FlaggingSource(TickSource):
     """An IMU: it flags the sample into whose period the edge fell."""
 
     def __init__(self, period_ns: float) -> None:
@@ -165,7 +165,7 @@ class FlaggingSource(Source):
         self._last_flagged = -2
 
     def restart(self) -> None:
-        """See ``Source``."""
+        """See ``TickSource``."""
         super().restart()
         self._flagged.clear()
         self._last_flagged = -2
@@ -201,7 +201,7 @@ class FlaggingSource(Source):
         return believed
 
 
-class LatchingSource(Source):
+class LatchingSource(TickSource):
     """A device that stamps the edge with its own clock: MARK rows beside its samples.
 
     Args:
@@ -216,7 +216,7 @@ class LatchingSource(Source):
         self._told: deque[float] = deque(maxlen=64)  # ticks of edges that the device has told of
 
     def restart(self) -> None:
-        """See ``Source``."""
+        """See ``TickSource``."""
         super().restart()
         self._marks.clear()
         self._told.clear()
@@ -257,7 +257,7 @@ class LatchingSource(Source):
         return np.asarray(((since > 0.0) & (since <= BUSY_TICKS)).any(axis=1), np.bool_)
 
 
-class SyncSource(Source):
+class SyncSource(TickSource):
     """The SYNC producer: its counter stands in a known relation to the pulse code.
 
     No latency of the bus can so shift it by whole periods. Which cycle of the code it is, is told by which SYNC came
@@ -275,7 +275,7 @@ class SyncSource(Source):
         self._unmatched: deque[tuple[Edge, PulsePlace]] = deque(maxlen=16)
 
     def restart(self) -> None:
-        """See ``Source``."""
+        """See ``TickSource``."""
         super().restart()
         self._recent.clear()
 
@@ -321,7 +321,7 @@ class SyncSource(Source):
         return (counter - 1 - place.sync_count) % _CYCLE_COUNTS == 0
 
 
-class FreeSource(Source):
+class FreeSource(TickSource):
     """A device with a timer of its own and no mark at all.
 
     Args:

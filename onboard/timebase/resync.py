@@ -13,10 +13,9 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, interpolate, linalg
 
-Floats = NDArray[np.float64]
+from onboard.estimation.arrays import FloatArray
 
 NATS_TO_BELIEVE = 6.0  # of log likelihood, between the best offset and any other: odds of 400 to 1
 BLOCKS = 12  # that the residuals' own scatter is taken from
@@ -37,8 +36,8 @@ class ResyncError(ValueError):
 class Stream(NamedTuple):
     """What a recorder saw: times on its own clock, and values."""
 
-    time_s: Floats  # (n,), rising
-    values: Floats  # (n, k)
+    time_s: FloatArray  # (n,), rising
+    values: FloatArray  # (n, k)
 
 
 class Alignment(NamedTuple):
@@ -58,10 +57,10 @@ class Alignment(NamedTuple):
     runner_up_s: float  # offset of that, relative to the best
     span_s: float  # of common time that was used
 
-    def reference_s(self, time_s: Floats) -> Floats:
+    def reference_s(self, time_s: FloatArray) -> FloatArray:
         """Times of the other recorder (n,) on the reference's clock."""
         tau = time_s - self.pivot_s
-        placed: Floats = self.pivot_s + self.offset_s + (1.0 + self.rate + 0.5 * self.drift_per_s * tau) * tau
+        placed: FloatArray = self.pivot_s + self.offset_s + (1.0 + self.rate + 0.5 * self.drift_per_s * tau) * tau
         return placed
 
 
@@ -118,7 +117,7 @@ def align(
     )
 
 
-def _grown(seen: Stream, told: Stream, theta: Floats, pivot_s: float, first_s: float) -> "_Fit":
+def _grown(seen: Stream, told: Stream, theta: FloatArray, pivot_s: float, first_s: float) -> "_Fit":
     """The fit on a span about the pivot that grows to the whole: the rate is never off by a period at its ends."""
     spline = interpolate.CubicSpline(told.time_s, told.values)
     low, high = pivot_s - 0.5 * first_s, pivot_s + 0.5 * first_s
@@ -185,9 +184,9 @@ class _Search(NamedTuple):
 
     pivot_s: float
     rate: float
-    offsets_s: Floats  # (lags,)
-    explained: Floats  # (lags,)
-    likelihood: Floats  # (lags,) nats
+    offsets_s: FloatArray  # (lags,)
+    explained: FloatArray  # (lags,)
+    likelihood: FloatArray  # (lags,) nats
     chance: float  # nats that the best of so many offsets has by chance
 
     def peaks(self, apart_s: float, count: int) -> list[int]:
@@ -304,7 +303,7 @@ def _bandwidth(stream: Stream) -> float:
     return float(power.sum() ** 2 / (power**2).sum() / (len(stream.time_s) * step_s))
 
 
-def _explained(seen: Floats, features: Floats) -> Floats:
+def _explained(seen: FloatArray, features: FloatArray) -> FloatArray:
     """Share of the energy of ``seen`` (n, k) that a linear map of ``features`` (m, p) explains, (n - m + 1,) lags."""
     n, m = len(seen), len(features)
     if m > n:
@@ -318,19 +317,21 @@ def _explained(seen: Floats, features: Floats) -> Floats:
         for column in (features @ scale).T
     ]
     energy = np.convolve((seen**2).sum(axis=1), np.ones(m), "valid")
-    share: Floats = sum((c**2).sum(axis=1) for c in correlated) / np.maximum(energy, 1e-12 * energy.max(initial=1e-300))
+    share: FloatArray = sum((c**2).sum(axis=1) for c in correlated) / np.maximum(
+        energy, 1e-12 * energy.max(initial=1e-300)
+    )
     return share
 
 
 class _Fit(NamedTuple):
-    theta: Floats  # offset, rate and perhaps drift
-    covariance: Floats
+    theta: FloatArray  # offset, rate and perhaps drift
+    covariance: FloatArray
     explained: float
     span_s: float
 
 
 def _refine(
-    seen: Stream, spline: interpolate.CubicSpline, theta: Floats, pivot_s: float, span: tuple[float, float]
+    seen: Stream, spline: interpolate.CubicSpline, theta: FloatArray, pivot_s: float, span: tuple[float, float]
 ) -> _Fit:
     """Gauss-Newton on offset, rate (and drift), the linear map projected out; covariance from blocks of residuals."""
     theta = theta.copy()
@@ -363,7 +364,7 @@ def _refine(
     return _Fit(theta, covariance, 1.0 - float((residual**2).sum() / (y**2).sum()), float(np.ptp(tau)))
 
 
-def _other_s(reference_s: Floats, theta: Floats) -> tuple[Floats, Floats]:
+def _other_s(reference_s: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The other's time for times on the reference, both less the pivot, and d reference / d other there."""
     offset_s, rate, drift = (*theta, 0.0, 0.0)[:3]
     tau = (reference_s - offset_s) / (1.0 + rate)

@@ -23,8 +23,8 @@ from onboard.timebase.marking import (
     FlaggingSource,
     FreeSource,
     LatchingSource,
-    Source,
     SyncSource,
+    TickSource,
 )
 from onboard.timebase.pulse_train import PulseTrain
 
@@ -211,7 +211,7 @@ class Timebase:
                     if isinstance(source, SyncSource):
                         source.edge(edge, place)
 
-    def _move(self, name: str, source: Source, batches: dict[str, Rows]) -> bool:
+    def _move(self, name: str, source: TickSource, batches: dict[str, Rows]) -> bool:
         rows = batches.get(name, _NO_ROWS)
         match source, self._specs[name]:
             case LatchingSource(), MarkedChannel(_, channel, _):
@@ -258,7 +258,7 @@ class Timebase:
         return rows
 
 
-def _source(spec: ChannelClock, line: PulseLine | None) -> Source | None:
+def _source(spec: ChannelClock, line: PulseLine | None) -> TickSource | None:
     match spec:
         case SampledChannel(period_ns):
             return FlaggingSource(period_ns) if line else FreeSource(period_ns, 0.0, period_ns)

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError
-from drivers.node_frame import Channel, FrameStream, NodeFrameConfig, decode_descriptor, payload_dtype
+from drivers.node_frame import FrameChannel, FrameStream, NodeFrameConfig, decode_descriptor, payload_dtype
 from drivers.node_frame.frame import LONGEST_FRAME, decode_frame
 from tests.drivers.node_model import NodeModel, crc16, framed, stuffed
 from tests.drivers.serial_script import bytewise, fed, pieces, whole
@@ -50,7 +50,7 @@ def test_the_printed_frames_are_what_the_page_describes():
 def test_the_printed_frames_decode():
     told = decode_descriptor(decode_frame(DESCRIPTOR[:-1]))
     assert told[:6] == (7, 0x7636, 0, 0, 0, 1_000_000)
-    assert told.channels == (Channel("force", "<i4", False, 1e-4, "N"),)
+    assert told.channels == (FrameChannel("force", "<i4", False, 1e-4, "N"),)
     (frame,) = np.frombuffer(decode_frame(DATA[:-1]), payload_dtype(told.channels))
     assert frame.tolist()[:-1] == (0x10, 7, 0x7636, 0, 1000, 1, 900, 0, -123456)
 

@@ -16,7 +16,7 @@ from onboard.estimation.kinematics import (
     smoother_kernel,
     steady_gain,
 )
-from onboard.estimation.smoothing import SPLINE, Window, correlation_inflation
+from onboard.estimation.smoothing import SPLINE, SmoothingWindow, correlation_inflation
 
 PERIOD_S, WIDTH_S = 0.001, 0.4
 
@@ -81,7 +81,7 @@ def test_one_operator_for_a_signal_and_its_derivatives(rng, kernel):
     at = np.arange(0.5, 2.5, 0.05)
     w = 7.0
     q, dq, ddq = np.sin(w * t), w * np.cos(w * t), -w * w * np.sin(w * t)
-    window = Window(t, at, WIDTH_S, kernel=kernel)
+    window = SmoothingWindow(t, at, WIDTH_S, kernel=kernel)
     for derivative, signal, close in ((1, dq, 2e-4), (2, ddq, 4e-3)):
         np.testing.assert_allclose(
             window.apply(q, derivative).values, window.apply(signal).values, atol=close * w**derivative
@@ -95,8 +95,8 @@ def test_the_filter_knows_nothing_of_what_comes_later(angle):
     at = np.array([1.5])
     seen = t <= 1.5 + 0.5 * WIDTH_S
     for derivative in range(3):
-        whole = Window(t, at, WIDTH_S, kernel=filter_kernel()).apply(q, derivative).values
-        known = Window(t[seen], at, WIDTH_S, kernel=filter_kernel()).apply(q[seen], derivative).values
+        whole = SmoothingWindow(t, at, WIDTH_S, kernel=filter_kernel()).apply(q, derivative).values
+        known = SmoothingWindow(t[seen], at, WIDTH_S, kernel=filter_kernel()).apply(q[seen], derivative).values
         np.testing.assert_allclose(whole, known, rtol=1e-9)
     assert filter_kernel().first_moment == pytest.approx(0.5 - 2.613 / FILTER_BAND, abs=3e-3)  # Butterworth's delay
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
 from onboard.estimation.errors import RowError
-from onboard.estimation.smoothing import Response, Window, correlation_inflation, smooth
+from onboard.estimation.smoothing import Response, SmoothingWindow, correlation_inflation, smooth
 
 WIDTH = 0.1
 A_BILLIONTH = 1e-9
@@ -132,10 +132,10 @@ def test_ticks_beyond_the_data_are_invalid():
 
 def test_no_samples_and_no_valid_tick():
     assert not smooth([], np.zeros((0, 2)), [0.1], WIDTH).valid.any()
-    empty = Window(np.zeros(0), [0.1], WIDTH)
+    empty = SmoothingWindow(np.zeros(0), [0.1], WIDTH)
     assert empty.weights().shape[0] == 1
     assert np.isnan(empty.apply(np.zeros((0, 2))).values).all()
-    sparse = Window(np.arange(0, 1, 0.015), [0.5], WIDTH, max_gap_s=0.001)
+    sparse = SmoothingWindow(np.arange(0, 1, 0.015), [0.5], WIDTH, max_gap_s=0.001)
     assert not sparse.valid.any()
     assert not sparse.weights().any()
 

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil_sim.mission import open_in_process
-from hil_sim.scenario import Scenario, load
+from hil_sim.scenario.load import Scenario, load
 from onboard import config
 from onboard.flight import hil
-from onboard.offline import table
+from onboard.offline.views import mission_table as table
 from onboard.recording.reader import LogReader
 
 

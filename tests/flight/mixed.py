@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.records import Batch, Rows
-from hil_sim.device_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.buses.in_process import in_process
 from hil_sim.devices.arm_controller import ArmController
 from hil_sim.devices.drive402 import Drive402
 from hil_sim.devices.dsc_load_cell import DscLoadCell
@@ -19,10 +19,10 @@ from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
 from hil_sim.devices.qsb import Qsb
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync_box import SyncBox
-from hil_sim.in_process import in_process
+from hil_sim.scenario.device_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config
 from onboard.flight.devices import OpenDevices, open_devices
-from tests.hil_sim.twin_bench import MS, START_NS, Analog, RateClock, StairImu
+from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu
 
 COUNT_RAD = 2.0 * np.pi / 500_000
 FORCE_N = 12.5

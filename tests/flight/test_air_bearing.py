@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from drivers.records import IMU, SCALAR
-from hil_sim import planar_bed
-from hil_sim.free_flyer import Body, JointMotion
-from hil_sim.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, Samples, sample
+from hil_sim.plants import planar_bed
+from hil_sim.plants.free_flyer import Body, JointMotion
+from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, Samples, sample
 from onboard import cli, config
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimator import Estimator
-from onboard.model.rows import BaseMotion
-from onboard.model.signals import Signals
-from onboard.model.verdict import Level
-from onboard.offline.feed import feed
-from onboard.offline.identify import identify
-from onboard.offline.planar_log import _Recorder
+from onboard.identification.verdict import Level
+from onboard.offline.estimate_again.feed import feed
+from onboard.offline.estimate_again.identify import identify
+from onboard.offline.estimate_again.planar_log import _Recorder
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
+from onboard.regressor.rows import BaseMotion
+from onboard.regressor.signals import Signals
 
 PATH = config.packaged("dymaflex_air_bearing")
 TEXT = PATH.read_text(encoding="utf-8")

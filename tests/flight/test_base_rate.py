@@ -7,7 +7,7 @@ import pytest
 
 from onboard.offline.report import report
 from onboard.offline.report.base_rate import base_rate
-from onboard.offline.report.story import Story, gather
+from onboard.offline.report.flight_data import FlightData, gather
 from tests.flight.missions import fly
 
 SWING = {"phase": 1, "action": "swing", "ramp_s": 1.5, "swing_deg": 20.0, "tones": 3, "band_Hz": [0.1, 0.6]}
@@ -19,13 +19,13 @@ SEQUENCE = [
 
 
 @pytest.fixture(scope="module")
-def story(tmp_path_factory: pytest.TempPathFactory) -> Story:
+def story(tmp_path_factory: pytest.TempPathFactory) -> FlightData:
     path = tmp_path_factory.mktemp("base_rate") / "flight.mcap"
     fly(path, 3, vehicle="dymaflex", sequence=SEQUENCE, capture={"earliest_s": 4.0, "latest_s": 4.5})
     return gather(path)
 
 
-def test_the_identified_payload_predicts_the_gyro(story: Story) -> None:
+def test_the_identified_payload_predicts_the_gyro(story: FlightData) -> None:
     found = base_rate(story)
     assert found is not None
     assert found.time_s[-1] - found.time_s[found.fitted] > 4.0
@@ -34,7 +34,7 @@ def test_the_identified_payload_predicts_the_gyro(story: Story) -> None:
     assert (found.rms < 0.03 * swing.max()).all()
 
 
-def test_another_vehicle_does_not(story: Story, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_vehicle_does_not(story: FlightData, monkeypatch: pytest.MonkeyPatch) -> None:
     right = base_rate(story)
     assert right is not None
     assert story.model is not None
@@ -46,7 +46,7 @@ def test_another_vehicle_does_not(story: Story, monkeypatch: pytest.MonkeyPatch)
     assert np.linalg.norm(wrong.rms) > 3.0 * np.linalg.norm(right.rms)
 
 
-def test_the_page_shows_it(story: Story, tmp_path: Path) -> None:
+def test_the_page_shows_it(story: FlightData, tmp_path: Path) -> None:
     report(story.info.path, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert "<h2" in text

@@ -9,9 +9,9 @@ from onboard import config
 from onboard.flight import rings
 from onboard.flight.clocks import timebase_of
 from onboard.flight.roles import roles_of
-from onboard.flight.signals import Signals
+from onboard.flight.signals import SignalSmoother
 from tests.flight.mixed import DEVICES, FORCE_N, MixedWorld, angle, vehicle
-from tests.hil_sim.twin_bench import MS, START_NS
+from tests.hil_sim.devices.twin_bench import MS, START_NS
 
 SECONDS = 4.0
 
@@ -86,7 +86,7 @@ def test_the_rate_in_the_vehicle_file_is_the_rate_seen(flight):
 
 def smoothed(flying, rows, seconds):
     """A function to the signals of a vehicle, its clocks and signals having heard so much of the flight."""
-    timebase, signals = timebase_of(flying), Signals(flying)
+    timebase, signals = timebase_of(flying), SignalSmoother(flying)
     first_ns = int(rows["can_sync"]["host_ns"][0])
     for step in range(round(seconds * 20)):
         until_ns = first_ns + (step + 1) * 50 * MS

@@ -7,8 +7,8 @@ import pytest
 
 from onboard import config
 from onboard.flight import hil
-from onboard.offline import table
-from onboard.offline.replay import replay
+from onboard.offline.estimate_again.replay import replay
+from onboard.offline.views import mission_table as table
 from tests.flight.missions import Result, fly, inline
 
 SEED = 2

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 import onboard
-from hil_sim import free_flyer
-from hil_sim.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
 from onboard import config
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import standard_of
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_exiddm
-from onboard.model.composite import RigidBody
-from onboard.model.online import ExiddmIdentifier
-from onboard.model.payload import standard_of
-from onboard.model.rows import BaseMotion
-from onboard.model.signals import Signals
-from onboard.offline.feed import feed
-from onboard.offline.importer import import_recordings
+from onboard.identification.online import ExiddmIdentifier
+from onboard.offline.bring_in.importer import import_recordings
+from onboard.offline.estimate_again.feed import feed
 from onboard.recording.reader import LogReader
+from onboard.regressor.rows import BaseMotion
+from onboard.regressor.signals import Signals
 
 VEHICLE = Path(onboard.__file__).parent / "vehicles" / "dymaflex_parabolic"
 BOX = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hil_sim.scenario import load
+from hil_sim.scenario.load import load
 from tests.flight.missions import Result, fly
 
 SHORT = {

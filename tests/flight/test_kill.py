@@ -17,7 +17,7 @@ import pytest
 from drivers.records import SampleStatus
 from onboard import cli, config
 from onboard.flight import manifest
-from onboard.offline.info import info
+from onboard.offline.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
 

@@ -15,7 +15,7 @@ from onboard.flight.history import History
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.publisher import Publisher
 from onboard.flight.roles import roles_of
-from onboard.flight.signals import Signals
+from onboard.flight.signals import SignalSmoother
 from onboard.flight.zeroing import Zeroing
 from onboard.ring import RingReader, RingWriter
 from onboard.timebase.timebase import FollowerChannel, RecordedChannel, SyncChannel, Timebase
@@ -143,7 +143,7 @@ def imu_rows(seconds: np.ndarray, scale: float = 1e-4) -> records.Rows:
 
 
 def test_signals_are_si_smoothed_and_differentiated(tmp_path: Path) -> None:
-    signals = Signals(recorded_vehicle(tmp_path))
+    signals = SignalSmoother(recorded_vehicle(tmp_path))
     seconds = np.arange(0.0, 1.0, 1e-3)
     signals.append({"imu": imu_rows(seconds)})
     at_ns = np.array([300_000_000, 500_000_000])
@@ -158,7 +158,7 @@ def test_signals_are_si_smoothed_and_differentiated(tmp_path: Path) -> None:
 
 
 def test_a_time_that_is_not_known_well_makes_what_changes_uncertain(tmp_path: Path) -> None:
-    signals = Signals(recorded_vehicle(tmp_path))
+    signals = SignalSmoother(recorded_vehicle(tmp_path))
     signals.append({"imu": imu_rows(np.arange(0.0, 1.0, 1e-3))})
     at_ns = np.array([190, 200, 210]) * 1_000_000
     sharp = signals.at("imu", Timebase({"imu": RecordedChannel(0.0)}, None), at_ns, 1)
@@ -179,7 +179,7 @@ def test_a_time_that_is_not_known_well_makes_what_changes_uncertain(tmp_path: Pa
 @pytest.mark.parametrize("rate_rad_s", [0.05, 0.1, 0.2])
 def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_rad_s: float) -> None:
     vehicle = config.load(config.packaged("dymaflex"))
-    device, signals = vehicle.file.device["joint_1"], Signals(vehicle)
+    device, signals = vehicle.file.device["joint_1"], SignalSmoother(vehicle)
     assert isinstance(device, config.Cia406Device)
     seconds = np.arange(0.0, 2.0, 2e-3)
     motor = device.gear_ratio * rate_rad_s * seconds
@@ -198,7 +198,7 @@ def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_ra
 
 
 def test_a_hole_and_a_saturated_sample_refuse_the_ticks_around_them(tmp_path: Path) -> None:
-    signals = Signals(recorded_vehicle(tmp_path))
+    signals = SignalSmoother(recorded_vehicle(tmp_path))
     seconds = np.arange(0.0, 1.0, 1e-3)
     rows = imu_rows(seconds[(seconds < 0.3) | (seconds > 0.31)])
     rows["status"][np.searchsorted(rows["host_ns"], 600_000_000)] = records.SampleStatus.SATURATED
@@ -209,7 +209,7 @@ def test_a_hole_and_a_saturated_sample_refuse_the_ticks_around_them(tmp_path: Pa
 
 
 def test_a_clock_that_is_not_known_yet_refuses_everything() -> None:
-    signals = Signals(ROCKSAT)
+    signals = SignalSmoother(ROCKSAT)
     rows = np.zeros(50, records.SCALAR)
     rows["tick"], rows["unit"] = np.arange(50), b"rad"
     signals.append({"joint_1": rows})
@@ -254,7 +254,7 @@ def recorded(*channels: str) -> Timebase:
     ],
 )
 def test_rows_become_si_by_their_own_unit(tmp_path: Path, channel: str, unit: bytes, expected: float) -> None:
-    signals = Signals(mixed_vehicle(tmp_path))
+    signals = SignalSmoother(mixed_vehicle(tmp_path))
     assert signals.append({channel: scalar_rows(250, 0.01, unit)}) == {}
     smoothed = signals.at(channel, recorded(channel), np.array([250_000_000]), 0)
     assert smoothed.refused.tolist() == [0]
@@ -262,7 +262,7 @@ def test_rows_become_si_by_their_own_unit(tmp_path: Path, channel: str, unit: by
 
 
 def test_rows_of_a_unit_that_the_role_has_not_are_refused_and_told_once(tmp_path: Path) -> None:
-    signals = Signals(mixed_vehicle(tmp_path))
+    signals = SignalSmoother(mixed_vehicle(tmp_path))
     said = signals.append({"wrist_force": scalar_rows(1, 1.0, b"V")})
     assert said == {"wrist_force": "unit 'V' is none of N, kg: not used, mend its device"}
     assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"V", 500)}) == {}
@@ -273,7 +273,7 @@ def test_rows_of_a_unit_that_the_role_has_not_are_refused_and_told_once(tmp_path
 
 
 def test_a_force_at_the_capacity_is_saturated_whatever_the_transmitter_says(tmp_path: Path) -> None:
-    signals = Signals(mixed_vehicle(tmp_path))
+    signals = SignalSmoother(mixed_vehicle(tmp_path))
     rows = scalar_rows(4999, 0.01, b"N")
     rows["value_raw"][50] = 5000
     signals.append({"load_cell": rows})
@@ -286,7 +286,7 @@ def test_a_force_at_the_capacity_is_saturated_whatever_the_transmitter_says(tmp_
 def test_after_a_reset_only_an_absolute_encoder_still_knows_its_zero(
     tmp_path: Path, channel: str, absolute: bool
 ) -> None:
-    signals = Signals(mixed_vehicle(tmp_path))
+    signals = SignalSmoother(mixed_vehicle(tmp_path))
     period_ms = 2 if channel == "elbow" else 5
     rows = scalar_rows(100, 0.01, b"rad", 0, period_ms)
     rows["status"][20] = records.SampleStatus.AFTER_RESET
@@ -298,7 +298,7 @@ def test_after_a_reset_only_an_absolute_encoder_still_knows_its_zero(
 
 
 def test_a_timer_that_stands_still_costs_its_samples_and_nothing_else(tmp_path: Path) -> None:
-    signals = Signals(mixed_vehicle(tmp_path))
+    signals = SignalSmoother(mixed_vehicle(tmp_path))
     rows = scalar_rows(100, 0.01, b"rad")
     rows["host_ns"][40:45] = rows["host_ns"][40]
     rows["status"][41:45] = records.SampleStatus.NOT_VALID
@@ -325,7 +325,7 @@ def test_the_roles_of_a_mixed_vehicle(tmp_path: Path) -> None:
 
 
 def test_the_parts_of_an_imu_stand_side_by_side(tmp_path: Path) -> None:
-    signals = Signals(mixed_vehicle(tmp_path))
+    signals = SignalSmoother(mixed_vehicle(tmp_path))
     names = roles_of(mixed_vehicle(tmp_path)).imus[2].channels
     for place, name in enumerate(names):
         rows = scalar_rows(100 * (place + 1), 0.01, b"rad/s" if "gyro" in name else b"m/s^2")

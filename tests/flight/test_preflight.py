@@ -11,7 +11,7 @@ from onboard import config
 from onboard.cli import main
 from onboard.flight.preflight import preflight, render
 from tests.flight.mixed import DEVICES, MixedWorld, vehicle
-from tests.hil_sim.twin_bench import MS
+from tests.hil_sim.devices.twin_bench import MS
 
 
 def look_over(directory, text=DEVICES, seconds=None, urls=None, **world_is):

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from onboard import cli
-from onboard.offline.aligned import dump_aligned
-from onboard.offline.dump import dump
-from onboard.offline.selection import Selection
+from onboard.offline.export.aligned import dump_aligned
+from onboard.offline.export.dump import dump
+from onboard.offline.tables.selection import Selection
 from tests.flight.missions import Result
 
 

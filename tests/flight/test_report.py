@@ -13,11 +13,11 @@ from PIL import Image
 from drivers import records
 from onboard import config
 from onboard.flight.identification import build_identifier
-from onboard.offline import truth
-from onboard.offline.phases import Phase
 from onboard.offline.report import report
 from onboard.offline.report.alone import alone
-from onboard.offline.report.story import Sweep
+from onboard.offline.report.flight_data import Sweep
+from onboard.offline.tables import truth
+from onboard.offline.tables.phases import Phase
 from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result
 

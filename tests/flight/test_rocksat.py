@@ -12,9 +12,9 @@ from rich.console import Console
 from drivers import records
 from onboard import cli
 from onboard.estimation.gates import GateReason
-from onboard.offline import replay as replay_module
-from onboard.offline import table
-from onboard.offline.replay import replay
+from onboard.offline.estimate_again import replay as replay_module
+from onboard.offline.estimate_again.replay import replay
+from onboard.offline.views import mission_table as table
 from tests.flight.missions import Result, fly
 
 

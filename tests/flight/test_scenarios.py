@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from drivers.records import EVENT, GAP, Severity
-from hil_sim.scenario import names
+from hil_sim.scenario.load import names
 from onboard import config
 from onboard.flight import hil, simulated
-from onboard.offline import table
-from onboard.offline.replay import replay
+from onboard.offline.estimate_again.replay import replay
+from onboard.offline.views import mission_table as table
 from onboard.recording.reader import LogReader
 from tests.flight.missions import Result, fly, inline
 

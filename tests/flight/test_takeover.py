@@ -12,7 +12,7 @@ from onboard import config
 from onboard.flight import estimation, rings
 from onboard.flight.estimation import DurableEstimation
 from onboard.flight.publisher import Publisher
-from onboard.offline.replay import replay
+from onboard.offline.estimate_again.replay import replay
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader, RingWriter

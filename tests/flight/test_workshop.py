@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from drivers.records import SCALAR, Rows
-from hil_sim import fixed_arm
-from hil_sim.free_flyer import Body, JointMotion
+from hil_sim.plants import fixed_arm
+from hil_sim.plants.free_flyer import Body, JointMotion
 from onboard import cli, config
 from onboard.recording.writer import LogWriter
 

@@ -20,7 +20,7 @@ from cobs import cobs
 
 from hil_sim.faults import FaultError
 from hil_sim.mission import Mission, open_in_process
-from hil_sim.scenario import ScenarioError, load
+from hil_sim.scenario.load import ScenarioError, load
 
 SHORT = {
     "sequence": [

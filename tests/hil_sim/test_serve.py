@@ -21,14 +21,14 @@ import numpy as np
 import pytest
 import serial
 
-from hil_sim.buses import I2cBus
+from hil_sim.buses.i2c_socket import I2cSocket
+from hil_sim.buses.media import I2cBus
+from hil_sim.buses.realtime import Server
+from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.can_wire import WireFrame
 from hil_sim.devices.mpu6050 import Mpu6050
-from hil_sim.i2c_socket import I2cSocket
-from hil_sim.realtime import Server
 from hil_sim.serve import open_sockets
-from hil_sim.slcan import SlcanAdapter
-from tests.hil_sim.twin_bench import BUSES, MS, START_NS, FlatImu, RateClock, SmallMission
+from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, FlatImu, RateClock, SmallMission
 
 ROOT = Path(__file__).resolve().parents[2]
 SERIAL_PORTS = {"imu_port": 115_200, "joint_port": 230_400, "cell_port": 115_200, "arm_port": 115_200}

@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_sim.buses import Bus, CanBus, I2cBus, PulseLine
+from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
+from hil_sim.buses.realtime import Server
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
 from hil_sim.devices.mpu6050 import Mpu6050
 from hil_sim.devices.sync_box import SyncBox
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.kernel.server import open_nodes
-from hil_sim.realtime import Server
-from tests.hil_sim.twin_bench import BUSES
+from tests.hil_sim.devices.twin_bench import BUSES
 
 FOREVER_NS = 1 << 61
 ACCEL_Z, TEMPERATURE = 16384, -4420  # 1 g at +-2 g; 23.53 degC

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from drivers.records import Rows
-from onboard.offline.columns import Column
+from onboard.offline.tables.columns import Column
 
 
 class Table(Protocol):

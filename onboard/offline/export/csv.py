@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from drivers.records import Rows
-from onboard.offline.columns import Column
-from onboard.offline.csv_text import Encoder, header
+from onboard.offline.export.csv_text import Encoder, header
+from onboard.offline.tables.columns import Column
 
 
 class CsvTable:

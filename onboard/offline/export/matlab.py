@@ -12,8 +12,8 @@ from typing import BinaryIO
 import numpy as np
 
 from drivers.records import Rows
-from onboard.offline.columns import Column
 from onboard.offline.export.spool import BLOCK_BYTES, Spool
+from onboard.offline.tables.columns import Column
 
 _MI_INT8, _MI_UINT16, _MI_INT32, _MI_UINT32, _MI_MATRIX = 1, 4, 5, 6, 14
 _MX_CHAR = 4

@@ -8,8 +8,8 @@ from typing import BinaryIO
 import numpy as np
 
 from drivers.records import Rows
-from onboard.offline.columns import Column
 from onboard.offline.export.spool import Spool
+from onboard.offline.tables.columns import Column
 
 
 class NpzTable:

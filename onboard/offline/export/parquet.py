@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivers.records import Rows
-from onboard.offline.columns import Column, Values
+from onboard.offline.tables.columns import Column, Values
 
 
 class ParquetTable:

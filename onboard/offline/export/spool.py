@@ -9,7 +9,7 @@ from typing import IO
 import numpy as np
 
 from drivers.records import Rows
-from onboard.offline.columns import Column
+from onboard.offline.tables.columns import Column
 
 BLOCK_BYTES = 1 << 20
 

@@ -7,8 +7,8 @@ from rich.progress import Progress
 
 from drivers.records import Rows
 from onboard.offline.report import figures, theme
+from onboard.offline.report.flight_data import gather
 from onboard.offline.report.sections import document
-from onboard.offline.report.story import gather
 from onboard.recording.scan import Damage
 
 

@@ -11,14 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import BlockScores, HonestEstimate
 from onboard.estimation.memory import FOR_EVER
 from onboard.estimation.rls import SquareRootRls
-from onboard.model.identify import Identifier
-from onboard.model.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
-from onboard.offline.report.story import Sweep
-
-Floats = NDArray[np.float64]
+from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
+from onboard.identification.rows.identifier import Identifier
+from onboard.offline.report.flight_data import Sweep
 
 
 class Alone(NamedTuple):
@@ -27,9 +26,9 @@ class Alone(NamedTuple):
     name: str
     unit: str
     at_ns: NDArray[np.int64]  # (n,) vehicle time
-    value: Floats  # (n,)
-    low: Floats
-    high: Floats
+    value: FloatArray  # (n,)
+    low: FloatArray
+    high: FloatArray
 
 
 def alone(sweep: Sweep, identifier: Identifier) -> list[Alone]:
@@ -76,17 +75,17 @@ def alone(sweep: Sweep, identifier: Identifier) -> list[Alone]:
     ]
 
 
-def _square(packed: Floats, size: int) -> Floats:
+def _square(packed: FloatArray, size: int) -> FloatArray:
     triangle = np.zeros((size, size))
     triangle[np.triu_indices(size)] = packed
     return triangle
 
 
-def _root(information: Floats) -> Floats:
+def _root(information: FloatArray) -> FloatArray:
     """Rows (r, size) with ``rows' rows = information``; what rounding made negative is left out."""
     scale = np.sqrt(np.maximum(np.diag(information), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     real = values > 1e-12 * max(values[-1], 0.0)
-    rows: Floats = (vectors[:, real] * np.sqrt(values[real])).T * scale
+    rows: FloatArray = (vectors[:, real] * np.sqrt(values[real])).T * scale
     return rows

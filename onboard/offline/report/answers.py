@@ -8,12 +8,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from drivers.records import Rows
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
 from onboard.offline.report.alone import Alone
 from onboard.offline.report.figures import legend, second_axis, shade
-from onboard.offline.report.story import Story, Sweep
+from onboard.offline.report.flight_data import FlightData, Sweep
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
-from onboard.offline.thin import Floats
 
 _LINES = 4  # of sweeps in one axes
 GRAM = {"kg": ("g", 1e3), "kg m^2": ("g m²", 1e3), "kg m": ("g m", 1e3)}
@@ -34,7 +34,7 @@ class Side(NamedTuple):
     factor: float
 
 
-def torque_and_acceleration(story: Story, side: Side) -> Figure | None:
+def torque_and_acceleration(story: FlightData, side: Side) -> Figure | None:
     """Measured side of a row and the joint's acceleration, sweep by sweep (figures 4.53 to 4.56 in kind)."""
     shown = [sweep for sweep in story.sweeps if sweep.rows is not None and len(sweep.rows)]
     if not shown:
@@ -48,7 +48,7 @@ def torque_and_acceleration(story: Story, side: Side) -> Figure | None:
     return figure
 
 
-def _over_time(axes: Axes, story: Story, sweep: Sweep, side: Side, *, first: bool) -> None:
+def _over_time(axes: Axes, story: FlightData, sweep: Sweep, side: Side, *, first: bool) -> None:
     assert sweep.rows is not None
     at_s = story.seconds(sweep.rows["vehicle_ns"])
     other = second_axis(axes, "rad/s²")
@@ -62,10 +62,10 @@ def _over_time(axes: Axes, story: Story, sweep: Sweep, side: Side, *, first: boo
         legend(axes, [one, two], ["measured", "joint acceleration (right)"])
 
 
-def _measured(rows: Rows, side: Side) -> tuple[Floats, NDArray[np.bool_]]:
+def _measured(rows: Rows, side: Side) -> tuple[FloatArray, NDArray[np.bool_]]:
     """The measured side, and which rows were used; nothing where a saturated sample was under the kernel."""
     gate = rows["gate"][:, side.row]
-    measured: Floats = side.factor * rows["measured"][:, side.row]
+    measured: FloatArray = side.factor * rows["measured"][:, side.row]
     return np.where(gate & GateReason.SATURATED, np.nan, measured), gate == 0
 
 
@@ -86,7 +86,7 @@ def _against(axes: Axes, sweep: Sweep, side: Side, *, first: bool) -> None:
         legend(axes, markerscale=4)
 
 
-def by_sweep(story: Story, found: dict[str, list[Alone]], truths: dict[str, float]) -> Figure | None:
+def by_sweep(story: FlightData, found: dict[str, list[Alone]], truths: dict[str, float]) -> Figure | None:
     """Each quantity as every sweep alone tells it, while it goes on and at its end (figures 4.57 to 4.60 in kind).
 
     Args:
@@ -124,7 +124,7 @@ def by_sweep(story: Story, found: dict[str, list[Alone]], truths: dict[str, floa
     return figure
 
 
-def _ends(axes: Axes, story: Story, found: list[Alone], factor: float) -> None:
+def _ends(axes: Axes, story: FlightData, found: list[Alone], factor: float) -> None:
     """Of many sweeps, what each said at its end."""
     at_s = [float(story.seconds(one.at_ns[-1])) for one in found]
     value, low, high = (
@@ -145,7 +145,7 @@ def _truth(axes: Axes, value: float | None, factor: float) -> None:
         axes.axhline(factor * value, color=COLOUR["true"], linestyle="--", linewidth=1.0, label="truth")
 
 
-def convergence(story: Story, truths: dict[str, float], *, quantities: bool) -> Figure | None:
+def convergence(story: FlightData, truths: dict[str, float], *, quantities: bool) -> Figure | None:
     """What was said in flight, with its 95 % band; from when the data supported it.
 
     Args:

@@ -8,17 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from drivers.records import Rows
-from onboard.model.floating import link_motions
-from onboard.model.free_flight import predict_base
+from onboard.dynamics.free_flight import predict_base
+from onboard.dynamics.kinematics import link_motions
+from onboard.estimation.arrays import FloatArray
 from onboard.offline.report.figures import legend
-from onboard.offline.report.story import Story
+from onboard.offline.report.flight_data import FlightData
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
 from onboard.recording.reader import LogReader
-
-Floats = NDArray[np.float64]
 
 _LONGEST_S, _SHORTEST_S = 30.0, 6.0
 _FITTED = 1.0 / 3.0
@@ -28,18 +26,18 @@ _FIRST, _ROUNDS = 10, 8
 class BaseRate(NamedTuple):
     """Rates in IMU axes over one stretch without a gap, rad/s."""
 
-    time_s: Floats  # (n,) since the log's start
-    measured: Floats  # (n, 3)
-    predicted: Floats  # (n, 3)
+    time_s: FloatArray  # (n,) since the log's start
+    measured: FloatArray  # (n, 3)
+    predicted: FloatArray  # (n, 3)
     fitted: int  # ticks at the front that momentum and offset are fitted to
 
     @property
-    def rms(self) -> Floats:
+    def rms(self) -> FloatArray:
         """Of measured less predicted where nothing was fitted, (3,) rad/s."""
         return np.asarray(np.sqrt(np.mean((self.measured - self.predicted)[self.fitted :] ** 2, axis=0)))
 
 
-def base_rate(story: Story) -> BaseRate | None:
+def base_rate(story: FlightData) -> BaseRate | None:
     """The last stretch with the payload as it was said last; None where the log cannot show it."""
     vehicle, model, roles = story.vehicle, story.model, story.roles
     if vehicle is None or model is None or roles is None or vehicle.file.estimation.method != "exiddm":
@@ -63,7 +61,7 @@ def base_rate(story: Story) -> BaseRate | None:
     chi[model.payload_columns()] = parts["estimate"][-1]["mean"][-1]
     links = link_motions(model, rows["joint_rad"], rows["joint_rad_s"], rows["joint_rad_s2"])
     R, _ = model.pose_in_base(roles.imu.frame)
-    measured: Floats = rows["measured"][:, :3].astype(np.float64)
+    measured: FloatArray = rows["measured"][:, :3].astype(np.float64)
     fitted = round(_FITTED * len(rows))
     momentum, offset = np.zeros(3), np.zeros(3)
     for part, free in ((_FIRST, 3), *[(fitted, 6)] * _ROUNDS):  # over the first few the rate is linear in the momentum

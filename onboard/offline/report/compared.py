@@ -4,7 +4,7 @@ import tomllib
 from typing import Any, NamedTuple
 
 from onboard import config
-from onboard.offline.report.story import Story
+from onboard.offline.report.flight_data import FlightData
 
 
 class Compared(NamedTuple):
@@ -31,7 +31,7 @@ class Compared(NamedTuple):
         return None if self.truth is None else self.low <= self.truth <= self.high
 
 
-def compared(story: Story) -> list[Compared]:
+def compared(story: FlightData) -> list[Compared]:
     """The last answer of every quantity with a unit, those with a published value first."""
     rows = _published(story.name)
     order = {row["quantity"]: number for number, row in enumerate(rows)}
@@ -49,7 +49,7 @@ def compared(story: Story) -> list[Compared]:
     return sorted(found, key=lambda one: order.get(one.name, len(order)))
 
 
-def truths_of(story: Story) -> dict[str, float]:
+def truths_of(story: FlightData) -> dict[str, float]:
     """True values by quantity, SI: as the truth names them, or by the names that the published table gives."""
     if story.truth is None:
         return {}

@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from drivers.records import Rows, Severity
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
-from onboard.offline.report.story import Story, Sweep
+from onboard.offline.report.flight_data import FlightData, Sweep
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
-from onboard.offline.thin import Floats, Trace
+from onboard.offline.tables.thin import Trace
 from onboard.timebase.clock import ClockState
 
 STATE_COLOUR = {
@@ -24,7 +25,7 @@ STATE_COLOUR = {
 _LABEL_WIDTH = 0.035  # of the time axis: a phase that is shorter gets no name
 
 
-def timeline(story: Story) -> Figure:
+def timeline(story: FlightData) -> Figure:
     """Phases, use of rows, clocks, gaps, and whatever went wrong."""
     lanes = _lanes(story)
     longest = max((len(name) for name, _ in lanes), default=0)
@@ -49,7 +50,7 @@ def timeline(story: Story) -> Figure:
 Span = tuple[float, float, str, str]  # start, end [s], colour, text
 
 
-def _lanes(story: Story) -> list[tuple[str, list[Span]]]:
+def _lanes(story: FlightData) -> list[tuple[str, list[Span]]]:
     lanes: list[tuple[str, list[Span]]] = []
     if story.phases:
         lanes.append(("phase", [_phase_span(story, number) for number in range(len(story.phases))]))
@@ -97,7 +98,7 @@ def _lanes(story: Story) -> list[tuple[str, list[Span]]]:
     return lanes
 
 
-def _phase_span(story: Story, number: int) -> Span:
+def _phase_span(story: FlightData, number: int) -> Span:
     phase = story.phases[number]
     start_s, end_s = (float(story.seconds(t)) for t in (phase.start_ns, phase.end_ns))
     colour = COLOUR["a"] if phase.sweep else COLOUR["d"] if phase.name == "release" else COLOUR["idle"]
@@ -121,7 +122,7 @@ def _joined(spans: Sequence[Span]) -> list[Span]:
     return joined
 
 
-def shade(axes: Axes, story: Story) -> None:
+def shade(axes: Axes, story: FlightData) -> None:
     """Sweeps as a tint behind a plot over the whole flight."""
     for phase in story.phases:
         if phase.sweep or phase.name == "release":
@@ -139,7 +140,7 @@ def draw(axes: Axes, trace: Trace, column: int, label: str, colour: str, factor:
         axes.fill_between(trace.time_s, low, high, color=colour, alpha=0.22, linewidth=0)
 
 
-def joints_and_cells(story: Story) -> Figure | None:
+def joints_and_cells(story: FlightData) -> Figure | None:
     """Every joint and every load cell over the whole flight (figure 4.39 in kind)."""
     panels = _joint_and_cell_channels(story)
     if not panels:
@@ -155,7 +156,7 @@ def joints_and_cells(story: Story) -> Figure | None:
     return figure
 
 
-def _joint_and_cell_channels(story: Story) -> list[tuple[str, str, str, float]]:
+def _joint_and_cell_channels(story: FlightData) -> list[tuple[str, str, str, float]]:
     """Channel, what it is, unit as shown, factor to it."""
     if story.roles is None:
         return []
@@ -167,7 +168,7 @@ def _joint_and_cell_channels(story: Story) -> list[tuple[str, str, str, float]]:
     return [one for one in found if one[0] in story.traces]
 
 
-def _mark_flagged(axes: Axes, story: Story, channel: str) -> None:
+def _mark_flagged(axes: Axes, story: FlightData, channel: str) -> None:
     at_s = story.flagged.get(channel)
     if at_s is not None:
         top = axes.get_xaxis_transform()
@@ -175,7 +176,7 @@ def _mark_flagged(axes: Axes, story: Story, channel: str) -> None:
         legend(axes, [marks], ["not usable"])
 
 
-def sweeps(story: Story) -> Figure | None:
+def sweeps(story: FlightData) -> Figure | None:
     """Joint and load cell over each sweep, in one axes (figures 4.50, 4.51 in kind)."""
     channels = _joint_and_cell_channels(story)
     shown = [sweep for sweep in story.sweeps if sweep.traces]
@@ -191,7 +192,7 @@ def sweeps(story: Story) -> Figure | None:
 
 
 def _sweep(
-    axes: Axes, story: Story, sweep: Sweep, channels: Iterable[tuple[str, str, str, float]], *, first: bool
+    axes: Axes, story: FlightData, sweep: Sweep, channels: Iterable[tuple[str, str, str, float]], *, first: bool
 ) -> None:
     axes.set_title(sweep.phase.name)
     other: Axes | None = None
@@ -225,7 +226,7 @@ def legend(axes: Axes, *entries: Any, **style: Any) -> None:
     axes.legend(*entries, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4, borderaxespad=0.0, **style)
 
 
-def imu(story: Story, name: str, rotation: np.ndarray | None) -> Figure:
+def imu(story: FlightData, name: str, rotation: np.ndarray | None) -> Figure:
     """Specific force and angular rate of an IMU, in base axes where ``rotation`` is known (figures 4.46, 4.52 in kind).
 
     The band is the extent of the samples in a bin; turned as a whole it is that of the axis nearest to each base axis.
@@ -259,7 +260,7 @@ def turned(trace: Trace, columns: slice, rotation: np.ndarray | None) -> Trace:
     return Trace(trace.time_s, middle - half, centre, middle + half)
 
 
-def magnitudes(story: Story, names: Sequence[str]) -> Figure:
+def magnitudes(story: FlightData, names: Sequence[str]) -> Figure:
     """Magnitude of the specific force of several IMUs, which needs no common axes (figures 4.27, 4.29 in kind)."""
     figure, [axes] = subplots()
     for name, colour in zip(names, CYCLE, strict=False):
@@ -290,7 +291,7 @@ def clocks(said: Mapping[str, Rows], start_ns: int, duration_s: float) -> Figure
     return figure
 
 
-def _clock(pair: tuple[Axes, Axes], name: str, rows: Rows, at_s: Floats, duration_s: float) -> None:
+def _clock(pair: tuple[Axes, Axes], name: str, rows: Rows, at_s: FloatArray, duration_s: float) -> None:
     error, rate = pair
     known = np.isin(rows["state"], [ClockState.LOCKED, ClockState.FLYWHEEL])
     if "residual_ns" in (rows.dtype.names or ()):

@@ -8,28 +8,28 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drivers.records import Severity
+from onboard.dynamics.errors import ModelError
 from onboard.estimation.gates import GateReason
-from onboard.model.errors import ModelError
 from onboard.offline.report import answers, figures, html, theme
 from onboard.offline.report.alone import Alone, alone
 from onboard.offline.report.base_rate import base_rate
 from onboard.offline.report.base_rate import draw as draw_base_rate
 from onboard.offline.report.compared import Compared, compared, truths_of
+from onboard.offline.report.flight_data import FlightData
 from onboard.offline.report.html import Cell
-from onboard.offline.report.story import Story
 from onboard.timebase.clock import ClockState
 
 _EVENTS_SHOWN = 40
 _ROWS_SHOWN = 24
 
 
-def document(story: Story) -> str:
+def document(story: FlightData) -> str:
     """The whole page."""
     with theme.figures():
         return html.page(f"{story.name}: {story.info.path.name}", _head(story), list(_sections(story)))
 
 
-def _sections(story: Story) -> Iterator[tuple[str, str]]:
+def _sections(story: FlightData) -> Iterator[tuple[str, str]]:
     draw = _Gallery()
     truths = truths_of(story)
     found = compared(story)
@@ -75,7 +75,7 @@ class _Gallery:
         return html.figure(theme.svg(figure, escape(caption), f"f{self._number}"), caption)
 
 
-def _head(story: Story) -> str:
+def _head(story: FlightData) -> str:
     about = story.info
     when = about.metadata.get("flight", {}).get("wall_clock_ns")
     facts = [
@@ -109,7 +109,7 @@ def _digits(value: float, width: float) -> str:
     return f"{value:.{decimals}f}"
 
 
-def _verdicts(story: Story) -> Iterator[tuple[str, str]]:
+def _verdicts(story: FlightData) -> Iterator[tuple[str, str]]:
     about = story.info
     asked = compared(story)
     answered = [one for one in asked if one.supported]
@@ -163,7 +163,7 @@ def _answers(found: list[Compared]) -> str:
     return html.table([headings[n] for n in keep], ([row[n] for n in keep] for row in rows))
 
 
-def _timeline(story: Story, draw: _Gallery) -> str:
+def _timeline(story: FlightData, draw: _Gallery) -> str:
     keys = [
         ("a", "sweep"), ("idle", "other phase, or refused"), ("good", "used, or locked"),
         ("warn", "flywheel, or warning"), ("bad", "lost, or error"),
@@ -181,7 +181,7 @@ def _timeline(story: Story, draw: _Gallery) -> str:
     return body
 
 
-def _imus(story: Story, draw: _Gallery) -> str:
+def _imus(story: FlightData, draw: _Gallery) -> str:
     names = [name for name, trace in story.traces.items() if trace.mean.shape[1] == 6]
     frames = {one.channels[0]: one.frame for one in (story.roles.imus if story.roles else ()) if len(one.channels) == 1}
     body = ""
@@ -202,7 +202,7 @@ def _imus(story: Story, draw: _Gallery) -> str:
     return body
 
 
-def _base_rate(story: Story, draw: _Gallery) -> str:
+def _base_rate(story: FlightData, draw: _Gallery) -> str:
     found = base_rate(story)
     if found is None:
         return ""
@@ -215,7 +215,7 @@ def _base_rate(story: Story, draw: _Gallery) -> str:
     )
 
 
-def _torques(story: Story, draw: _Gallery) -> str:
+def _torques(story: FlightData, draw: _Gallery) -> str:
     if story.identifier is None or story.roles is None:
         return ""
     rows = [row.name for row in story.identifier.model.rows]
@@ -233,7 +233,7 @@ def _torques(story: Story, draw: _Gallery) -> str:
     return body
 
 
-def _by_sweep(story: Story, draw: _Gallery, truths: dict[str, float]) -> str:
+def _by_sweep(story: FlightData, draw: _Gallery, truths: dict[str, float]) -> str:
     if story.identifier is None:
         return ""
     found = {sweep.phase.name: alone(sweep, story.identifier) for sweep in story.sweeps}
@@ -261,7 +261,7 @@ def _alone_row(sweep: str, one: Alone, truth: float | None) -> list[object]:
     return [sweep, one.name, Cell(_digits(factor * value, width)), Cell(span), unit, Cell(known), Cell(error)]
 
 
-def _clocks(story: Story, draw: _Gallery) -> str:
+def _clocks(story: FlightData, draw: _Gallery) -> str:
     rows = []
     for name, said in sorted(story.clocks.items()):
         last = said[-1]
@@ -284,7 +284,7 @@ def _clocks(story: Story, draw: _Gallery) -> str:
     )
 
 
-def _channels(story: Story) -> str:
+def _channels(story: FlightData) -> str:
     rows = []
     for channel in story.info.channels:
         rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
@@ -304,7 +304,7 @@ def _channels(story: Story) -> str:
     return html.table(["channel", "record", "rows", "Hz", "missing", "in gaps", "unexplained", "flagged"], rows)
 
 
-def _events(story: Story) -> str:
+def _events(story: FlightData) -> str:
     rows = [row for rows in story.events for row in rows]
     shown = []
     for row in rows[:_EVENTS_SHOWN]:
@@ -317,7 +317,7 @@ def _events(story: Story) -> str:
     return table + more if shown else html.paragraph("No warning and no error.")
 
 
-def _provenance(story: Story) -> str:
+def _provenance(story: FlightData) -> str:
     rows = [[name, key, value] for name, items in story.info.metadata.items() for key, value in items.items()] + [
         ["file", name, f"{size:,} bytes"] for name, size in story.info.attachments.items()
     ]

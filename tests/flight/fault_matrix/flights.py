@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers import records
 from drivers.records import Batch, Rows, Severity
-from hil_sim.scenario import load
+from hil_sim.scenario.load import load
 from onboard.estimation.gates import GateReason
 from onboard.timebase.clock import ClockState
 from tests.flight.fault_matrix.cells import CELLS, CHANNELS, EJECTION_S, SECOND_S, Cell

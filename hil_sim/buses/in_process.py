@@ -1,0 +1,133 @@
+"""Tier T0: the flight computer's ends of the buses in its own process, on a virtual clock.
+
+smbus2 with its ioctl answered, python-can's ``virtual`` interface, port objects for ``serial.Serial``, and pulse
+datagrams. Nothing here reads a clock or starts a thread.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import can
+
+from hil_sim.buses.i2c_dev import install_i2c
+from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
+from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
+from hil_sim.buses.serial_bus import SerialBus
+from hil_sim.buses.serial_port import VirtualSerial, install_serial
+from hil_sim.devices.can_wire import WireFrame
+from hil_sim.scenario.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+
+
+class VirtualCan:
+    """The far end of a python-can ``virtual`` channel; ``timestamp`` is ``CLOCK_MONOTONIC`` in seconds.
+
+    Args:
+        channel: Its name in this process.
+    """
+
+    def __init__(self, channel: str) -> None:
+        self._bus = can.Bus(channel, interface="virtual", preserve_timestamps=True)
+
+    @property
+    def listening(self) -> bool:
+        """Always: in one process nobody can be late."""
+        return True
+
+    def take(self) -> list[tuple[int, bytes | int]]:
+        """Frames with 11-bit identifiers sent by others on the channel; see ``CanLink``."""
+        frames: list[tuple[int, bytes | int]] = []
+        while (message := self._bus.recv(0)) is not None:
+            if not (message.is_extended_id or message.is_error_frame):
+                content = message.dlc if message.is_remote_frame else bytes(message.data)
+                frames.append((message.arbitration_id, content))
+        return frames
+
+    def give(self, frames: Sequence[WireFrame]) -> None:
+        """Send frames with their stamps."""
+        for end_ns, identifier, data in frames:
+            self._bus.send(
+                can.Message(timestamp=end_ns * 1e-9, arbitration_id=identifier, is_extended_id=False, data=data)
+            )
+
+    def give_error(self, end_ns: int, classes: int) -> None:
+        """Send an error frame."""
+        self._bus.send(can.Message(timestamp=end_ns * 1e-9, arbitration_id=classes, is_error_frame=True, data=bytes(8)))
+
+    def close(self) -> None:
+        """Leave the channel."""
+        self._bus.shutdown()
+
+
+class _I2cPort(Port):
+    def __init__(self, path: str, clock: Callable[[], int]) -> None:
+        bus = I2cBus()
+        self._installed = install_i2c(path, bus, clock)
+        super().__init__(bus, f"i2c://{path}")
+
+    def close(self) -> None:
+        self._installed.uninstall()
+
+
+class _CanPort(Port):
+    def __init__(self, channel: str, bit_rate: int, seed: int) -> None:
+        self._link = VirtualCan(channel)
+        super().__init__(CanBus(self._link, bit_rate, seed), f"can+virtual://{channel}?timestamps=monotonic")
+
+    def close(self) -> None:
+        self._link.close()
+
+
+class EdgePort(Port):
+    """Edges as datagrams to ``path``; it serves every tier."""
+
+    def __init__(self, path: Path, seed: int) -> None:
+        self._link = EdgeDatagrams(path)
+        self._line = PulseLine(self._link, seed)
+        super().__init__(self._line, f"gpio+unix://{path}")
+
+    def counts(self) -> dict[str, int]:
+        """See ``Port``."""
+        return {"edges_seen": self._line.seen, "edges_without_receiver": self._link.lost}
+
+    def close(self) -> None:
+        """See ``Port``."""
+        self._link.close()
+
+
+class _SerialPort(Port):
+    def __init__(self, path: str, table: SerialBusTable, seed: int) -> None:
+        adapter = VirtualSerial(path)
+        self._installed = install_serial(adapter)
+        bus = SerialBus(adapter, seed, latency_ns=round(table.adapter_latency_ms * 1e6))
+        super().__init__(bus, f"serial://{path}?{serial_options(table)}")
+
+    def close(self) -> None:
+        self._installed.uninstall()
+
+
+def in_process(
+    tables: Mapping[str, BusTable], directory: Path, clock: Callable[[], int], *, name: str = "hil", seed: int = 0
+) -> Ports:
+    """Open every bus in this process.
+
+    Args:
+        tables: ``[bus.*]`` of a scenario.
+        directory: Where the flight computer binds its pulse sockets, as ``BUS.sock``.
+        clock: The virtual ``CLOCK_MONOTONIC``, ns; read at each I2C transfer.
+        name: Distinguishes several in one process.
+        seed: Of the jitter of all stamps.
+    """
+
+    def open_port(bus: str, table: BusTable, place: int, seed: int) -> Port:
+        del place
+        match table:
+            case I2cBusTable():
+                return _I2cPort(f"/dev/i2c-{name}-{bus}", clock)
+            case CanBusTable():
+                return _CanPort(f"{name}_{bus}", table.bit_rate, seed)
+            case PulseLineTable():
+                return EdgePort(directory / f"{bus}.sock", seed)
+            case SerialBusTable():
+                return _SerialPort(f"/dev/hil-{name}-{bus}", table, seed)
+
+    return open_ports(tables, open_port, seed)

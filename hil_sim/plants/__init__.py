@@ -1,0 +1,1 @@
+"""Truth: the bodies, moved by MuJoCo, and the motion that is prescribed to them."""

@@ -1,0 +1,87 @@
+"""The five-joint arm bolted to a bench, in gravity, a six-axis load cell between its last link and a gripper.
+
+The joints follow a prescribed motion exactly. MuJoCo's inverse dynamics says what force and moment the wrist carries;
+the cell's readings and the encoders' counts are made of that with errors drawn once a run. The sizes of the errors are
+those of a small cell (40 N, 2 N m); no cross-talk, no drift within the run, joint zeros exact.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants.free_flyer import COUNTS_PER_TURN, Body, GRASP_m, JointMotion, arm_xml, body_xml
+from hil_sim.plants.motion import STANDARD_GRAVITY
+
+GRIPPER = Body.box(0.45, (0.08, 0.06, 0.10), (0.003, -0.002, 0.040))
+TOOL_m = (0.0, 0.0, 0.120)  # the tool's grasp frame in the gripper's, axes alike
+COUNT_rad = 2.0 * np.pi / COUNTS_PER_TURN
+
+
+@dataclass(frozen=True)
+class WristErrors:
+    """What is wrong with the wrist's readings: standard deviations by axis of forces, N, and of moments, N m."""
+
+    noise: tuple[float, float] = (0.010, 3e-4)  # of a sample
+    step: tuple[float, float] = (0.010, 2.5e-4)  # of a count
+    bias: tuple[float, float] = (0.5, 0.02)
+    scale: float = 0.0025  # relative, both
+
+
+class Run(NamedTuple):
+    """One run of the arm on the grid of the samples."""
+
+    time_s: FloatArray  # (n,)
+    q_rad: FloatArray  # (n, 5)
+    wrench: FloatArray  # (n, 6) of the arm on all beyond the cell: force N, moment N m; grasp frame
+    held: NDArray[np.bool_]  # (n,)
+
+
+class Readings(NamedTuple):
+    """The same as the sensors have it."""
+
+    time_s: FloatArray  # (n,)
+    angle_rad: FloatArray  # (n, 5), in whole counts, the middle of each
+    wrench: FloatArray  # (n, 6)
+    noise: FloatArray  # (6,) standard deviation of a sample, its step included
+
+
+def world(tool: Body | None, gripper: Body = GRIPPER) -> mujoco.MjModel:
+    """The arm as MuJoCo has it."""
+    inside = "" if tool is None else body_xml("tool", tool, TOOL_m)
+    hand = body_xml("gripper", gripper, GRASP_m, '<site name="cell"/>' + inside)
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>'
+        f'<option gravity="0 0 {-STANDARD_GRAVITY}"><flag contact="disable"/></option>'
+        f"<worldbody>{arm_xml(hand)}</worldbody>"
+        '<sensor><force site="cell"/><torque site="cell"/></sensor></mujoco>'
+    )
+
+
+def run(
+    tool: Body, motion: JointMotion, grasp_s: float, end_s: float, gripper: Body = GRIPPER, step_s: float = 2e-3
+) -> Run:
+    """One run: the gripper alone until the tool is in it, at once and gently, then both."""
+    t = np.asarray(step_s * np.arange(round(end_s / step_s)), np.float64)
+    held = t >= grasp_s
+    q, dq, ddq = motion.at(t)
+    wrench = np.empty((len(t), 6))
+    for part, model in ((~held, world(None, gripper)), (held, world(tool, gripper))):
+        data = mujoco.MjData(model)
+        for k in np.flatnonzero(part):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q[k], dq[k], ddq[k]
+            mujoco.mj_inverse(model, data)
+            wrench[k] = data.sensordata
+    return Run(t, q, wrench, held)
+
+
+def read(flown: Run, errors: WristErrors, rng: np.random.Generator) -> Readings:
+    """What the cell and the encoders say about a run."""
+    noise, step, bias = (np.repeat(pair, 3) for pair in (errors.noise, errors.step, errors.bias))
+    scaled = flown.wrench * (1.0 + errors.scale * rng.standard_normal(6)) + bias * rng.standard_normal(6)
+    counts = np.rint((scaled + noise * rng.standard_normal(scaled.shape)) / step)
+    angle = (np.floor(flown.q_rad / COUNT_rad) + 0.5) * COUNT_rad
+    return Readings(flown.time_s, angle, counts * step, np.hypot(noise, step / np.sqrt(12.0)))

@@ -1,0 +1,359 @@
+"""A free-flyer with a five-joint arm and a payload in free fall, moved by MuJoCo; truth for identification.
+
+Geometry: the ExoSPHERES base (23.1 kg, 0.45 x 0.45 x 0.41 m) with the DYMAFLEX arm (yaw-pitch-roll-pitch-roll,
+3.399 kg) of Limparis section 4.3. The dissertation gives neither the lengths of the links nor how the arm's mass is
+shared out: those are ours, for a reach of 0.68 m.
+
+The joints follow a prescribed motion. MuJoCo integrates the whole vehicle (RK4); its control callback gives the joint
+torques that make the prescribed accelerations at every stage, so there is no zero-order hold and no servo error worth
+the name. The base is free: what it does is MuJoCo's answer.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import mujoco
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+
+JOINTS = 5
+_STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: pulls back what integration error there is
+
+
+@dataclass(frozen=True)
+class Body:
+    """Inertial parameters in the body's own frame."""
+
+    mass_kg: float
+    centre_of_mass_m: FloatArray  # (3,)
+    inertia_kg_m2: FloatArray  # (3, 3) about the centre of mass
+
+    @staticmethod
+    def box(mass_kg: float, size_m: Sequence[float], centre_of_mass_m: Sequence[float]) -> "Body":
+        """A solid box along the frame's axes."""
+        squares = np.square(np.asarray(size_m, np.float64))
+        inertia = np.diag(mass_kg / 12.0 * (squares.sum() - squares))
+        return Body(mass_kg, np.asarray(centre_of_mass_m, np.float64), inertia)
+
+    def grown(self, mass_kg: float) -> "Body":
+        """The same body of the same density, larger or smaller about its frame's origin."""
+        factor = (mass_kg / self.mass_kg) ** (1.0 / 3.0)
+        return Body(mass_kg, self.centre_of_mass_m * factor, self.inertia_kg_m2 * factor**5)
+
+
+class _Mount(NamedTuple):
+    body: Body
+    position_m: tuple[float, float, float]  # of its joint in the body before
+    axis: tuple[float, float, float]
+
+
+BASE = Body.box(23.1, (0.45, 0.45, 0.41), (0.004, -0.006, 0.011))
+_ARM = (
+    _Mount(Body.box(0.900, (0.08, 0.08, 0.10), (0.002, 0.004, 0.050)), (0.0, 0.0, 0.205), (0.0, 0.0, 1.0)),
+    _Mount(Body.box(0.950, (0.06, 0.06, 0.26), (0.003, -0.008, 0.120)), (0.0, 0.0, 0.100), (0.0, 1.0, 0.0)),
+    _Mount(Body.box(0.550, (0.06, 0.06, 0.09), (-0.002, 0.003, 0.040)), (0.0, 0.0, 0.260), (0.0, 0.0, 1.0)),
+    _Mount(Body.box(0.600, (0.05, 0.05, 0.22), (0.004, 0.005, 0.100)), (0.0, 0.0, 0.090), (0.0, 1.0, 0.0)),
+    _Mount(Body.box(0.399, (0.05, 0.05, 0.09), (0.001, -0.003, 0.045)), (0.0, 0.0, 0.140), (0.0, 0.0, 1.0)),
+)
+ARM = tuple(mount.body for mount in _ARM)
+COUNTS_PER_TURN = 500_000  # 1250 lines, four edges each, behind a gear of 100
+GRASP_m = (0.0, 0.0, 0.090)  # the payload's frame in the last link, axes alike
+IMU_POSITION_m, IMU_QUATERNION = (0.120, -0.080, 0.050), (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # x of it along base y
+
+
+@dataclass(frozen=True)
+class JointMotion:
+    """``q(t) = q_0 + sum_k a_k (sin(w_k t + p_k) - sin p_k)`` by joint; each array (joints, harmonics)."""
+
+    start_rad: FloatArray  # (joints,)
+    amplitude_rad: FloatArray
+    rate_rad_s: FloatArray
+    phase_rad: FloatArray
+
+    @staticmethod
+    def draw(rng: np.random.Generator, swing_rad: float = 0.35, harmonics: int = 3) -> "JointMotion":
+        """An exciting motion: every joint swings with some 0.1 to 0.6 Hz, all at once, no two alike."""
+        shape = (JOINTS, harmonics)
+        amplitude = swing_rad / np.sqrt(harmonics) * rng.uniform(0.6, 1.2, shape)
+        rate = 2.0 * np.pi * rng.uniform(0.1, 0.6, shape)
+        start = np.array([0.0, 0.6, 0.0, 0.8, 0.0]) + rng.uniform(-0.3, 0.3, JOINTS)
+        return JointMotion(start, amplitude, rate, rng.uniform(0.0, 2.0 * np.pi, shape))
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angle, rate and acceleration at times (n,); (n, joints) each."""
+        a, w, p = self.amplitude_rad, self.rate_rad_s, self.phase_rad
+        turn = w * time_s[:, None, None] + p
+        sine, cosine = np.sin(turn), np.cos(turn)
+        q = self.start_rad + (a * (sine - np.sin(p))).sum(axis=2)
+        return q, (a * w * cosine).sum(axis=2), -(a * w * w * sine).sum(axis=2)
+
+
+class Motion(Protocol):
+    """What the joints are made to do."""
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angle, rate and acceleration at times (n,); (n, joints) each."""
+
+
+class Flight(NamedTuple):
+    """Truth on the grid of the samples."""
+
+    time_s: FloatArray  # (n,)
+    q_rad: FloatArray  # (n, 5)
+    dq_rad_s: FloatArray  # (n, 5)
+    rate_rad_s: FloatArray  # (n, 3) of the base, IMU axes
+    specific_force_m_s2: FloatArray  # (n, 3) at the IMU, its axes: a - g, in free fall the acceleration itself
+    wrist_force_n: FloatArray  # (n, 3) through the last joint's flange, on all beyond it, in the last link's axes
+    wrist_moment_n_m: FloatArray  # (n, 3) about the flange's origin, the same
+
+
+class Jump(NamedTuple):
+    """What a capture changes at once, in the IMU's axes and the last link's."""
+
+    velocity_m_s: FloatArray  # (3,) of the IMU
+    rate_rad_s: FloatArray  # (3,) of the base, IMU axes
+    wrist_impulse_n_s: FloatArray  # (3,) impulse through the last joint's flange, on everything beyond it
+    wrist_moment_n_m_s: FloatArray  # (3,) about its origin
+
+
+def _numbers(values: Sequence[float] | FloatArray) -> str:
+    return " ".join(repr(float(v)) for v in values)
+
+
+def _inertial(body: Body) -> str:
+    i = body.inertia_kg_m2
+    tensor = _numbers([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
+    place = _numbers(body.centre_of_mass_m)
+    return f'<inertial pos="{place}" mass="{body.mass_kg!r}" fullinertia="{tensor}"/>'
+
+
+def body_xml(name: str, body: Body, position_m: Sequence[float], inside: str = "") -> str:
+    """A body in MJCF, its axes those of the one it is in; ``inside`` are its joints, sites and bodies."""
+    return f'<body name="{name}" pos="{_numbers(position_m)}">{_inertial(body)}{inside}</body>'
+
+
+def arm_xml(held: str, arm: Sequence[Body] = ARM) -> str:
+    """The five links in MJCF, the first in the base's axes; ``held`` is inside the last."""
+    for index in reversed(range(JOINTS)):
+        hinge = f'<joint name="joint_{index + 1}" type="hinge" axis="{_numbers(_ARM[index].axis)}"/>'
+        held = body_xml(f"link_{index + 1}", arm[index], _ARM[index].position_m, hinge + held)
+    return held
+
+
+def world(payload: Body | None, base: Body = BASE, arm: Sequence[Body] = ARM, step_s: float = 2e-3) -> mujoco.MjModel:
+    """The vehicle as MuJoCo has it: a free base, five hinges, the payload welded to the last link."""
+    held = "" if payload is None else body_xml("payload", payload, GRASP_m)
+    inner = arm_xml(f'<site name="wrist"/>{held}', arm)
+    site = f'<site name="imu" pos="{_numbers(IMU_POSITION_m)}" quat="{_numbers(IMU_QUATERNION)}"/>'
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>'
+        f'<option gravity="0 0 0" integrator="RK4" timestep="{step_s!r}"><flag contact="disable"/></option>'
+        f'<worldbody><body name="base"><freejoint/>{_inertial(base)}{site}{inner}</body></worldbody>'
+        '<sensor><gyro site="imu"/><accelerometer site="imu"/><force site="wrist"/><torque site="wrist"/></sensor>'
+        "</mujoco>"
+    )
+
+
+def fly(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray, duration_s: float) -> Flight:
+    """One flight: released with a rate of the base that nobody chose, then the arm moves.
+
+    Args:
+        model: from :func:`world`.
+        motion: of the joints.
+        rate_rad_s: of the base at the start, base axes, (3,).
+        duration_s: of the flight; samples at the model's own step.
+    """
+    return _advance(model, _released(model, motion, rate_rad_s), motion, 0, round(duration_s / model.opt.timestep))
+
+
+class FreeFlight:
+    """A flight that goes on in chunks, and may capture a payload and let it go on the way.
+
+    A capture is plastic: from one sample to the next the payload is welded to the gripper, and the linear and angular
+    momentum of vehicle and payload together are what they were; the joints go on as prescribed. The velocity that the
+    IMU gains in it is in the specific force of that sample, as a mean over it.
+
+    Args:
+        motion: of the joints, in the time of the flight.
+        rate_rad_s: of the base at the start, base axes, (3,).
+        payload: held from the start, if any.
+        base: of the vehicle.
+        arm: its five links.
+        step_s: between samples.
+
+    Attributes:
+        payload: what is held now.
+        step_s: between samples.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        rate_rad_s: Sequence[float] | FloatArray,
+        payload: Body | None = None,
+        base: Body = BASE,
+        arm: Sequence[Body] = ARM,
+        step_s: float = 2e-3,
+    ) -> None:
+        self._motion, self._base, self._arm = motion, base, arm
+        self.payload, self.step_s = payload, step_s
+        self._model = world(payload, base, arm, step_s)
+        self._data = _released(self._model, motion, rate_rad_s)
+        self._samples = 0
+        self._impulse_m_s = np.zeros(3)
+        self._flown: list[Flight] = []
+
+    @property
+    def time_s(self) -> float:
+        """Of the next sample."""
+        return self._samples * self.step_s
+
+    @property
+    def history(self) -> Flight:
+        """All samples so far."""
+        return Flight(*(np.concatenate(parts) for parts in zip(*self._flown, strict=True)))
+
+    def advance(self, samples: int) -> Flight:
+        """The next so many samples, one or more."""
+        flown = _advance(self._model, self._data, self._motion, self._samples, samples)
+        flown.specific_force_m_s2[0] += self._impulse_m_s / self.step_s
+        self._impulse_m_s = np.zeros(3)
+        self._samples += samples
+        self._flown.append(flown)
+        return flown
+
+    def capture(
+        self, payload: Body, velocity_m_s: Sequence[float] | FloatArray, rate_rad_s: Sequence[float] | FloatArray
+    ) -> Jump:
+        """Take a payload that meets the gripper.
+
+        Args:
+            payload: in the grasp frame.
+            velocity_m_s: of the payload's frame, relative to the gripper just before, base axes, (3,).
+            rate_rad_s: of the payload, the same.
+
+        Returns:
+            What changes at once; what of it the IMU feels is in its next sample.
+
+        Raises:
+            ValueError: a payload is held already.
+        """
+        if self.payload is not None:
+            raise ValueError("a payload is held already; release it first")
+        mujoco.mj_forward(self._model, self._data)
+        momentum = _mass_matrix(self._model, self._data)[:6] @ self._data.qvel  # linear: world; angular: base, its axes
+        model, data = self._swap(payload)
+        R_WB, held = data.body("base").xmat.reshape(3, 3), data.body("payload")
+        R_WP, origin, centre = held.xmat.reshape(3, 3), held.xpos, held.xipos
+        gripper = np.zeros(6)  # rate, velocity
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, held.id, gripper, 0)
+        rate = gripper[:3] + R_WB @ np.asarray(rate_rad_s, np.float64)
+        velocity = gripper[3:] + R_WB @ np.asarray(velocity_m_s, np.float64)
+        linear = payload.mass_kg * (velocity + np.cross(rate, centre - origin))
+        spin = R_WP @ payload.inertia_kg_m2 @ R_WP.T @ rate
+        wrist = data.site("wrist").xpos
+        before = _momentum(model, data, "link_5", wrist)
+        before += np.concatenate([linear, spin + np.cross(centre - wrist, linear)])
+        momentum[:3] += linear
+        momentum[3:] += R_WB.T @ (spin + np.cross(centre - data.body("base").xpos, linear))
+        M = _mass_matrix(model, data)
+        twist = np.linalg.solve(M[:6, :6], momentum - M[:6, 6:] @ data.qvel[6:])
+        jump = twist - data.qvel[:6]
+        imu = data.site("imu")
+        swing = R_WB @ np.cross(jump[3:], IMU_POSITION_m)
+        self._impulse_m_s = imu.xmat.reshape(3, 3).T @ (jump[:3] + swing)
+        data.qvel[:6] = twist
+        mujoco.mj_forward(model, data)
+        through = _momentum(model, data, "link_5", wrist) + _momentum(model, data, "payload", wrist) - before
+        force, moment = through.reshape(2, 3) @ data.site("wrist").xmat.reshape(3, 3)
+        return Jump(self._impulse_m_s, imu.xmat.reshape(3, 3).T @ R_WB @ jump[3:], force, moment)
+
+    def release(self) -> None:
+        """Let go of the payload; nothing pushes it.
+
+        Raises:
+            ValueError: nothing is held.
+        """
+        if self.payload is None:
+            raise ValueError("nothing is held; capture something first")
+        self._swap(None)
+
+    def _swap(self, payload: Body | None) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        before = self._data
+        self.payload = payload
+        self._model = world(payload, self._base, self._arm, self.step_s)
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[:], self._data.qvel[:] = before.qpos, before.qvel
+        mujoco.mj_forward(self._model, self._data)
+        return self._model, self._data
+
+
+class Capture(NamedTuple):
+    """A payload that is captured in mid-flight, and how it comes; see :meth:`FreeFlight.capture`."""
+
+    payload: Body
+    time_s: float
+    velocity_m_s: FloatArray  # (3,) relative to the gripper, base axes
+    rate_rad_s: FloatArray  # (3,)
+
+
+def fly_with_capture(flight: FreeFlight, capture: Capture, duration_s: float) -> Flight:
+    """The rest of a flight, until ``duration_s``; the payload is held from the first sample at or after its time."""
+    flight.advance(int(np.ceil((capture.time_s - flight.time_s) / flight.step_s - 1e-9)))
+    flight.capture(capture.payload, capture.velocity_m_s, capture.rate_rad_s)
+    flight.advance(round((duration_s - flight.time_s) / flight.step_s))
+    return flight.history
+
+
+def _released(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    q, dq, _ = motion.at(np.zeros(1))
+    data.qpos[7:], data.qvel[6:] = q[0], dq[0]
+    data.qvel[3:6] = rate_rad_s
+    return data
+
+
+def _mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    M = np.empty((model.nv, model.nv))
+    for row, unit in zip(M, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, unit)
+    return M
+
+
+def _momentum(model: mujoco.MjModel, data: mujoco.MjData, body: str, about: FloatArray) -> FloatArray:
+    """Linear momentum of one body and its angular momentum about a point, (6,), world axes."""
+    part, own = data.body(body), model.body(body)
+    motion = np.zeros(6)  # rate, velocity of the centre of mass
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, part.id, motion, 0)
+    axes = part.ximat.reshape(3, 3)
+    linear = own.mass * motion[3:]
+    return np.concatenate([linear, axes @ (own.inertia * (axes.T @ motion[:3])) + np.cross(part.xipos - about, linear)])
+
+
+def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: int, samples: int) -> Flight:
+    """Samples ``first`` to ``first + samples``; ``data`` is at the first of them, and at the next afterwards."""
+    half_s = 0.5 * model.opt.timestep  # the stages of RK4 lie on half steps
+    q, dq, ddq = motion.at(half_s * np.arange(2 * first, 2 * (first + samples) + 1))
+    data.time = 0.0  # of this chunk
+
+    def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        stage = round(data.time / half_s)
+        pull = _STIFFNESS * (q[stage] - data.qpos[7:]) + _DAMPING * (dq[stage] - data.qvel[6:])
+        acceleration = ddq[stage] + pull
+        M = _mass_matrix(model, data)
+        base = np.linalg.solve(M[:6, :6], -data.qfrc_bias[:6] - M[:6, 6:] @ acceleration)
+        data.qfrc_applied[6:] = data.qfrc_bias[6:] + M[6:, :6] @ base + M[6:, 6:] @ acceleration
+
+    flight = Flight(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3, 3)))
+    mujoco.set_mjcb_control(torque)
+    try:
+        for k in range(samples):
+            flight.q_rad[k], flight.dq_rad_s[k] = data.qpos[7:], data.qvel[6:]
+            mujoco.mj_step(model, data)  # its sensors are those of the state before the step
+            for sensor, rows in enumerate(flight[3:]):
+                rows[k] = data.sensordata[3 * sensor : 3 * sensor + 3]
+    finally:
+        mujoco.set_mjcb_control(None)
+    return flight._replace(time_s=model.opt.timestep * np.arange(first, first + samples))

@@ -1,0 +1,181 @@
+"""The free-flyer with its arm as a mission flies it: what was built, how it was let go, the payload that it captures.
+
+MuJoCo (``hil_sim.plants.free_flyer``) integrates the whole flight when the plant is made, at a few ms a step; nothing
+that the flight computer does could change it. The sensors' finer grid lies on splines through those steps, each side of
+the capture for itself; the shock of the capture is in one row of that grid, as a mean over it. Chunks of it are handed
+out as time goes on, so no sensor sees what is to come.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants import free_flyer, world
+from hil_sim.plants.arm_swings import ArmSwings
+from hil_sim.scenario.free_flyer_tables import JOINTS, Built, FreeFlyerScenario, Payload
+from hil_sim.scenario.tables import ScenarioError
+
+JOINT_NAMES = tuple(f"joint_{number}" for number in range(1, JOINTS + 1))
+WRIST = "wrist"  # the flange of the last joint
+
+
+class Truth(NamedTuple):
+    """What happens, on the sensors' grid, (n, ...) each; IMU axes are those of ``free_flyer``'s own IMU."""
+
+    q_rad: FloatArray  # (n, 5)
+    rate_rad_s: FloatArray  # (n, 3) of the base, IMU axes
+    acceleration_rad_s2: FloatArray  # (n, 3) of the base, IMU axes
+    specific_force_m_s2: FloatArray  # (n, 3) at the IMU, its axes
+    wrist_force_n: FloatArray  # (n, 3) on everything beyond the last joint's flange, the last link's axes
+    wrist_moment_n_m: FloatArray  # (n, 3)
+
+
+class FreeFlyerPlant(world.Plant):
+    """The free-flyer's whole mission.
+
+    Args:
+        scenario: the mission.
+        rng: draws what was built, the release, the motion and the capture, in this order.
+
+    Attributes:
+        base: as built.
+        arm: its links, as built.
+        payload: what is captured.
+        capture_s: mission time from which it is held.
+        flight: truth on the sensors' grid, all of it; rows from ``count`` on are still to come.
+    """
+
+    def __init__(self, scenario: FreeFlyerScenario, rng: np.random.Generator) -> None:
+        physics = scenario.physics
+        self._scenario = scenario
+        self.base = _built(free_flyer.BASE, scenario.as_built.base, rng)
+        self.arm = tuple(_built(link, scenario.as_built.link, rng) for link in free_flyer.ARM)
+        self.payload = _box(scenario.payload)
+        self.release_rate_rad_s = scenario.release.rate_rad_s * rng.uniform(-1.0, 1.0, 3)
+        self.program: ArmSwings = ArmSwings(scenario, rng)
+        self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
+        self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
+        self.capture_s, self.flight = self._fly(rng)
+
+    def _fly(self, rng: np.random.Generator) -> tuple[float, Truth]:
+        """When the payload is caught, and all that happens."""
+        every, capture = self._scenario.physics.integration_steps, self._scenario.capture
+        coarse_s, steps = every * self.step_s, -(-self.rows // every) + 1
+        held = self.payload if capture is None else None
+        flight = free_flyer.FreeFlight(self.program, self.release_rate_rad_s, held, self.base, self.arm, coarse_s)
+        if capture is None:
+            return 0.0, _refined(flight.advance(steps), every, self.rows)
+        first = round(rng.uniform(capture.earliest_s, capture.latest_s) / coarse_s)
+        before = _refined(flight.advance(first), every, first * every)
+        velocity_m_s = capture.velocity_sigma_m_s * rng.standard_normal(3)
+        rate_rad_s = capture.rate_sigma_rad_s * rng.standard_normal(3)
+        jump = flight.capture(self.payload, velocity_m_s, rate_rad_s)
+        held_flight = flight.advance(steps - first)
+        held_flight.specific_force_m_s2[0] -= jump.velocity_m_s / coarse_s
+        after = _refined(held_flight, every, self.rows - first * every)
+        for rows, change in (
+            (after.specific_force_m_s2, jump.velocity_m_s),
+            (after.acceleration_rad_s2, jump.rate_rad_s),
+            (after.wrist_force_n, jump.wrist_impulse_n_s),
+            (after.wrist_moment_n_m, jump.wrist_moment_n_m_s),
+        ):
+            rows[0] += change / self.step_s
+        return first * coarse_s, Truth(*(np.concatenate(parts) for parts in zip(before, after, strict=True)))
+
+    def inertial(self, at: str) -> world.Inertial:
+        """See ``world.Plant``: f = f_0 + dw x r + w x (w x r), r from the IMU that MuJoCo has."""
+        self._check(at, self._scenario.site)
+        site = self._scenario.site[at]
+        R_BS = _rotation(_quaternion(np.deg2rad(site.roll_pitch_yaw_deg)))
+        R_B0 = _rotation(np.asarray(free_flyer.IMU_QUATERNION))
+        r = R_B0.T @ (1e-3 * np.asarray(site.position_mm) - free_flyer.IMU_POSITION_m)
+        w, dw, f = self.flight.rate_rad_s, self.flight.acceleration_rad_s2, self.flight.specific_force_m_s2
+        turn = R_B0.T @ R_BS
+        return world.Inertial((f + np.cross(dw, r) + np.cross(w, np.cross(w, r))) @ turn, w @ turn, 0.0)
+
+    def angle_rad(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        self._check(at, JOINT_NAMES)
+        return self.flight.q_rad[:, JOINT_NAMES.index(at)].copy()
+
+    def moment_n_m(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        self._check(at, (WRIST,))
+        return self.flight.wrist_moment_n_m[:, 2]
+
+    def force_n(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        self._check(at, (WRIST,))
+        return self.flight.wrist_force_n
+
+    def servo_torque_n_m(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        raise ScenarioError(f"no torque is known at {at!r}: the joints are moved as told; leave motor torques out")
+
+    def truth(self) -> dict[str, Any]:
+        """See ``world.Plant``; the payload in its own frame, which is the grasp."""
+        c, inertia = self.payload.centre_of_mass_m, self.payload.inertia_kg_m2
+        elements = {f"I_{name}_payload": float(inertia[place]) for name, place in _ELEMENTS.items()}
+        return {
+            "quantities": {
+                "m_payload": self.payload.mass_kg,
+                **{f"c_{axis}_payload": value for axis, value in zip("xyz", c.tolist(), strict=True)},
+                **elements,
+            },
+            "capture_s": self.capture_s,
+            "release_rate_rad_s": self.release_rate_rad_s,
+            "base_mass_kg": self.base.mass_kg,
+            "arm_mass_kg": [link.mass_kg for link in self.arm],
+        }
+
+    def _check(self, at: str, known: Iterable[str]) -> None:
+        if at not in known:
+            raise ScenarioError(f"there is no {at!r} to measure at; `at` is one of {', '.join(known)}")
+
+    def _run_chunk(self) -> None:
+        self.count += self.chunk
+
+
+_ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
+
+
+def _refined(flight: free_flyer.Flight, every: int, rows: int) -> Truth:
+    """A flight on a grid ``every`` times as fine, its first ``rows`` rows."""
+    at_s = flight.time_s[0] + (flight.time_s[1] - flight.time_s[0]) / every * np.arange(rows)
+    q, _, rate, force, wrist_n, wrist_n_m = (CubicSpline(flight.time_s, values) for values in flight[1:])
+    return Truth(q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s))
+
+
+def _box(payload: Payload) -> free_flyer.Body:
+    """The payload in the axes of the grasp."""
+    size_m, centre_m = (1e-3 * np.asarray(v) for v in (payload.size_mm, payload.centre_of_mass_mm))
+    box = free_flyer.Body.box(payload.mass_kg, size_m.tolist(), centre_m.tolist())
+    R = _rotation(_quaternion(np.deg2rad(payload.roll_pitch_yaw_deg)))
+    return free_flyer.Body(box.mass_kg, box.centre_of_mass_m, R @ box.inertia_kg_m2 @ R.T)
+
+
+def _built(drawn: free_flyer.Body, sigma: Built, rng: np.random.Generator) -> free_flyer.Body:
+    """A part as it came out."""
+    change = np.zeros((3, 3))
+    half_trace = 0.5 * np.trace(drawn.inertia_kg_m2)
+    mass_kg = drawn.mass_kg * (1.0 + sigma.mass_relative * rng.standard_normal())
+    centre_m = drawn.centre_of_mass_m + 1e-3 * sigma.centre_mm * rng.standard_normal(3)
+    change[np.triu_indices(3)] = sigma.inertia_relative * half_trace * rng.standard_normal(6)
+    return free_flyer.Body(mass_kg, centre_m, drawn.inertia_kg_m2 + change + np.triu(change, 1).T)
+
+
+def _quaternion(roll_pitch_yaw: FloatArray) -> FloatArray:
+    """(4,) w x y z of Rz(yaw) Ry(pitch) Rx(roll)."""
+    quaternion = np.zeros(4)
+    mujoco.mju_euler2Quat(quaternion, roll_pitch_yaw, "XYZ")
+    return quaternion
+
+
+def _rotation(quaternion: FloatArray) -> FloatArray:
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, quaternion)
+    return out.reshape(3, 3)

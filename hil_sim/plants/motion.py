@@ -1,0 +1,217 @@
+"""What moves without asking MuJoCo: the arm controller's commands, the rocket under the plate, and the air.
+
+Everything is a function of mission time on the plant's grid ``t_k = k h``. The rocket is prescribed (some 180 kg
+against the arm's 0.3 kg). Its angular rate is kept on the half steps ``t_k - h/2``: the difference of two of them over
+``h`` is the angular acceleration at ``t_k`` exactly, which is the leapfrog the plant integrates with.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+
+from hil_sim.arrays import FloatArray
+from hil_sim.scenario.rocket_tables import Mode, Reentry, Rocket, RocketScenario, Vibration
+
+STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition
+
+
+class PhaseSpan(NamedTuple):
+    """One step of the sequence: its phase code and its interval of mission time."""
+
+    code: int
+    action: str
+    start_s: float
+    end_s: float
+
+
+class Reference(NamedTuple):
+    """Commanded joint motion, each (n,)."""
+
+    angle_rad: FloatArray
+    rate_rad_s: FloatArray
+    accel_rad_s2: FloatArray
+
+
+class Program:
+    """A sequence as a clock knows it.
+
+    Attributes:
+        spans: the steps in order, without gaps.
+    """
+
+    spans: tuple[PhaseSpan, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """End of the last step."""
+        return self.spans[-1].end_s
+
+    @property
+    def phase_changes(self) -> tuple[tuple[float, int], ...]:
+        """(mission time [s], phase code) of every change, the first at 0."""
+        first = [(self.spans[0].start_s, self.spans[0].code)]
+        return tuple(first + [(b.start_s, b.code) for a, b in pairwise(self.spans) if a.code != b.code])
+
+
+class ArmProgram(Program):
+    """The sequence table as commanded joint angle: minimum-jerk strokes and the phases they belong to.
+
+    Attributes:
+        ejection_s: mission time at which the tip mass leaves; None when the sequence has no ejection.
+    """
+
+    def __init__(self, scenario: RocketScenario) -> None:
+        self._knots: list[tuple[float, float]] = [(0.0, 0.0)]  # (time, angle)
+        spans: list[PhaseSpan] = []
+        for step in scenario.sequence:
+            start_s = self._knots[-1][0]
+            if step.action == "push":
+                command = np.deg2rad(step.command_deg)
+                self._go(command, step.approach_s)
+                self._go(command, step.hold_s)
+                self._go(0.0, step.retreat_s)
+            elif step.action == "sweep":
+                side = -np.deg2rad(step.amplitude_deg)
+                self._go(side, step.transfer_s)
+                for _ in range(step.strokes):
+                    side = -side
+                    self._go(side, step.stroke_s)
+                    if step.pause_s > 0.0:
+                        self._go(side, step.pause_s)
+                self._go(0.0, step.transfer_s)
+            else:
+                self._go(0.0, step.duration_s)
+            spans.append(PhaseSpan(step.phase, step.action, start_s, self._knots[-1][0]))
+        self.spans = tuple(spans)
+        self.ejection_s = next((span.start_s for span in spans if span.action == "eject"), None)
+
+    def _go(self, angle: float, duration_s: float) -> None:
+        self._knots.append((round(self._knots[-1][0] + duration_s, 9), float(angle)))
+
+    def reference(self, times_s: FloatArray) -> Reference:
+        """Commanded motion at ``times_s`` (n,): quintic of zero end rates and accelerations between two angles."""
+        times, angles = np.array(self._knots).T
+        i = np.clip(np.searchsorted(times, times_s, side="right") - 1, 0, len(times) - 2)
+        T = times[i + 1] - times[i]
+        rise = angles[i + 1] - angles[i]
+        s = np.clip((times_s - times[i]) / T, 0.0, 1.0)
+        return Reference(
+            angles[i] + rise * s**3 * (10.0 + s * (-15.0 + 6.0 * s)),
+            rise / T * 30.0 * (s * (1.0 - s)) ** 2,
+            rise / T**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
+        )
+
+
+class BaseMotion(NamedTuple):
+    """Motion of frame 0 (the plate) on the plant's grid, in the axes of frame 0; row k is at ``t_k`` unless said."""
+
+    angular_accel_rad_s2: FloatArray  # (n, 3)
+    angular_rate_half_rad_s: FloatArray  # (n, 3), at t_k - h/2
+    origin_accel_m_s2: FloatArray  # (n, 3): of frame 0's origin, which is its specific force too: nothing falls here
+    dynamic_pressure_pa: FloatArray  # (n,), gusts included
+    wind: FloatArray  # (n, 3): unit vector, the way the air moves past the plate
+
+
+def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.random.Generator) -> BaseMotion:
+    """Draw one flight of the rocket: free coning, structural vibration, re-entry.
+
+    Args:
+        scenario: sizes of it all.
+        step_s: grid step h.
+        count: number of grid points n.
+        rng: phases and noise come from here, in a fixed order.
+    """
+    times_s: FloatArray = step_s * np.arange(count, dtype=np.float64)
+    rigid_accel, rate_start = _coning(scenario.rocket, times_s, step_s, rng)
+    linear_shake, angular_shake = _vibration(scenario.vibration, step_s, count, rng)
+    air = scenario.reentry
+    pressure = _dynamic_pressure(air, times_s, step_s, rng)
+    wind = _wind(air, scenario.rocket.spin_rad_s, times_s, rng)
+    deceleration = air.rocket_area_over_mass_m2_kg * pressure[:, None] * wind  # (n, 3), along the wind
+    strength = np.linalg.norm(deceleration, axis=1)  # (n,)
+    rigid_accel += air.pitch_moment_rad_s2_per_m_s2 * np.cross([0.0, 0.0, 1.0], deceleration)
+    rigid_accel[:, 2] += air.roll_moment_rad_s2_per_m_s2 * strength
+    rigid_half = rate_start + step_s * (np.cumsum(rigid_accel, axis=0) - rigid_accel)  # (n, 3) at t_k - h/2
+    rigid_rate = rigid_half + 0.5 * step_s * rigid_accel  # (n, 3) at t_k
+    r = np.asarray(scenario.rocket.centre_of_mass_to_plate_m)
+    origin = np.cross(rigid_accel, r) + np.cross(rigid_rate, np.cross(rigid_rate, r))
+    shake_half = step_s * (np.cumsum(angular_shake, axis=0) - angular_shake)
+    return BaseMotion(
+        rigid_accel + angular_shake,
+        rigid_half + shake_half - shake_half.mean(axis=0),
+        origin + deceleration + linear_shake,
+        pressure,
+        wind,
+    )
+
+
+def _coning(
+    rocket: Rocket, times_s: FloatArray, step_s: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Torque-free axisymmetric body: the transverse rate turns in body axes at (I_roll/I_pitch - 1) spin.
+
+    Returns:
+        Angular acceleration (n, 3) at ``times_s`` and angular rate (3,) half a step before the first.
+    """
+    turn = (rocket.roll_to_pitch_inertia - 1.0) * rocket.spin_rad_s
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    angle = turn * times_s + phase
+    accel = np.zeros((len(times_s), 3))
+    accel[:, 0] = -rocket.nutation_rate_rad_s * turn * np.sin(angle)
+    accel[:, 1] = rocket.nutation_rate_rad_s * turn * np.cos(angle)
+    before = phase - 0.5 * turn * step_s
+    cone = rocket.nutation_rate_rad_s * np.array([np.cos(before), np.sin(before), 0.0])
+    return accel, cone + np.asarray(rocket.residual_rate_rad_s) + [0.0, 0.0, rocket.spin_rad_s]
+
+
+def _vibration(
+    vibration: Vibration, step_s: float, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Linear acceleration [m/s^2] and angular acceleration [rad/s^2], each (n, 3), none at zero frequency."""
+    rate_Hz = 1.0 / step_s
+    milli_g = 1e-3 * STANDARD_GRAVITY
+    band = signal.butter(2, vibration.broadband_band_Hz, "bandpass", fs=rate_Hz, output="sos")
+    noise = signal.sosfilt(band, rng.standard_normal((count, 3)), axis=0)
+    linear = milli_g * np.asarray(vibration.broadband_mg) * noise / _rms_gain(band)
+    for mode in vibration.linear_mode_mg:
+        linear += milli_g * _resonance(mode, rate_Hz, count, rng)
+    angular = np.zeros((count, 3))
+    for mode in vibration.angular_mode_mrad_s:
+        # A narrow mode: rms acceleration = 2 pi f x rms rate.
+        angular += 2e-3 * np.pi * mode.frequency_Hz * _resonance(mode, rate_Hz, count, rng)
+    return linear, angular
+
+
+def _resonance(mode: Mode, rate_Hz: float, count: int, rng: np.random.Generator) -> FloatArray:
+    b, a = signal.iirpeak(mode.frequency_Hz, 0.5 / mode.damping_ratio, fs=rate_Hz)
+    sos = np.concatenate([b, a])[None, :]
+    noise = signal.sosfilt(sos, rng.standard_normal((count, 3)), axis=0)
+    return np.asarray(mode.rms) * noise / _rms_gain(sos)
+
+
+def _rms_gain(sos: FloatArray) -> float:
+    """Rms of a filter's output for white noise of rms 1: the norm of its impulse response."""
+    impulse = np.zeros(20_000)
+    impulse[0] = 1.0
+    return float(np.linalg.norm(signal.sosfilt(sos, impulse)))
+
+
+def _dynamic_pressure(air: Reentry, times_s: FloatArray, step_s: float, rng: np.random.Generator) -> FloatArray:
+    """Exponential growth with gusts (first-order Gauss-Markov), (n,), Pa."""
+    mean = air.reference_deceleration_m_s2 / air.rocket_area_over_mass_m2_kg
+    mean_pressure = mean * np.exp((times_s - air.reference_s) / air.growth_time_s)
+    keep = np.exp(-step_s / air.gust_time_s)
+    gust = signal.lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(len(times_s)))
+    return np.asarray(mean_pressure * np.maximum(0.0, 1.0 + air.gust_fraction * gust))
+
+
+def _wind(air: Reentry, spin_rad_s: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """The wind's direction in plate axes turns against the spin; (n, 3)."""
+    azimuth = rng.uniform(0.0, 2.0 * np.pi) - spin_rad_s * (times_s - air.reference_s)
+    elevation = np.deg2rad(air.wind_elevation_deg)
+    level = np.cos(elevation)
+    return np.stack(
+        [level * np.cos(azimuth), level * np.sin(azimuth), np.full_like(azimuth, np.sin(elevation))], axis=1
+    )

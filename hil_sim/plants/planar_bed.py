@@ -1,0 +1,132 @@
+"""The free-flyer on an air-bearing table: x, y and yaw are free, gravity is normal but for a tilt, pucks drag.
+
+MuJoCo integrates the whole vehicle (RK4); its control callback gives the joint torques that make the prescribed
+accelerations, and puts each puck's drag on the base where the puck is: a viscous part, and one of nearly constant size
+against the motion (Coulomb's, rounded within 2 mm/s).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants.free_flyer import (
+    ARM,
+    BASE,
+    IMU_QUATERNION,
+    JOINTS,
+    Body,
+    GRASP_m,
+    IMU_POSITION_m,
+    Motion,
+    arm_xml,
+    body_xml,
+)
+from hil_sim.plants.motion import STANDARD_GRAVITY
+
+PUCKS_m = ((0.200, 0.0), (-0.100, 0.173), (-0.100, -0.173))  # of the carriage, base axes
+_ROUNDING_m_s = 2e-3
+_STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: pulls back what integration error there is
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Of one puck on the table."""
+
+    viscous_N_s_m: float = 0.0  # noqa: N815
+    coulomb_N: float = 0.0  # noqa: N815
+
+
+class PlanarFlight(NamedTuple):
+    """Truth on the grid of the samples."""
+
+    time_s: FloatArray  # (n,)
+    q_rad: FloatArray  # (n, 5)
+    dq_rad_s: FloatArray  # (n, 5)
+    rate_rad_s: FloatArray  # (n, 3) of the base, IMU axes
+    specific_force_m_s2: FloatArray  # (n, 3) at the IMU, its axes: a - g
+    velocity: FloatArray  # (n, 3) of the base's origin, base axes: x, y, m/s, and yaw rate, rad/s
+
+
+def world(
+    payload: Body, base: Body = BASE, arm: Sequence[Body] = ARM, tilt_m_s2: Sequence[float] | FloatArray = (0.0, 0.0)
+) -> mujoco.MjModel:
+    """The vehicle on its table; ``tilt_m_s2``: gravity along the table, table axes."""
+    held = body_xml("payload", payload, GRASP_m)
+    slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>'
+    place, turn = (" ".join(repr(float(v)) for v in values) for values in (IMU_POSITION_m, IMU_QUATERNION))
+    imu = f'<site name="imu" pos="{place}" quat="{turn}"/>'
+    x, y = (float(value) for value in tilt_m_s2)
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>'
+        f'<option gravity="{x!r} {y!r} {-STANDARD_GRAVITY}" integrator="RK4" timestep="0.002">'
+        '<flag contact="disable"/></option>'
+        f"<worldbody>{body_xml('base', base, (0.0, 0.0, 0.0), slides + imu + arm_xml(held, arm))}</worldbody>"
+        '<sensor><gyro site="imu"/><accelerometer site="imu"/></sensor></mujoco>'
+    )
+
+
+def drag_force(drags: Sequence[Drag], yaw: float, velocity: FloatArray) -> FloatArray:
+    """Generalised force of all pucks on x, y and yaw of the table, (3,); ``velocity`` of these, (3,)."""
+    vx, vy, w = velocity.tolist()
+    c, s = math.cos(yaw), math.sin(yaw)
+    force_x = force_y = moment = 0.0
+    for drag, (px, py) in zip(drags, PUCKS_m, strict=True):
+        x, y = c * px - s * py, s * px + c * py
+        slip_x, slip_y = vx - w * y, vy + w * x
+        share = drag.viscous_N_s_m + drag.coulomb_N / math.hypot(slip_x, slip_y, _ROUNDING_m_s)
+        force_x -= share * slip_x
+        force_y -= share * slip_y
+        moment -= share * (x * slip_y - y * slip_x)
+    return np.array([force_x, force_y, moment])
+
+
+def fly(
+    model: mujoco.MjModel,
+    motion: Motion,
+    velocity: Sequence[float] | FloatArray,
+    drags: Sequence[Drag],
+    duration_s: float,
+) -> PlanarFlight:
+    """One run: let go with a velocity that nobody chose, then the arm moves.
+
+    Args:
+        model: from :func:`world`.
+        motion: of the joints.
+        velocity: of the base at the start: x, y, m/s, and yaw, rad/s, (3,).
+        drags: of the three pucks.
+        duration_s: of the run; samples at the model's own step.
+    """
+    data = mujoco.MjData(model)
+    samples, half_s = round(duration_s / model.opt.timestep), 0.5 * model.opt.timestep
+    q, dq, ddq = motion.at(half_s * np.arange(2 * samples + 1))  # the stages of RK4 lie on half steps
+    data.qpos[3:], data.qvel[3:], data.qvel[:3] = q[0], dq[0], velocity
+    M, units = np.zeros((model.nv, model.nv)), np.eye(model.nv)
+
+    def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        stage = round(data.time / half_s)
+        joints = ddq[stage] + _STIFFNESS * (q[stage] - data.qpos[3:]) + _DAMPING * (dq[stage] - data.qvel[3:])
+        for row, unit in zip(M, units, strict=True):
+            mujoco.mj_mulM(model, data, row, unit)
+        drag = drag_force(drags, data.qpos[2], data.qvel[:3])
+        base = np.linalg.solve(M[:3, :3], drag - data.qfrc_bias[:3] - M[:3, 3:] @ joints)
+        data.qfrc_applied[:3] = drag
+        data.qfrc_applied[3:] = data.qfrc_bias[3:] + M[3:, :3] @ base + M[3:, 3:] @ joints
+
+    flight = PlanarFlight(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3)))
+    mujoco.set_mjcb_control(torque)
+    try:
+        for k in range(samples):
+            flight.time_s[k], flight.q_rad[k], flight.dq_rad_s[k] = data.time, data.qpos[3:], data.qvel[3:]
+            c, s = np.cos(data.qpos[2]), np.sin(data.qpos[2])
+            vx, vy, w = data.qvel[:3]
+            flight.velocity[k] = c * vx + s * vy, c * vy - s * vx, w
+            mujoco.mj_step(model, data)  # its sensors are those of the state before the step
+            flight.rate_rad_s[k], flight.specific_force_m_s2[k] = data.sensordata[:3], data.sensordata[3:]
+    finally:
+        mujoco.set_mjcb_control(None)
+    return flight._replace(time_s=flight.time_s[:, 0])

@@ -1,0 +1,91 @@
+"""What a mission and its sensors ask of the bodies, whatever moves them.
+
+A plant lays the truth of the whole mission on a grid, ``t_k = k h`` of mission time. Its arrays are there from the
+start and fill up as it advances; sensors keep them and read no row beyond those that are there.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants.motion import Program
+
+
+class NotYetComputedError(RuntimeError):
+    """A sensor was asked about the future."""
+
+
+class Inertial(NamedTuple):
+    """What an IMU would feel at its place, in its axes as designed."""
+
+    specific_force_m_s2: FloatArray  # (n, 3): a - g, in free fall the acceleration itself
+    rate_rad_s: FloatArray  # (n, 3): row k belongs to t_k - ``rate_late`` h
+    rate_late: float
+
+
+class Plant(ABC):
+    """Bodies in motion. ``at`` names a place in them; a plant with one place of a kind calls it "".
+
+    Attributes:
+        step_s: grid step h.
+        chunk: rows computed at a time.
+        rows: rows of the whole mission.
+        count: rows computed so far; whole chunks.
+        program: what the arm was told to do, and when.
+    """
+
+    step_s: float
+    chunk: int
+    rows: int
+    count: int
+    program: Program
+
+    @abstractmethod
+    def inertial(self, at: str) -> Inertial:
+        """Motion at an IMU's place.
+
+        Raises:
+            ScenarioError: no such place; so do all below.
+        """
+
+    @abstractmethod
+    def angle_rad(self, at: str) -> FloatArray:
+        """Angle of a joint, (n,)."""
+
+    @abstractmethod
+    def moment_n_m(self, at: str) -> FloatArray:
+        """Moment in a flange about its joint's axis, on everything beyond it, (n,)."""
+
+    @abstractmethod
+    def force_n(self, at: str) -> FloatArray:
+        """Force in a flange, its axes, on everything beyond it, (n, 3)."""
+
+    @abstractmethod
+    def servo_torque_n_m(self, at: str) -> FloatArray:
+        """Torque of a joint's servo, (n,)."""
+
+    @abstractmethod
+    def truth(self) -> dict[str, Any]:
+        """What an estimate is to be compared with: scalars, text, lists and arrays, SI units."""
+
+    @abstractmethod
+    def _run_chunk(self) -> None:
+        """Compute the next chunk of rows."""
+
+    def advance(self, time_s: float) -> None:
+        """Compute until ``time_s`` (mission time) can be interpolated; at the end of the mission the last row stays."""
+        wanted = min(self.rows, int(max(0.0, time_s) / self.step_s) + 4)
+        while self.count < wanted:
+            self._run_chunk()
+
+    def require(self, time_s: float) -> None:
+        """Check that ``time_s`` can be interpolated.
+
+        Raises:
+            NotYetComputedError: it lies ahead of the plant.
+        """
+        if self.count < self.rows and time_s / self.step_s >= self.count - 3:
+            raise NotYetComputedError(
+                f"mission time {time_s:.6f} s is ahead of the plant, which stands at {self.count * self.step_s:.6f} s; "
+                "advance the mission first"
+            )

@@ -1,0 +1,1 @@
+"""A mission as data: tables of TOML, checked; ``packaged/`` holds the scenarios that come with heft."""

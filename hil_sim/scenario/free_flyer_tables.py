@@ -1,0 +1,131 @@
+"""Tables of a scenario with a free-flyer that captures a payload: ``[scenario] plant = "free_flyer"``.
+
+The vehicle as drawn is that of ``hil_sim.plants.free_flyer``; ``[as_built]`` says how far off what was built may be.
+"""
+# ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from hil_sim.scenario.sensor_tables import NonNegative, Table, Vector
+from hil_sim.scenario.tables import Scenario
+
+JOINTS = 5
+Angles = tuple[float, float, float, float, float]
+
+
+class Physics(Table):
+    """``[physics]``: steps of the sensors' grid, and how many of them the integration takes at a time."""
+
+    step_us: PositiveInt
+    integration_steps: PositiveInt
+    chunk_steps: PositiveInt
+
+
+class Built(Table):
+    """Standard deviations of a part as it was built about its drawing; of the inertia, relative to half its trace."""
+
+    mass_relative: NonNegative
+    centre_mm: NonNegative
+    inertia_relative: NonNegative
+
+
+class AsBuilt(Table):
+    """``[as_built]``: the base, and each link of the arm."""
+
+    base: Built
+    link: Built
+
+
+class Release(Table):
+    """``[release]``: how the vehicle is let go; each component of its rate lies within +- ``rate_rad_s``."""
+
+    rate_rad_s: NonNegative
+
+
+class Payload(Table):
+    """``[payload]``: a solid box, its centre of mass and its turn in the frame of the grasp."""
+
+    mass_kg: PositiveFloat
+    size_mm: Vector
+    centre_of_mass_mm: Vector
+    roll_pitch_yaw_deg: Vector
+
+
+class Capture(Table):
+    """``[capture]``: the payload is caught at some time between two; by sigma, how it then moves past the gripper."""
+
+    earliest_s: PositiveFloat
+    latest_s: PositiveFloat
+    velocity_sigma_m_s: NonNegative
+    rate_sigma_rad_s: NonNegative
+
+
+class Site(Table):
+    """``[site.NAME]``: an IMU's place and axes in the base."""
+
+    position_mm: Vector
+    roll_pitch_yaw_deg: Vector
+
+
+class Hold(Table):
+    """``[[sequence]]`` action ``hold``: the arm keeps its posture."""
+
+    phase: Annotated[int, Field(ge=0, le=255)]
+    action: Literal["hold"]
+    duration_s: PositiveFloat
+
+
+class Swing(Table):
+    """``[[sequence]]`` action ``swing``: every joint swings about the posture, by tones drawn per seed.
+
+    Amplitudes come to ``swing_deg`` rms at most some; the motion grows from rest and dies down within ``ramp_s``.
+    """
+
+    phase: Annotated[int, Field(ge=0, le=255)]
+    action: Literal["swing"]
+    duration_s: PositiveFloat
+    ramp_s: PositiveFloat
+    swing_deg: PositiveFloat
+    tones: PositiveInt
+    band_Hz: tuple[PositiveFloat, PositiveFloat]
+
+    @model_validator(mode="after")
+    def _ramps_fit(self) -> "Swing":
+        if 2.0 * self.ramp_s > self.duration_s:
+            raise ValueError("duration_s must hold two ramps of ramp_s")
+        return self
+
+
+Action = Annotated[Hold | Swing, Field(discriminator="action")]
+
+
+class Arm(Table):
+    """``[arm]``: the posture about which it moves, and by how much that differs from flight to flight."""
+
+    posture_deg: Angles
+    posture_spread_deg: NonNegative
+
+
+class FreeFlyerScenario(Scenario):
+    """A whole mission of the free-flyer. Without ``capture`` the payload is held from the start."""
+
+    physics: Physics
+    as_built: AsBuilt
+    release: Release
+    arm: Arm
+    payload: Payload
+    capture: Capture | None = None
+    site: dict[str, Site]
+    sequence: Annotated[tuple[Action, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _capture_is_sound(self) -> "FreeFlyerScenario":
+        if self.capture is not None:
+            end_s = sum(step.duration_s for step in self.sequence)
+            if not self.capture.earliest_s <= self.capture.latest_s < end_s:
+                raise ValueError(
+                    f"capture must lie between earliest_s and latest_s, and both before the end, {end_s} s"
+                )
+        return self

@@ -1,0 +1,95 @@
+"""A mission as data: the TOML of ``scenarios/`` read into frozen objects, every unit in its key, unknown keys refused.
+
+``scenario_tables`` has what all scenarios have, ``rocket_tables`` and ``free_flyer_tables`` what moves in them; with
+``sensor_tables`` and ``device_tables`` they are the schema. The numbers and where they come from stand in the TOML
+file, beside each other. A scenario may be ``based_on`` another: its tables lie over those of the other, but the wiring
+(``bus``, ``device``, ``clock``) is its own or all the other's, never a mixture.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
+from hil_sim.scenario.rocket_tables import RocketScenario
+from hil_sim.scenario.tables import Scenario, ScenarioError
+
+__all__ = ["Scenario", "ScenarioError", "load", "names", "parse"]
+
+_WIRING = {"bus", "device", "clock"}
+
+
+def names() -> tuple[str, ...]:
+    """Names of the packaged scenarios, sorted."""
+    folder = resources.files("hil_sim.scenario") / "packaged"
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Read a packaged scenario by name, or any TOML file by path (it ends in ``.toml``).
+
+    Args:
+        name_or_path: ``"rocksat"``, or a path.
+        overrides: nested tables laid over the file's, e.g. ``{"body": {"tip_mass": {"as_built_factor": 0.9}}}``.
+
+    Raises:
+        ScenarioError: no such scenario, not TOML, or a key that is unknown, missing, or out of range.
+    """
+    label, table = _read(name_or_path)
+    return parse(_merged(table, overrides or {}), label)
+
+
+def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, dict[str, Any]]:
+    """What to call a file, and its tables over those of the one that it is based on."""
+    if str(name_or_path).endswith(".toml"):
+        label = str(name_or_path)
+        source: Traversable = Path(name_or_path)
+    else:
+        label = f"packaged scenario {name_or_path}"
+        source = resources.files("hil_sim.scenario") / "packaged" / f"{name_or_path}.toml"
+    try:
+        table = tomllib.loads(source.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ScenarioError(f"{label} does not exist; packaged scenarios are {', '.join(names())}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{label} is not TOML: {error}; correct the file") from error
+    base = table.get("scenario", {}).get("based_on")
+    if base is None:
+        return label, table
+    if label in above:
+        raise ScenarioError(f"{label} is based on itself; take a based_on out")
+    _, below = _read(str(base), (*above, label))
+    return label, _merged({key: value for key, value in below.items() if key not in _WIRING & table.keys()}, table)
+
+
+def parse(table: Mapping[str, Any], label: str = "scenario") -> Scenario:
+    """Check a table against the schema.
+
+    Raises:
+        ScenarioError: naming each wrong key by its dotted path.
+    """
+    try:
+        return _schema(table).model_validate(table)
+    except ValidationError as error:
+        problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors())
+        raise ScenarioError(f"{label} cannot be used: {problems}. Correct these keys") from error
+
+
+def _schema(table: Mapping[str, Any]) -> type[Scenario]:
+    """The tables of the plant that the header names; the header's own schema says what is wrong with another name."""
+    header = table.get("scenario")
+    plant = header.get("plant") if isinstance(header, Mapping) else None
+    return FreeFlyerScenario if plant == "free_flyer" else RocketScenario
+
+
+def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(table)
+    for key, value in overrides.items():
+        below = merged.get(key)
+        merged[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+    return merged

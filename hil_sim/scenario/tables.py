@@ -1,0 +1,40 @@
+"""Tables that every scenario has, whatever bodies it moves: its header, its sensors, clocks, buses, devices, faults."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from hil_sim.scenario import wiring
+from hil_sim.scenario.device_tables import BusTable, DeviceTable
+from hil_sim.scenario.sensor_tables import Clock, Sensor, Table
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; the message names the file and the key, and says what to do."""
+
+
+class Header(Table):
+    """``[scenario]``. ``based_on``: the packaged scenario over which this one's tables lie. ``plant``: what moves."""
+
+    name: str
+    description: str
+    based_on: str | None = None
+    plant: Literal["rocket_arm", "free_flyer"] = "rocket_arm"
+
+
+class Scenario(Table):
+    """A whole mission but for its bodies. ``fault`` tables are passed on to ``hil_sim.faults`` as they are."""
+
+    scenario: Header
+    sensor: dict[str, Sensor]
+    clock: dict[str, Clock]
+    bus: dict[str, BusTable]
+    device: Annotated[dict[str, DeviceTable], Field(min_length=1)]
+    fault: tuple[dict[str, Any], ...] = ()
+
+    @model_validator(mode="after")
+    def _wiring_is_sound(self) -> "Scenario":
+        wrong = list(wiring.problems(self.bus, self.device, self.sensor, self.clock))
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self

@@ -1,0 +1,49 @@
+"""What the arm controller knows of itself: the torque of its servo, and the phase of its sequence."""
+
+import bisect
+from typing import Any
+
+import numpy as np
+
+from hil_sim.plants.world import Plant
+from hil_sim.scenario.sensor_tables import MotorTorque
+from hil_sim.sensing.sensors import interpolate_one
+
+
+class MotorTorqueSensor:
+    """The servo's torque by its motor current: gain and offset of the current measurement, and its noise."""
+
+    def __init__(self, plant: Plant, table: MotorTorque, rng: np.random.Generator, at: str = "") -> None:
+        self._plant = plant
+        self._torque_n_m = plant.servo_torque_n_m(at)
+        self.gain = 1.0 + table.scale_sigma * rng.standard_normal()
+        self.offset_Nm = table.offset_sigma_Nm * rng.standard_normal()
+        self._noise = table.noise_rms_Nm * rng.standard_normal(plant.rows)
+
+    def value(self, time_s: float) -> float:
+        """Torque at ``time_s`` [N m], about the joint."""
+        self._plant.require(time_s)
+        position = time_s / self._plant.step_s
+        torque = interpolate_one(self._torque_n_m, position)
+        noise = float(self._noise[min(max(round(position), 0), self._plant.rows - 1)])
+        return float(self.gain * torque + self.offset_Nm + noise)
+
+    def truth(self) -> dict[str, Any]:
+        """The errors drawn."""
+        return {"gain": self.gain, "offset_Nm": self.offset_Nm}
+
+
+class PhaseSensor:
+    """The code of the phase; it has no errors."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.changes = plant.program.phase_changes
+        self._times_s = [time_s for time_s, _ in self.changes]
+
+    def value(self, time_s: float) -> float:
+        """Code at ``time_s``."""
+        return float(self.changes[max(bisect.bisect_right(self._times_s, time_s) - 1, 0)][1])
+
+    def truth(self) -> dict[str, Any]:
+        """Nothing is drawn."""
+        return {}

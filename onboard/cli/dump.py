@@ -1,0 +1,68 @@
+"""``heft dump`` writes logs as tables for other programs."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from onboard.cli.common import Commands, progress, warn, worst
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    dump = commands.add_parser("dump", help="logs as tables for other programs: csv, parquet, npz, mat")
+    dump.add_argument(
+        "logs", type=Path, nargs="+", metavar="LOG", help="with several, each gets a directory of its own"
+    )
+    dump.add_argument(
+        "--to",
+        nargs=2,
+        metavar=("FORMAT", "DIR"),
+        required=True,
+        help="csv, parquet, npz or mat; DIR gets one file a channel; csv - writes one channel to stdout",
+    )
+    dump.add_argument("--channel", action="append", help="only this channel (may be repeated)")
+    dump.add_argument("--from", dest="start", type=float, metavar="S", help="from S seconds after the first record")
+    dump.add_argument("--until", type=float, metavar="S", help="up to S seconds after the first record")
+    dump.add_argument("--phase", action="append", default=[], help="only this phase: its code, or 'sweep 1'")
+    kinds = dump.add_mutually_exclusive_group()
+    kinds.add_argument("--raw", dest="values", action="store_const", const="raw", help="counts as recorded, no SI")
+    kinds.add_argument("--si", dest="values", action="store_const", const="si", help="SI, without counts and scales")
+    kinds.add_argument(
+        "--aligned", type=float, metavar="HZ", help="every signal at the same instants of vehicle time, in one table"
+    )
+    dump.set_defaults(command=_dump, values="both")
+
+
+def _dump(arguments: argparse.Namespace) -> int:
+    from onboard.offline.export import opener
+    from onboard.offline.export.dump import DumpResult, dump
+    from onboard.offline.tables.selection import Selection
+    from onboard.recording.reader import LogReader
+    from onboard.recording.segments import flights
+
+    kind, target = arguments.to
+    opener(kind)  # an unknown format is told before a log is missed
+    channels = tuple(arguments.channel) if arguments.channel else None
+    selection = Selection(channels, arguments.start, arguments.until, tuple(arguments.phase))
+    groups = flights(arguments.logs)
+    piped = target == "-"
+    if piped and len(groups) > 1:
+        raise ValueError(f"{len(groups)} logs into one pipe: dump them one by one")
+    codes: list[int] = []
+    with progress(to_stderr=piped) as bar:
+        for group in groups:
+            log = LogReader(group[0] if len(group) == 1 else group)
+            name = group[0].stem
+            where = sys.stdout.buffer if piped else Path(target) / name if len(groups) > 1 else Path(target)
+            result: DumpResult
+            if arguments.aligned is None:
+                result = dump(log, where, selection, kind=kind, values=arguments.values, progress=bar)
+            else:
+                from onboard.offline.export.aligned import dump_aligned
+
+                result = dump_aligned(log, where, arguments.aligned, selection, kind=kind, progress=bar)
+            for path in result.files:
+                print(path)
+            warn(result.damage)
+            codes.append(result.exit_code)
+    return worst(codes)

@@ -1,0 +1,57 @@
+"""``heft fly`` flies a vehicle on real buses and the real clock."""
+
+import argparse
+from pathlib import Path
+
+from onboard.cli.common import (
+    FAILED,
+    OK,
+    Commands,
+    add_live,
+    bus_and_url,
+    complain,
+    next_log,
+    serve_live,
+)
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    fly = commands.add_parser("fly", help="fly a vehicle: acquire, record, estimate")
+    fly.add_argument("vehicle", type=Path, help="vehicle.toml")
+    fly.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
+    fly.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    fly.add_argument(
+        "--continue",
+        dest="earlier",
+        type=Path,
+        metavar="LOG",
+        help="go on from what the flight of LOG said last: the same payload is held still",
+    )
+    fly.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
+    add_live(fly)
+    fly.set_defaults(command=_fly)
+
+
+def _fly(arguments: argparse.Namespace) -> int:
+    from onboard import config
+    from onboard.flight import runner
+    from onboard.offline.estimate_again import warm_start
+    from onboard.recording.reader import LogReader
+
+    urls = dict(bus_and_url(text) for text in arguments.url)
+    vehicle = config.load(arguments.vehicle)
+    if arguments.earlier:
+        vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))
+    vehicle = vehicle.with_urls(urls)
+    log = arguments.log or next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
+    try:
+        with serve_live(arguments.live, log):
+            flight = runner.fly(vehicle, log, duration_s=arguments.duration)
+    except runner.FlightError as error:
+        complain(error)
+        return FAILED
+    print(flight.log)
+    for name in flight.died:
+        complain(f"the {name} worker died; its message stands above, and an event in the log")
+    return FAILED if flight.died else OK

@@ -1,0 +1,74 @@
+"""``heft identify`` identifies from logs with the estimator that flies."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from onboard.cli.common import DAMAGED, FAILED, OK, Commands, console, load_vehicle, progress, warn
+
+if TYPE_CHECKING:
+    from onboard import config
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    identify = commands.add_parser("identify", help="identify from logs, with the estimator that flies")
+    identify.add_argument("logs", type=Path, nargs="*", metavar="LOG")
+    identify.add_argument("--vehicle", required=True, help="vehicle.toml, or the name of a packaged vehicle")
+    identify.add_argument(
+        "--parameters", action="store_true", help="show the base parameters of the vehicle, written with its lengths"
+    )
+    identify.add_argument(
+        "--method",
+        choices=("rows", "instrumental", "exiddm"),
+        help="by rows, with instruments, or by maximum likelihood (default: the vehicle file's)",
+    )
+    identify.add_argument(
+        "--from", dest="earlier", type=Path, metavar="LOG", help="go on from what the flight of LOG said last"
+    )
+    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies that one log shows")
+    identify.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
+    identify.set_defaults(command=_identify)
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    from onboard.offline.estimate_again import identify, identify_view
+    from onboard.offline.estimate_again import warm_start as carrying
+    from onboard.recording.reader import LogReader
+
+    vehicle = load_vehicle(arguments.vehicle)
+    if arguments.method:
+        vehicle = identify.by_method(vehicle, arguments.method)
+    if arguments.earlier:
+        vehicle = carrying.go_on(vehicle, LogReader(arguments.earlier))
+    if arguments.parameters:
+        return _parameters(vehicle, arguments)
+    if not arguments.logs:
+        raise ValueError("no log to identify from; name one, or ask for --parameters")
+    if arguments.urdf and len(arguments.logs) > 1:
+        raise ValueError("a URDF holds what one log says; give --urdf with one log")
+    with progress() as bar:
+        task = bar.add_task("identify", total=len(arguments.logs))
+        found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
+    console().print(identify_view.render(found))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    warn(found.damage)
+    if arguments.urdf and found.usable:
+        arguments.urdf.write_text(identify.urdf(vehicle, found.logs[0]), encoding="utf-8")
+    if not found.usable:
+        return FAILED
+    return DAMAGED if found.damage else OK
+
+
+def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
+    from onboard.offline.estimate_again import parameters
+
+    if arguments.logs:
+        raise ValueError("--parameters are those of the vehicle, whatever flew; leave the logs out")
+    found = parameters.parameters(vehicle)
+    console().print(parameters.render(found))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    return OK

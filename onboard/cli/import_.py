@@ -1,0 +1,25 @@
+"""``heft import`` brings recordings from elsewhere into logs."""
+
+import argparse
+from pathlib import Path
+
+from onboard.cli.common import OK, Commands, progress
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    importer = commands.add_parser("import", help="bring recordings from elsewhere into logs")
+    importer.add_argument("mapping", help="mapping TOML, or the name of a packaged one: tudelft")
+    importer.add_argument("source", type=Path, help="a recording, or a directory of them")
+    importer.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    importer.set_defaults(command=_import)
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    from onboard.offline.bring_in.importer import import_recordings
+
+    with progress() as bar:
+        imported = import_recordings(arguments.mapping, arguments.source, arguments.output, progress=bar)
+    for one in imported:
+        print(f"{one.path}  {one.rows} rows")
+    return OK

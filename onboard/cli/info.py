@@ -1,0 +1,39 @@
+"""``heft info`` shows what a log holds on one screen."""
+
+import argparse
+import json
+from pathlib import Path
+
+from onboard.cli.common import Commands, console
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    info = commands.add_parser("info", help="what a log holds, on one screen")
+    info.add_argument("log", type=Path)
+    info.add_argument("--json", type=Path, metavar="FILE", help="write it as JSON too; - writes nothing else to stdout")
+    info.add_argument("--clocks", type=Path, metavar="PNG", help="plot each clock's residuals, rate and state")
+    info.set_defaults(command=_info)
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from onboard.offline.views import info, summary
+    from onboard.recording.reader import LogReader
+
+    log = LogReader(arguments.log)
+    about = info.info(log)
+    said = summary.summary(log)
+    if arguments.json:
+        text = json.dumps({**about.as_json(), **said.as_json()}, indent=1, allow_nan=False) + "\n"
+        if str(arguments.json) == "-":
+            print(text, end="")
+        else:
+            arguments.json.write_text(text, encoding="utf-8")
+    if str(arguments.json) != "-":
+        console().print(info.render(about))
+        console().print(summary.render(said))
+    if arguments.clocks:
+        from onboard.offline.report import clock_plot
+
+        clock_plot(said.clocks, about.start_ns, about.duration_s, arguments.clocks)
+    return about.exit_code

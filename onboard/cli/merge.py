@@ -1,0 +1,56 @@
+"""``heft merge`` joins the logs of several recorders of one flight."""
+
+import argparse
+from pathlib import Path
+
+from onboard.cli.common import DAMAGED, OK, Commands, progress, warn
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    merge = commands.add_parser("merge", help="the logs of several recorders of one flight as one")
+    merge.add_argument("logs", type=Path, nargs="+", metavar="LOG")
+    merge.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
+    merge.add_argument(
+        "--rename", action="store_true", help="give channels that several logs have the name of their log in front"
+    )
+    merge.add_argument(
+        "--align",
+        action="append",
+        default=[],
+        metavar="LOG=S[,RATE]",
+        help="put LOG on the first log's clock: its time x RATE + S seconds (as heft resync says)",
+    )
+    merge.set_defaults(command=_merge)
+
+
+def _merge(arguments: argparse.Namespace) -> int:
+    from onboard.offline.rescue.merge import Part, merge
+    from onboard.recording.segments import flights
+
+    clocks = dict(_clock(text) for text in arguments.align)
+    groups = flights(arguments.logs)
+    names = [group[0].stem for group in groups]
+    if unknown := sorted(set(clocks) - set(names)):
+        raise ValueError(f"--align {unknown[0]}: the logs are {', '.join(names)}")
+    parts = [Part(group, *clocks.get(name, (0, 1.0))) for group, name in zip(groups, names, strict=True)]
+    with progress() as bar:
+        made = merge(parts, arguments.output, rename=arguments.rename, progress=bar)
+    for name, rows in made.rows.items():
+        print(f"{name}: {rows} rows")
+    print(arguments.output)
+    warn(made.warnings)
+    warn(made.damage)
+    return DAMAGED if made.damage else OK
+
+
+def _clock(text: str) -> tuple[str, tuple[int, float]]:
+    name, _, numbers = text.rpartition("=")
+    shift, _, rate = numbers.partition(",")
+    try:
+        clock = round(float(shift) * 1e9), float(rate or 1.0)
+    except ValueError:
+        name = ""
+    if not name:
+        raise ValueError(f"--align {text}: write LOG=SECONDS or LOG=SECONDS,RATE, e.g. imu=-1.25,1.00002")
+    return Path(name).stem, clock

@@ -1,0 +1,31 @@
+"""``heft preflight`` checks that every device of a vehicle is there and as its file says."""
+
+import argparse
+import time
+
+from onboard.cli.common import (
+    NOT_READY,
+    OK,
+    Commands,
+    bus_and_url,
+    console,
+    load_vehicle,
+)
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    preflight = commands.add_parser("preflight", help="is every device of a vehicle there and as its file says?")
+    preflight.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
+    preflight.add_argument("--seconds", type=float, metavar="S", help="run the devices for so long")
+    preflight.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
+    preflight.set_defaults(command=_preflight)
+
+
+def _preflight(arguments: argparse.Namespace) -> int:
+    from onboard.flight import preflight, workers
+
+    vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
+    found = preflight.preflight(vehicle, time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds)
+    console().print(preflight.render(found))
+    return OK if found.ready else NOT_READY

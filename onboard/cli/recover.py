@@ -1,0 +1,39 @@
+"""``heft recover`` writes what can be read of a damaged log as a whole one."""
+
+import argparse
+from pathlib import Path
+
+from onboard.cli.common import DAMAGED, FAILED, OK, Commands, complain, progress
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    recover = commands.add_parser("recover", help="what can be read of a damaged log, as a whole one, and what is lost")
+    recover.add_argument("log", type=Path, nargs="+", help="a log, a flight directory, or all segments of one flight")
+    recover.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
+    recover.set_defaults(command=_recover)
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    from onboard.recording.recover import recover
+    from onboard.recording.segments import flights
+
+    groups = flights(arguments.log)
+    if len(groups) > 1:
+        names = ", ".join(group[0].name for group in groups)
+        raise ValueError(f"{names} are logs of different flights: recover them one by one, then merge them")
+    with progress() as bar:
+        task = bar.add_task("recover", total=None)
+        found = recover(groups[0], arguments.output, lambda done, size: bar.update(task, completed=done, total=size))
+    for one in found.damage:
+        print(f"damage: {one}")
+    for gap in found.gaps:
+        print(f"gap: {gap}")
+    if found.exit_code == FAILED:
+        complain(found.problem or "nothing of the log can be read")
+        return FAILED
+    for name, rows in found.rows.items():
+        print(f"{name}: {rows} rows")
+    print({OK: "lossless: all that was recorded is there", DAMAGED: "some of it is lost: see above"}[found.exit_code])
+    print(arguments.output)
+    return found.exit_code

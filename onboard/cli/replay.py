@@ -1,0 +1,52 @@
+"""``heft replay`` estimates again from a log and compares with what was said in flight."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from onboard.cli.common import DAMAGED, FAILED, OK, Commands, console, warn
+
+if TYPE_CHECKING:
+    pass
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    replay = commands.add_parser("replay", help="estimate again from a log and compare bit for bit")
+    replay.add_argument("log", type=Path)
+    replay.add_argument(
+        "--with",
+        dest="settings",
+        type=Path,
+        metavar="TOML",
+        help="estimate with these settings put over the log's own, and show what differs",
+    )
+    replay.add_argument("--json", type=Path, metavar="FILE", help="with --with: write the result as JSON too")
+    replay.set_defaults(command=_replay)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    if arguments.settings is not None:
+        return _reestimate(arguments)
+    from onboard.offline.estimate_again.replay import replay
+
+    result = replay(arguments.log)
+    print(result.summary)
+    warn(result.damage)
+    if not result.identical:
+        return FAILED
+    return DAMAGED if result.damage else OK
+
+
+def _reestimate(arguments: argparse.Namespace) -> int:
+    from onboard.offline.estimate_again.reestimate import reestimate, render
+
+    found = reestimate(arguments.log, arguments.settings)
+    console().print(render(found))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    warn(found.damage)
+    if not any(row["supported"] for row in found.now.answers.values()):
+        return FAILED
+    return DAMAGED if found.damage else OK

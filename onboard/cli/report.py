@@ -1,0 +1,25 @@
+"""``heft report`` writes a flight as one self-contained HTML page."""
+
+import argparse
+from pathlib import Path
+
+from onboard.cli.common import DAMAGED, OK, Commands, progress, warn
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    report = commands.add_parser("report", help="a flight as one self-contained HTML page")
+    report.add_argument("log", type=Path)
+    report.add_argument("-o", "--output", type=Path, metavar="FILE", help="page to write (default: LOG.html)")
+    report.set_defaults(command=_report)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from onboard.offline.report import report
+
+    output = arguments.output or arguments.log.with_suffix(".html")
+    with progress() as bar:
+        damage = report(arguments.log, output, bar)
+    print(output)
+    warn(damage)
+    return DAMAGED if damage else OK

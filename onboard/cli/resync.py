@@ -1,0 +1,50 @@
+"""``heft resync`` finds the clocks of several recorders from the motion."""
+
+import argparse
+from pathlib import Path
+
+from onboard.cli.common import FAILED, OK, Commands, complain, console, load_vehicle
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    resync = commands.add_parser("resync", help="find how the clocks of several recorders' logs lie, from the motion")
+    resync.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="logs of one flight; one with an IMU")
+    resync.add_argument("--vehicle", metavar="VEHICLE", help="file or name: which channel is what, and the model")
+    resync.add_argument(
+        "--peak-hz", type=float, default=1.0, help="where the motion is liveliest (1); the model needs none"
+    )
+    resync.add_argument("--rate-limit", type=float, default=0.02, help="largest error of a clock's rate (0.02)")
+    resync.add_argument("--shocks", action="store_true", help="compare taps of a mallet instead; good to milliseconds")
+    resync.add_argument("-o", "--output", type=Path, metavar="FILE", help="merge the logs into FILE as well")
+    resync.add_argument("--json", action="store_true", help="machine-readable")
+    resync.set_defaults(command=_resync)
+
+
+def _resync(arguments: argparse.Namespace) -> int:
+    import json
+
+    from onboard.offline.rescue.merge import Part, merge
+    from onboard.offline.rescue.resync import render, resync
+    from onboard.recording.reader import LogReader
+    from onboard.recording.segments import flights
+    from onboard.timebase.resync import ResyncError
+
+    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
+    groups = flights(arguments.logs)
+    try:
+        logs = [LogReader(group) for group in groups]
+        placed = resync(logs, vehicle, arguments.peak_hz, arguments.rate_limit, arguments.shocks)
+    except ResyncError as error:
+        complain(error)
+        return FAILED
+    if arguments.json:
+        print(json.dumps([one.as_json() for one in placed], default=str))
+    else:
+        console().print(render(placed))
+    if arguments.output:
+        clocks = {one.log: (round(one.shift_s * 1e9), 1.0 + one.rate) for one in placed}
+        parts = [Part(group, *clocks.get(group[0], (0, 1.0))) for group in groups]
+        merge(sorted(parts, key=lambda part: part.segments[0] in clocks), arguments.output)
+        print(arguments.output)
+    return OK

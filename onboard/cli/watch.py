@@ -1,0 +1,116 @@
+"""``heft watch``: what paces the board. Nothing here can disturb a flight: rings are only read."""
+
+import argparse
+import contextlib
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from onboard.cli.common import DAMAGED, OK, Commands, console, warn
+
+if TYPE_CHECKING:
+    from onboard.offline.views.watch import Board
+    from onboard.ring import RingReader
+
+_FRAME_S = 0.2
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    watch = commands.add_parser(
+        "watch", help="rates, gaps, clocks, gates, the estimate: a running flight, or a log played"
+    )
+    watch.add_argument("log", type=Path, nargs="?", help="log to play")
+    watch.add_argument("--live", action="store_true", help="the flight that is running on this machine")
+    watch.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="play X times as fast (0: as fast as it goes)"
+    )
+    watch.set_defaults(command=_watch)
+
+
+def _watch(arguments: argparse.Namespace) -> int:
+    if arguments.live == (arguments.log is not None):
+        raise ValueError("watch what? Give a log to play, or --live for the flight that is running")
+    if arguments.speed < 0:
+        raise ValueError(f"--speed {arguments.speed:g}: give 0 or more")
+    return _live() if arguments.live else _play(arguments.log, arguments.speed)
+
+
+@contextlib.contextmanager
+def _screen(board: "Board") -> Iterator[Any]:
+    """The board on the terminal until the end, and its last state left there; without a terminal only that."""
+    from rich.live import Live
+
+    shown = console()
+    if not shown.is_terminal:
+        yield lambda: None
+        shown.print(board.render())
+        return
+    view = Live(board.render(), console=shown, screen=True, auto_refresh=False)
+    with view, contextlib.suppress(KeyboardInterrupt):
+        yield lambda: view.update(board.render(), refresh=True)
+    shown.print(board.render())
+
+
+def _play(path: Path, speed: float) -> int:
+    from onboard.offline.views.watch import Board
+    from onboard.recording.reader import LogReader
+
+    log = LogReader(path)
+    board = Board(path.name)
+    with _screen(board) as show:
+        started, shown, first_ns = time.monotonic(), 0.0, None
+        for batch in log.batches():
+            first_ns = int(batch.rows["host_ns"][0]) if first_ns is None else first_ns
+            if speed:
+                due = started + (int(batch.rows["host_ns"][0]) - first_ns) * 1e-9 / speed
+                while (wait := due - time.monotonic()) > 0:
+                    show()
+                    time.sleep(min(wait, _FRAME_S))
+            board.add(batch)
+            if time.monotonic() - shown > _FRAME_S:
+                shown = time.monotonic()
+                show()
+        show()
+    warn(log.damage)
+    return DAMAGED if log.damage else OK
+
+
+def _live() -> int:
+    from onboard.flight import manifest
+    from onboard.offline.views.watch import Board
+
+    flights = manifest.running()
+    if not flights:
+        raise ValueError("no flight of yours is running on this machine; heft watch LOG plays one that is over")
+    flight = flights[-1]
+    board = Board(f"{flight.vehicle}  {flight.log}")
+    rings: dict[Path, RingReader] = {}
+    with _screen(board) as show:
+        while True:
+            look(board, flight.directory, rings)
+            show()
+            if not flight.directory.exists():
+                break
+            time.sleep(_FRAME_S)
+    return OK
+
+
+def look(board: "Board", directory: Path, rings: "dict[Path, RingReader]") -> None:
+    """Take what the rings hold since the last look; rings of a restarted flight turn up as they come."""
+    from drivers.records import Batch
+    from onboard.ring import RingReader
+
+    for path in sorted(directory.glob("*.ring")):
+        if path not in rings:
+            try:
+                rings[path] = RingReader(path)
+            except (OSError, ValueError):
+                continue  # just being made: next time
+            # not from the very oldest row, which is written over while we look
+            rings[path].position = max(0, rings[path].published - rings[path].capacity * 9 // 10)
+    for reader in rings.values():
+        rows, lost = reader.read()
+        board.lost += lost
+        board.add(Batch(reader.name, rows))

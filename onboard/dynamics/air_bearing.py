@@ -1,0 +1,235 @@
+"""The motion of a base on an air bearing predicted from parameters, joints, drag and the velocity at the start.
+
+Three of the base's six accelerations are free, ``a = (f_x, f_y, dw)`` in base axes, f the specific force along the
+table:
+
+    M(q) a + h(q, dq, ddq, w) = d(v, w)
+
+M and h are linear in the standard parameters, h is quadratic in the yaw rate w; d is the pucks' drag. Velocity is not
+measured by anything: it is a state, and starts as a parameter. Along the table ``dv/dt = f + g_t - w x v``, with
+gravity's share g_t of a table that is not level. A puck at p slips with ``u = v + w x p`` and pulls with
+``-(Fv + Fc / |u|) u``, |u| rounded where it is small.
+"""
+
+from math import cos, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from onboard.dynamics.free_flight import BasePrediction
+from onboard.dynamics.kinematics import link_motions, wrench_columns
+from onboard.dynamics.ticks import FlightSignals
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray
+
+ROUNDING_m_s = 2e-3  # slip within which Coulomb's drag grows: no puck turns round at once
+_FASTEST = 1e3  # m/s, rad/s, rad; no vehicle of any parameters worth a look goes beyond
+PLANAR = [0, 1, 5]  # of force and moment, and of twist
+
+
+class PlanarColumns(NamedTuple):
+    """Wrench as columns of the vehicle's parameters, times f_x, f_y, dw, 1, w, w^2; at ticks and half-way between."""
+
+    T: FloatArray  # (2n - 1, 3, 6, P)
+    period_s: float  # between ticks
+    gravity_m_s2: float
+
+
+class PlanarDrag(NamedTuple):
+    """Of each puck."""
+
+    place: FloatArray  # (k, 2) base axes, m
+    viscous: FloatArray  # (k,) Fv, N s/m
+    coulomb: FloatArray  # (k,) Fc, N
+
+
+class PlanarPrediction(NamedTuple):
+    """Motion at every tick and its derivative: start, chi wanted, Fv and Fc of each puck, tilt."""
+
+    base: BasePrediction
+    velocity: FloatArray  # (n, 4) x, y, m/s, yaw rate, rad/s, yaw since the start, rad
+
+
+def planar_columns(vehicle: VehicleModel, signals: FlightSignals) -> PlanarColumns:
+    """The columns of a run's joint motion; a spline gives the joints half-way between ticks.
+
+    Raises:
+        SignalError: joint signals of another vehicle.
+    """
+    n = len(signals.q)
+    ticks, both = np.arange(n), 0.5 * np.arange(2 * n - 1)
+    q, dq, ddq = (np.asarray(CubicSpline(ticks, x)(both), np.float64) for x in (signals.q, signals.dq, signals.ddq))
+    zero = np.zeros((len(both), 3))
+    x, y, z = (zero + unit for unit in np.eye(3))
+    T = np.empty((len(both), 3, 6, vehicle.chi.size))
+    for index, link in enumerate(link_motions(vehicle, q, dq, ddq)):
+        at_rest = wrench_columns(link, zero, zero, zero)
+        one, other = wrench_columns(link, z, zero, zero), wrench_columns(link, -z, zero, zero)
+        parts = [wrench_columns(link, zero, *a) - at_rest for a in ((x, zero), (y, zero), (zero, z))]
+        parts += [at_rest, 0.5 * (one - other), 0.5 * (one + other) - at_rest]
+        T[..., 10 * index : 10 * index + 10] = np.stack([part[:, PLANAR] for part in parts], axis=2)
+    return PlanarColumns(T, signals.period_s, -vehicle.spec.gravity_m_s2[2])
+
+
+def predict_planar(
+    columns: PlanarColumns,
+    start: FloatArray,
+    chi: FloatArray,
+    drag: PlanarDrag,
+    tilt: FloatArray,
+    wanted: NDArray[np.intp],
+) -> PlanarPrediction:
+    """Predicts the base's motion.
+
+    Args:
+        columns: of the run.
+        start: velocity at the first tick: x, y, m/s, and yaw rate, rad/s; base axes, (3,).
+        chi: standard parameters of all links, (P,).
+        drag: of the pucks.
+        tilt: gravity along the table, m/s^2, along the base's axes at the first tick, (2,).
+        wanted: columns of chi in the derivative, (c,).
+    """
+    G = columns.T @ chi  # (m, 3, 6)
+    inverse = np.asarray(np.linalg.inv(G[:, :, :3]), np.float64)
+    k = -(inverse @ G[:, :, 3:])  # (m, 3, 3) what a is without drag, of 1, w, w^2
+    states = _integrate(inverse, k, start, drag, tilt, columns.period_s)
+    at_ticks = _accelerations(states, inverse[::2], k[::2], drag)[0]
+    state = _with_midpoints(states, _rates(states, at_ticks, tilt), columns.period_s)  # (m, 4)
+    a, A, pull = _accelerations(state, inverse, k, drag)
+    m, P, pucks = len(state), wanted.size, len(drag.viscous)
+    w, yaw = state[:, 2], state[:, 3]
+    basis = np.column_stack([a, np.ones(m), w, w * w])
+    D = np.zeros((m, 3, 3 + P + 2 * pucks + 2))
+    D[:, :, 3 : 3 + P] = -(inverse @ np.einsum("mijp,mj->mip", columns.T[..., wanted], basis))
+    D[:, :, 3 + P : -2] = inverse @ pull
+    F, B = _slopes(state, A, D, yaw, tilt)
+    S = _sensitivities(F, B, columns.period_s)
+    D[::2] += A[::2] @ S
+    n = len(states)
+    zero, own = np.zeros((n, 3)), np.zeros((n, 3, D.shape[2]))
+    rate, spin, force = zero.copy(), zero.copy(), zero.copy()
+    force[:, 2] = columns.gravity_m_s2
+    d_rate, d_spin, d_force = own.copy(), own.copy(), own.copy()
+    rate[:, 2], spin[:, 2], force[:, :2] = states[:, 2], a[::2, 2], a[::2, :2]
+    d_rate[:, 2], d_spin[:, 2], d_force[:, :2] = S[:, 2], D[::2, 2], D[::2, :2]
+    base = BasePrediction(rate, spin, force, d_rate, d_spin, d_force, zero, own)
+    return PlanarPrediction(base, states)
+
+
+def _accelerations(
+    state: FloatArray, inverse: FloatArray, k: FloatArray, drag: PlanarDrag
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """``a`` (m, 3), its slope in the state (m, 3, 4), drag per Fv and Fc of each puck (m, 3, 2k)."""
+    v, w = state[:, :2], state[:, 2]
+    m, pucks = len(state), len(drag.viscous)
+    force, slope, pull = np.zeros((m, 3)), np.zeros((m, 3, 4)), np.zeros((m, 3, 2 * pucks))
+    for index, ((px, py), viscous, coulomb) in enumerate(zip(*drag, strict=True)):
+        J = np.array([[1.0, 0.0, -py], [0.0, 1.0, px]])
+        u = v + w[:, None] * J[:, 2]
+        size = np.sqrt((u * u).sum(axis=1) + ROUNDING_m_s**2)[:, None]
+        pull[:, :, 2 * index], pull[:, :, 2 * index + 1] = -u @ J, -(u / size) @ J
+        force += pull[:, :, 2 * index] * viscous + pull[:, :, 2 * index + 1] * coulomb
+        stiff = -(viscous + coulomb / size)[:, :, None] * np.eye(2)
+        stiff += (coulomb / size**3)[:, :, None] * u[:, :, None] * u[:, None, :]
+        slope[:, :, :3] += J.T @ stiff @ J
+    powers = np.column_stack([np.ones(m), w, w * w])
+    a = np.einsum("mij,mj->mi", inverse, force) + np.einsum("mij,mj->mi", k, powers)
+    slope = inverse @ slope
+    slope[:, :, 2] += k[:, :, 1] + 2.0 * k[:, :, 2] * w[:, None]
+    return a, slope, pull
+
+
+def _slopes(
+    state: FloatArray, A: FloatArray, D: FloatArray, yaw: FloatArray, tilt: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Of ``d state / dt`` in the state, (m, 4, 4), and in the parameters, (m, 4, p)."""
+    m, (vx, vy, w) = len(state), state[:, :3].T
+    c, s = np.cos(yaw), np.sin(yaw)
+    F = np.zeros((m, 4, 4))
+    F[:, :3] = A
+    F[:, 0, 1] += w
+    F[:, 0, 2] += vy
+    F[:, 1, 0] -= w
+    F[:, 1, 2] -= vx
+    F[:, 0, 3] = -s * tilt[0] + c * tilt[1]
+    F[:, 1, 3] = -c * tilt[0] - s * tilt[1]
+    F[:, 3, 2] = 1.0
+    B = np.zeros((m, 4, D.shape[2]))
+    B[:, :3] = D
+    B[:, 0, -2], B[:, 0, -1], B[:, 1, -2], B[:, 1, -1] = c, s, -s, c
+    return F, B
+
+
+def _with_midpoints(states: FloatArray, rates: FloatArray, h: float) -> FloatArray:
+    """Half-way between ticks as well, by cubics, (2n - 1, 4)."""
+    out = np.repeat(states, 2, axis=0)[:-1]
+    out[1::2] = 0.5 * (states[1:] + states[:-1]) + h / 8.0 * (rates[:-1] - rates[1:])
+    return out
+
+
+def _integrate(
+    inverse: FloatArray, k: FloatArray, start: FloatArray, drag: PlanarDrag, tilt: FloatArray, h: float
+) -> FloatArray:
+    """State at every tick, (n, 4), NaN from where it runs away; Runge and Kutta's fourth order.
+
+    In plain numbers: on four of them an array is slower.
+    """
+    grid = np.concatenate([inverse.reshape(-1, 9), k.reshape(-1, 9)], axis=1).tolist()
+    pucks = [(*place, fv, fc) for place, fv, fc in zip(*(part.tolist() for part in drag), strict=True)]
+    tilt_x, tilt_y = tilt.tolist()
+
+    def rate(at: tuple[float, ...], vx: float, vy: float, w: float, yaw: float) -> tuple[float, float, float, float]:
+        pull_x = pull_y = turn = 0.0
+        for px, py, viscous, coulomb in pucks:
+            ux, uy = vx - w * py, vy + w * px
+            share = viscous + coulomb / sqrt(ux * ux + uy * uy + ROUNDING_m_s**2)
+            pull_x -= share * ux
+            pull_y -= share * uy
+            turn -= share * (px * uy - py * ux)
+        a, b, c, d, e, f, g, i, j, k0, k1, k2, k3, k4, k5, k6, k7, k8 = at
+        ax = a * pull_x + b * pull_y + c * turn + k0 + w * (k1 + w * k2)
+        ay = d * pull_x + e * pull_y + f * turn + k3 + w * (k4 + w * k5)
+        dw = g * pull_x + i * pull_y + j * turn + k6 + w * (k7 + w * k8)
+        cosine, sine = cos(yaw), sin(yaw)
+        down_x, down_y = cosine * tilt_x + sine * tilt_y, cosine * tilt_y - sine * tilt_x
+        return ax + w * vy + down_x, ay - w * vx + down_y, dw, w
+
+    states = np.empty((len(grid) // 2 + 1, 4))
+    x = states[0] = [*start.tolist(), 0.0]
+    for index in range(len(states) - 1):
+        before, middle, after = grid[2 * index : 2 * index + 3]
+        one = rate(before, *x)
+        two = rate(middle, *(v + 0.5 * h * d for v, d in zip(x, one, strict=True)))
+        three = rate(middle, *(v + 0.5 * h * d for v, d in zip(x, two, strict=True)))
+        four = rate(after, *(v + h * d for v, d in zip(x, three, strict=True)))
+        x = [v + h / 6.0 * (a + 2.0 * (b + c) + d) for v, a, b, c, d in zip(x, one, two, three, four, strict=True)]
+        if not max(map(abs, x)) < _FASTEST:
+            states[index + 1 :] = np.nan
+            break
+        states[index + 1] = x
+    return states
+
+
+def _sensitivities(F: FloatArray, B: FloatArray, h: float) -> FloatArray:
+    """Integrates ``dS/dt = F S + B`` by Runge and Kutta's fourth order; (n, 4, p)."""
+    S = np.zeros((len(F) // 2 + 1, 4, B.shape[2]))
+    S[0, :3, :3] = np.eye(3)
+    for i in range(len(S) - 1):
+        now, j = S[i], 2 * i
+        one = F[j] @ now + B[j]
+        two = F[j + 1] @ (now + 0.5 * h * one) + B[j + 1]
+        three = F[j + 1] @ (now + 0.5 * h * two) + B[j + 1]
+        four = F[j + 2] @ (now + h * three) + B[j + 2]
+        S[i + 1] = now + h / 6.0 * (one + 2.0 * (two + three) + four)
+    return S
+
+
+def _rates(state: FloatArray, a: FloatArray, tilt: FloatArray) -> FloatArray:
+    """``d state / dt``, (..., 4)."""
+    vx, vy, w, yaw = np.moveaxis(state, -1, 0)
+    c, s = np.cos(yaw), np.sin(yaw)
+    x = a[..., 0] + w * vy + c * tilt[0] + s * tilt[1]
+    y = a[..., 1] - w * vx - s * tilt[0] + c * tilt[1]
+    return np.stack([x, y, a[..., 2], w], axis=-1)

@@ -1,0 +1,161 @@
+"""The motion of a free-floating base predicted from parameters, joints and one unknown: the momentum at the start.
+
+No external wrench acts, so the linear momentum can be taken for zero (free fall shows no common velocity), and the
+angular momentum is constant in space. In base axes it turns: ``d eta / dt = eta x w``, with the base's twist from
+
+    C(q) [v; w] + mu(q, dq) = [0; eta]
+
+(C: spatial inertia of the whole vehicle, mu: momentum of the moving joints; Limparis 2.84-2.93 with the initial
+momentum P_0 of 3.6-3.8). The specific force and angular acceleration follow from the wrench that is zero. Attitude
+does not occur. Unlike the rows of a least squares, nothing here is made of noisy base motion: noise biases nothing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.kinematics import (
+    LinkMotion,
+    bodies_of,
+    composite_of,
+    cross,
+    hat,
+    momentum_columns,
+    relative_momentum,
+    stacked,
+    turned,
+    wrench_and_slope,
+    wrench_columns,
+)
+from onboard.estimation.arrays import FloatArray
+
+
+class BasePrediction(NamedTuple):
+    """Motion of the base at every tick, in base axes, and its derivatives with respect to (eta_0, chi)."""
+
+    rate: FloatArray  # (n, 3) rad/s
+    acceleration: FloatArray  # (n, 3) rad/s^2
+    specific_force: FloatArray  # (n, 3) m/s^2, at the base frame's origin
+    d_rate: FloatArray  # (n, 3, 3 + c); c columns of chi, those asked for
+    d_acceleration: FloatArray
+    d_specific_force: FloatArray
+    momentum: FloatArray  # (n, 3) N m s, angular, about the centre of mass
+    d_momentum: FloatArray  # (n, 3, 3 + c)
+
+
+def predict_base(
+    links: tuple[LinkMotion, ...], period_s: float, chi: FloatArray, momentum: FloatArray, free: tuple[int, ...]
+) -> BasePrediction:
+    """Predicts the base's motion on an even grid of ticks.
+
+    Args:
+        links: motion of the links relative to the base.
+        period_s: between ticks; at most a twentieth of the shortest period in the motion.
+        chi: standard parameters of all links, (10 x links,).
+        momentum: angular momentum about the centre of mass at the first tick, base axes, (3,), N m s.
+        free: links whose ten columns are wanted in the derivatives.
+
+    Raises:
+        SignalError: fewer than four ticks.
+    """
+    n = links[0].p.shape[0]
+    if n < 4:
+        raise SignalError(f"{n} ticks; predict four or more")
+    every = stacked(links)
+    bodies = bodies_of(every, chi)
+    inverse = np.asarray(np.linalg.inv(composite_of(bodies)), np.float64)
+    mu = relative_momentum(bodies)
+    from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
+    eta = _turn_momentum(from_eta[:, 3:], turned(inverse[:, 3:], mu), momentum, period_s)
+    twist = turned(from_eta, eta) - turned(inverse, mu)
+    v, w = twist[:, None, :3], twist[:, None, 3:]  # (n, 1, 3)
+
+    bias, slope = wrench_and_slope(bodies, w)  # (n, 6), (n, 6, 3)
+    thrust = -turned(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
+    force, spin = thrust[:, None, :3], thrust[:, None, 3:]
+    doubted = LinkMotion(*(part[:, list(free)] for part in every))
+    H = momentum_columns(doubted, v, w).swapaxes(1, 2).reshape(n, 6, -1)
+    W = wrench_columns(doubted, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
+    at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
+    d_eta = _turn_sensitivity(w[:, 0], eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, period_s)
+    d_rate = from_eta[:, 3:] @ d_eta
+    d_rate[:, :, 3:] += at_fixed_eta
+    d_wrench = slope @ d_rate
+    d_wrench[:, :, 3:] += W
+    d_thrust = -(inverse @ d_wrench)
+    return BasePrediction(w[:, 0], spin[:, 0], force[:, 0], d_rate, d_thrust[:, 3:], d_thrust[:, :3], eta, d_eta)
+
+
+def at_sensor(base: BasePrediction, R: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rate and specific force at a place fixed in the base, in axes of its own.
+
+    Args:
+        base: its motion.
+        R: the axes, R_BS (3, 3).
+        p: the place, (3,) m.
+
+    Returns:
+        Values (n, 6) and derivatives (n, 6, 3 + c).
+    """
+    w = base.rate
+    force = base.specific_force + cross(base.acceleration, p) + cross(w, cross(w, p))
+    # d(w x (w x p)) = (w x (dw x p)) + dw x (w x p) = -(hat(w) hat(p) + hat(w x p)) dw
+    bend = -(hat(w) @ hat(p) + hat(cross(w, p)))
+    d_force = base.d_specific_force - hat(p) @ base.d_acceleration + bend @ base.d_rate
+    return np.concatenate([w @ R, force @ R], axis=1), np.concatenate([R.T @ base.d_rate, R.T @ d_force], axis=1)
+
+
+def _midpoints(x: FloatArray) -> FloatArray:
+    """Values half-way between ticks by cubics through four, (n - 1, ...)."""
+    ends = np.concatenate(
+        [x[:1] * 4 - x[1:2] * 6 + x[2:3] * 4 - x[3:4], x, x[-1:] * 4 - x[-2:-1] * 6 + x[-3:-2] * 4 - x[-4:-3]]
+    )
+    middle: FloatArray = (9.0 * (ends[1:-2] + ends[2:-1]) - ends[:-3] - ends[3:]) / 16.0
+    return middle
+
+
+def _turn_momentum(J: FloatArray, k: FloatArray, start: FloatArray, h: float) -> FloatArray:
+    """Integrates ``d eta / dt = eta x (J eta - k)`` over the grid by Runge and Kutta's fourth order, (n, 3)."""
+    middle_J, middle_k = _midpoints(J), _midpoints(k)
+    eta = np.empty((len(J), 3))
+    x, y, z = eta[0] = start
+    # Plain numbers: on three of them an array is slower than Python.
+    stages = list(zip(J.reshape(-1, 9).tolist(), k.tolist(), strict=True))
+    middles = list(zip(middle_J.reshape(-1, 9).tolist(), middle_k.tolist(), strict=True))
+    for i, middle in enumerate(middles):
+        a1, b1, c1 = _momentum_rate(x, y, z, *stages[i])
+        a2, b2, c2 = _momentum_rate(x + 0.5 * h * a1, y + 0.5 * h * b1, z + 0.5 * h * c1, *middle)
+        a3, b3, c3 = _momentum_rate(x + 0.5 * h * a2, y + 0.5 * h * b2, z + 0.5 * h * c2, *middle)
+        a4, b4, c4 = _momentum_rate(x + h * a3, y + h * b3, z + h * c3, *stages[i + 1])
+        x += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+        y += h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4)
+        z += h / 6.0 * (c1 + 2.0 * (c2 + c3) + c4)
+        eta[i + 1] = x, y, z
+    return eta
+
+
+def _momentum_rate(x: float, y: float, z: float, J: list[float], k: list[float]) -> tuple[float, float, float]:
+    """``eta x (J eta - k)``."""
+    u = J[0] * x + J[1] * y + J[2] * z - k[0]
+    v = J[3] * x + J[4] * y + J[5] * z - k[1]
+    w = J[6] * x + J[7] * y + J[8] * z - k[2]
+    return y * w - z * v, z * u - x * w, x * v - y * u
+
+
+def _turn_sensitivity(w: FloatArray, eta: FloatArray, J: FloatArray, forcing: FloatArray, h: float) -> FloatArray:
+    """Integrates ``dS/dt = A S + [0 forcing]``, A = eta x J - w x, from ``S = [1 0]``; (n, 3, 3 + c)."""
+    A = hat(eta) @ J - hat(w)
+    middle, one = _midpoints(A), np.eye(3)
+    k1 = A[:-1]
+    k2 = middle @ (one + 0.5 * h * k1)
+    k3 = middle @ (one + 0.5 * h * k2)
+    k4 = A[1:] @ (one + h * k3)
+    steps = one + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)  # (n - 1, 3, 3)
+    push = 0.5 * h * (steps @ forcing[:-1] + forcing[1:])  # trapezoid
+    S = np.zeros((len(w), 3, 3 + forcing.shape[2]))
+    S[0, :, :3] = one
+    for i in range(len(w) - 1):
+        S[i + 1] = steps[i] @ S[i]
+        S[i + 1, :, 3:] += push[i]
+    return S

@@ -1,0 +1,163 @@
+"""What was grasped, as people say it: mass, centre of mass, inertia about it; with covariance, and always possible.
+
+The ten standard parameters of a body that can exist form a cone (its pseudo-inertia is positive definite). In the
+log-Cholesky parameters of Rucker and Wensing every vector of ten numbers is such a body, so an estimator that works on
+them cannot leave the cone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.inertia import RigidBody, elements, parallel_axis, pseudo_inertia, symmetric
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import ConvergenceError
+
+_CERTAIN = 1e-9  # of the largest
+_BARRIER = 0.1
+_NEWTON_STEPS = 100
+_WORTH_A_STEP = 1e-6
+
+
+class BodyEstimate(NamedTuple):
+    """A body and how sure of it: ten numbers m, c (3), and I about the centre of mass (XX XY YY XZ YZ ZZ)."""
+
+    body: RigidBody
+    covariance: FloatArray  # (10, 10) of mass, centre of mass, inertia, in this order
+
+
+def standard_of(body: RigidBody) -> FloatArray:
+    """Standard parameters about the frame's origin, (10,)."""
+    inertia = body.inertia_kg_m2 + parallel_axis(body.mass_kg, body.centre_of_mass_m)
+    return np.concatenate([[body.mass_kg], body.mass_kg * body.centre_of_mass_m, elements(inertia)])
+
+
+def body_of(chi: FloatArray) -> RigidBody:
+    """The body of ten standard parameters.
+
+    Raises:
+        SignalError: a mass that is not positive.
+    """
+    if not chi[0] > 0.0:
+        raise SignalError(f"a body of {chi[0]:.4g} kg has no centre of mass; the data do not determine this payload")
+    c = chi[1:4] / chi[0]
+    return RigidBody(float(chi[0]), c, symmetric(chi[4:]) - parallel_axis(float(chi[0]), c))
+
+
+def body_jacobian(chi: FloatArray) -> FloatArray:
+    """Derivative of mass, centre of mass and inertia about it with respect to the standard parameters, (10, 10)."""
+    m, h = chi[0], chi[1:4]
+    D = np.eye(10)
+    D[1:4, 0] = -h / m**2
+    D[1:4, 1:4] = np.eye(3) / m
+    # I_C = I_O - (h.h 1 - h h') / m
+    D[4:, 0] = elements(parallel_axis(1.0, h)) / m**2
+    for k, unit in enumerate(np.eye(3)):
+        change = 2.0 * (h @ unit) * np.eye(3) - np.outer(h, unit) - np.outer(unit, h)
+        D[4:, 1 + k] = -elements(change) / m
+    return D
+
+
+def body_estimate(chi: FloatArray, covariance: FloatArray) -> BodyEstimate:
+    """Mass, centre of mass and inertia with their covariance, from standard parameters with theirs."""
+    D = body_jacobian(chi)
+    return BodyEstimate(body_of(chi), D @ covariance @ D.T)
+
+
+def standard_covariance(chi: FloatArray, mass_relative: float, centre_m: float, inertia_relative: float) -> FloatArray:
+    """Covariance of standard parameters, (10, 10), of a part that was weighed, balanced and swung.
+
+    Args:
+        chi: its standard parameters, (10,).
+        mass_relative: standard deviation of its mass.
+        centre_m: of each coordinate of its centre of mass.
+        inertia_relative: of each element of its inertia about the centre of mass, of half that tensor's trace.
+    """
+    half_trace = 0.5 * float(np.trace(body_of(chi).inertia_kg_m2))
+    sigma = np.array([mass_relative * chi[0], *[centre_m] * 3, *[inertia_relative * half_trace] * 6])
+    half = np.linalg.solve(body_jacobian(chi), np.diag(sigma))
+    return np.asarray(half @ half.T, np.float64)
+
+
+def log_cholesky(body: RigidBody) -> FloatArray:
+    """Log-Cholesky parameters, (10,): ``[alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3]``.
+
+    The pseudo-inertia is ``e^{2 alpha} U U'`` with U upper triangular, its diagonal ``e^d`` and 1.
+
+    Raises:
+        SignalError: a body that cannot exist.
+    """
+    try:
+        U = np.linalg.cholesky(pseudo_inertia(standard_of(body))[::-1, ::-1])[::-1, ::-1]  # upper: P = U U'
+    except np.linalg.LinAlgError as error:
+        raise SignalError("no body has this mass and inertia: its pseudo-inertia is not positive definite") from error
+    scale = U[3, 3]
+    U = U / scale
+    return np.array([np.log(scale), *np.log(np.diag(U)[:3]), U[0, 1], U[1, 2], U[0, 2], *U[:3, 3]])
+
+
+def from_log_cholesky(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Standard parameters (10,) and their derivative (10, 10) with respect to log-Cholesky parameters."""
+    parameters = pin.LogCholeskyParameters(theta)
+    return np.asarray(parameters.toDynamicParameters()), np.asarray(parameters.calculateJacobian())
+
+
+def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
+    """The likeliest body that can exist.
+
+    Where the estimate itself can exist, it is that. Else it lies just inside the border of what can: the minimum of
+    half the squared distance in the metric of the covariance, less a tenth of the logarithm of the pseudo-inertia's
+    determinant. That is a convex problem (the pseudo-inertia is linear in the standard parameters), and the logarithm
+    costs a tenth of a sigma.
+
+    Args:
+        chi: estimate of the standard parameters, (10,).
+        covariance: its covariance, (10, 10).
+
+    Raises:
+        SignalError: a mass that is not positive.
+        ConvergenceError: no minimum was found, which is a bug.
+    """
+    body = body_of(chi)
+    if np.linalg.eigvalsh(pseudo_inertia(chi))[0] > 0.0:
+        return body
+    start = standard_of(_nearby(body))
+    sigma = np.sqrt(np.diag(covariance))
+    sigma = np.maximum(sigma, _CERTAIN * np.abs(start).max())  # what is taken for exact may give way by nothing much
+    values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    L = sigma[:, None] * vectors * np.sqrt(np.maximum(values, _CERTAIN))
+    P0, basis = pseudo_inertia(chi), np.array([pseudo_inertia(column) for column in L.T])  # (10, 4, 4)
+
+    def cost(z: FloatArray, barrier: float) -> float:
+        P = P0 + np.tensordot(z, basis, 1)
+        inside = np.linalg.eigvalsh(P)[0] > 0.0
+        return float(0.5 * z @ z - barrier * np.linalg.slogdet(P)[1]) if inside else np.inf
+
+    z = np.linalg.solve(L, start - chi)
+    barrier = max(_BARRIER, float(z @ z))  # first into the middle, then as far out as it goes
+    for _ in range(_NEWTON_STEPS):
+        turned = np.linalg.inv(P0 + np.tensordot(z, basis, 1)) @ basis  # (10, 4, 4)
+        gradient = z - barrier * np.trace(turned, axis1=1, axis2=2)
+        hessian = np.eye(10) + barrier * np.einsum("iab,jba->ij", turned, turned)
+        scale = np.sqrt(np.diag(hessian))
+        step = -np.linalg.solve(hessian / np.outer(scale, scale), gradient / scale) / scale
+        promised, now, length = float(-gradient @ step), cost(z, barrier), 1.0
+        if barrier > _BARRIER and promised < 0.1 * barrier:
+            barrier = max(_BARRIER, 0.1 * barrier)
+            continue
+        if promised < _WORTH_A_STEP * max(1.0, now):
+            return body_of(chi + L @ z)
+        while cost(z + length * step, barrier) > now - 0.1 * length * promised and length > _WORTH_A_STEP:
+            length *= 0.5
+        z = z + length * step
+    raise ConvergenceError("the likeliest possible body was not found")
+
+
+def _nearby(body: RigidBody) -> RigidBody:
+    """One that can exist: no thinner than a centimetre in any direction."""
+    second = 0.5 * np.trace(body.inertia_kg_m2) * np.eye(3) - body.inertia_kg_m2  # of mass about its centre
+    values, vectors = np.linalg.eigh(second)
+    second = vectors * np.maximum(values, 1e-4 * body.mass_kg) @ vectors.T
+    return body._replace(inertia_kg_m2=np.trace(second) * np.eye(3) - second)

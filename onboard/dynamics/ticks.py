@@ -1,0 +1,60 @@
+"""One flight on an even grid of ticks, as the estimators of whole flights take it in."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.errors import SignalError
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.smoothing import smooth
+
+
+class FlightSignals(NamedTuple):
+    """One flight on an even grid of ticks: joints smoothed, IMU as means of the samples of each tick."""
+
+    period_s: float
+    q: FloatArray  # (n, joints) at the middle of each tick
+    dq: FloatArray
+    ddq: FloatArray
+    rate: FloatArray  # (n, 3) IMU axes, rad/s; NaN for a tick without an IMU
+    specific_force: FloatArray  # (n, 3) IMU axes, m/s^2
+    rate_sigma: FloatArray  # (3,) of a tick's mean
+    specific_force_sigma: FloatArray  # (3,)
+    samples: int  # in each tick's mean
+
+
+def tick_signals(
+    time_s: FloatArray,
+    angle: FloatArray,
+    rate: FloatArray,
+    specific_force: FloatArray,
+    sigma: tuple[float, float],
+    samples: int,
+    width_s: float,
+) -> FlightSignals:
+    """Ticks of evenly sampled signals: means of the IMU's samples, and the joints smoothed at the middle of each tick.
+
+    Args:
+        time_s: of the samples, (k,), even, vehicle time.
+        angle: joint positions, (k, joints), rad.
+        rate: IMU axes, (k, 3), rad/s; NaN where there is none.
+        specific_force: IMU axes, (k, 3), m/s^2.
+        sigma: white noise of a sample of rate and of specific force.
+        samples: in each tick, odd.
+        width_s: of the kernel that smooths the joints; ticks closer to the ends than half of it are left out.
+
+    Raises:
+        SignalError: times that are not even, or too few.
+    """
+    if samples % 2 == 0 or len(time_s) < 4 * samples:
+        raise SignalError(f"{len(time_s)} samples in ticks of {samples}; give an odd number in each and four ticks")
+    period_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    if np.abs(np.diff(time_s) - period_s).max() > 0.01 * period_s:
+        raise SignalError("the samples are not evenly spaced; put them on a grid first")
+    n = len(time_s) // samples
+    middle = time_s[: n * samples].reshape(n, samples)[:, samples // 2]
+    inside = (middle > time_s[0] + 0.5 * width_s) & (middle < time_s[-1] - 0.5 * width_s)
+    means = [x[: n * samples].reshape(n, samples, 3).mean(axis=1)[inside] for x in (rate, specific_force)]
+    q, dq, ddq = (smooth(time_s, angle, middle[inside], width_s, derivative).values for derivative in range(3))
+    spread = [np.full(3, value / np.sqrt(samples)) for value in sigma]
+    return FlightSignals(samples * period_s, q, dq, ddq, means[0], means[1], spread[0], spread[1], samples)

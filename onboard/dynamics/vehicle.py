@@ -1,0 +1,242 @@
+"""URDF to Pinocchio model, with every link's parameters kept apart.
+
+Pinocchio merges the inertia of links on fixed joints into the moving body before them. A payload on a fixed joint must
+stay its own unknown, so the standard parameters are kept *per link*: each link has its frame, its motion, its own
+6 x 10 body regressor, and its own ten columns.
+
+Order of the ten, everywhere in this room: ``M, MX, MY, MZ, XX, XY, YY, XZ, YZ, ZZ`` (Pinocchio's): mass, first
+moments, and elements of the inertia tensor about the *link frame's origin*, in the link frame's axes.
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
+from onboard.estimation.arrays import FloatArray
+
+STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
+FREE_FLYER_NQ, FREE_FLYER_NV = 7, 6
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+
+class BaseKind(StrEnum):
+    """What is known of the base's motion and of the wrench on it."""
+
+    FREE = "free"  # motion measured, wrench zero
+    PLANAR = "planar"  # on a level bed: x, y and yaw move, their wrench is zero but for drag
+    PRESCRIBED = "prescribed"  # motion measured, wrench unknown
+    FIXED = "fixed"  # at rest in gravity, wrench unknown
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSpec:
+    """How the URDF is to be read."""
+
+    base: BaseKind
+    base_link: str  # the URDF's root
+    payload_link: str | None = None  # the link that is held only some of the time
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)  # of a fixed or planar base, its axes
+
+
+class Joint(NamedTuple):
+    """A joint that moves, in the model's order."""
+
+    name: str
+    axis: tuple[float, float, float]  # in the joint frame
+    revolute: bool  # else prismatic
+    q_index: int  # in Pinocchio's configuration vector
+    q_size: int  # 2 for a continuous joint (cosine, sine)
+    v_index: int
+    low: float  # position limits, rad or m; infinite where the URDF has none
+    high: float
+
+
+def _vector(element: ET.Element | None, attribute: str, default: str) -> FloatArray:
+    text = default if element is None else element.get(attribute, default)
+    return np.array([float(part) for part in text.split()])
+
+
+def _standard_parameters(link: ET.Element) -> FloatArray:
+    """The ten standard parameters of a URDF link about its own frame, (10,); zeros without ``<inertial>``."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return np.zeros(10)
+    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or tensor is None:
+        raise UrdfError(f"link {link.get('name')!r}: <inertial> needs <mass> and <inertia>")
+    origin = inertial.find("origin")
+    m, c = float(mass.get("value", "nan")), _vector(origin, "xyz", "0 0 0")
+    R = pin.rpy.rpyToMatrix(_vector(origin, "rpy", "0 0 0"))
+    xx, xy, xz, yy, yz, zz = (float(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    I_cm = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
+    if not (np.isfinite(I_cm).all() and np.isfinite(c).all() and 0.0 <= m < np.inf):
+        raise UrdfError(f"link {link.get('name')!r}: mass and inertia must be finite, the mass not negative")
+    try:
+        return np.asarray(pin.Inertia(m, c, I_cm).toDynamicParameters(), np.float64)
+    except RuntimeError as error:
+        raise UrdfError(f"link {link.get('name')!r}: {error} Give its inertia about the centre of mass.") from error
+
+
+class VehicleModel:
+    """A free-flyer base with joints, and the standard parameters of each of its links.
+
+    Attributes:
+        spec: how the URDF was read.
+        model: the Pinocchio model, gravity zero, free-flyer root.
+        joints: the joints, in the order of the columns of q, dq, ddq.
+        links: links with mass, in the order of their columns; the payload link among them even without ``<inertial>``.
+        chi: standard parameters from the URDF, (10 x links,).
+    """
+
+    def __init__(self, urdf: str, spec: VehicleSpec) -> None:
+        try:
+            root = ET.fromstring(urdf)
+        except ET.ParseError as error:
+            raise UrdfError(f"the URDF is not XML ({error}); give the text of a URDF file") from error
+        elements = {str(link.get("name")): link for link in root.findall("link")}
+        try:
+            self.model = pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
+        except (ValueError, RuntimeError) as error:
+            raise UrdfError(f"Pinocchio cannot read the URDF: {error}") from error
+        children = {str(child.get("link")) for child in root.iterfind("joint/child")}
+        if spec.base_link not in elements or spec.base_link in children:
+            roots = ", ".join(sorted(set(elements) - children))
+            raise UrdfError(f"base_link {spec.base_link!r} is not the root of the URDF; the root is {roots}")
+        if spec.payload_link is not None and spec.payload_link not in elements:
+            raise UnknownFrameError(
+                f"payload_link {spec.payload_link!r} is not in the URDF; it has {', '.join(elements)}"
+            )
+        self.spec = spec
+        self.model.gravity.setZero()
+        self.links = tuple(
+            frame.name
+            for frame in self.model.frames
+            if frame.type == pin.FrameType.BODY
+            and (elements[frame.name].find("inertial") is not None or frame.name == spec.payload_link)
+        )
+        self.chi = np.concatenate([_standard_parameters(elements[name]) for name in self.links])
+        self.chi.setflags(write=False)
+        self.joints = tuple(self._joint(root, index) for index in range(2, self.model.njoints))
+        self._neutral = self.model.createData()
+        pin.framesForwardKinematics(self.model, self._neutral, pin.neutral(self.model))
+
+    def _joint(self, root: ET.Element, index: int) -> Joint:
+        name, joint = self.model.names[index], self.model.joints[index]
+        element = next(e for e in root.findall("joint") if e.get("name") == name)
+        kind = element.get("type", "")
+        if kind not in ("revolute", "continuous", "prismatic"):
+            raise UrdfError(f"joint {name!r} is {kind!r}; only revolute, continuous and prismatic joints are known")
+        axis = _vector(element.find("axis"), "xyz", "1 0 0")
+        axis /= np.linalg.norm(axis)
+        bounded = joint.nq == 1
+        return Joint(
+            name,
+            (float(axis[0]), float(axis[1]), float(axis[2])),
+            kind != "prismatic",
+            joint.idx_q,
+            joint.nq,
+            joint.idx_v,
+            float(self.model.lowerPositionLimit[joint.idx_q]) if bounded else -np.inf,
+            float(self.model.upperPositionLimit[joint.idx_q]) if bounded else np.inf,
+        )
+
+    def frame_id(self, name: str) -> int:
+        """Pinocchio's index of a link, joint or frame.
+
+        Raises:
+            UnknownFrameError: no such name.
+        """
+        if not self.model.existFrame(name):
+            known = ", ".join(frame.name for frame in self.model.frames[1:])
+            raise UnknownFrameError(f"the URDF has no link, joint or frame {name!r}; it has {known}")
+        return int(self.model.getFrameId(name))
+
+    def joint(self, name: str) -> Joint:
+        """A joint by name.
+
+        Raises:
+            UnknownFrameError: no such joint.
+        """
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        names = ", ".join(joint.name for joint in self.joints)
+        raise UnknownFrameError(f"the URDF has no moving joint {name!r}; it has {names}")
+
+    def pose_in_base(self, frame: str) -> tuple[FloatArray, FloatArray]:
+        """Pose of a frame that is fixed in the base: ``(R_BF (3, 3), p_BF (3,))`` in base axes, m.
+
+        Raises:
+            UnknownFrameError: no such frame, or one that moves with a joint.
+        """
+        found = self.model.frames[self.frame_id(frame)]
+        if found.parentJoint != 1:
+            raise UnknownFrameError(f"frame {frame!r} moves with a joint; name one that is fixed in the base")
+        return np.array(found.placement.rotation), np.array(found.placement.translation)
+
+    def distal_links(self, frame: str) -> tuple[int, ...]:
+        """Indices into :attr:`links` of all that hangs beyond a frame: what a cut there would let go."""
+        cut = self.frame_id(frame)
+        beyond = []
+        for index, link in enumerate(self.links):
+            at = self.frame_id(link)
+            while at not in (cut, 0):
+                at = self.model.frames[at].parentFrame
+            if at == cut:
+                beyond.append(index)
+        return tuple(beyond)
+
+    def centre_of_mass_is_fixed(self) -> bool:
+        """Whether the vehicle's centre of mass stays put in the base: each joint turns what is balanced about it."""
+        for joint in self.joints:
+            moment, reach = np.zeros(3), 0.0
+            o_M_joint = self._neutral.oMf[self.frame_id(joint.name)]
+            for link in self.distal_links(joint.name):
+                joint_M_link = o_M_joint.actInv(self._neutral.oMf[self.frame_id(self.links[link])])
+                mass, first = self.chi[10 * link], self.chi[10 * link + 1 : 10 * link + 4]
+                moment += joint_M_link.rotation @ first + mass * joint_M_link.translation
+                reach += mass * np.linalg.norm(joint_M_link.translation) + np.linalg.norm(first)
+            off_axis = moment - np.dot(moment, joint.axis) * np.array(joint.axis)
+            if not joint.revolute or np.linalg.norm(off_axis) > 1e-9 * reach:
+                return False
+        return True
+
+    def payload_columns(self) -> slice:
+        """The payload link's ten columns; an empty slice without a payload link."""
+        if self.spec.payload_link is None:
+            return slice(0, 0)
+        start = 10 * self.links.index(self.spec.payload_link)
+        return slice(start, start + 10)
+
+    def parameter_sigma(self, relative: dict[str, float]) -> FloatArray:
+        """Prior standard deviations of the standard parameters, (10 x links,).
+
+        A link's relative sigma is applied to its mass, to mass x k for the first moments, and to half the trace of its
+        inertia for every element of it, k being the link's radius of gyration about its frame. What is zero by symmetry
+        in a drawing is thus not taken for certain.
+
+        Args:
+            relative: relative standard deviation by link name; every link must be there.
+
+        Raises:
+            UnknownFrameError: a link that is missing, or a name that is not a link.
+            SignalError: a sigma that is negative or not finite.
+        """
+        if set(relative) != set(self.links):
+            raise UnknownFrameError(f"give a relative sigma for each of {', '.join(self.links)} and for nothing else")
+        wrong = [link for link, value in relative.items() if not 0.0 <= value < np.inf]
+        if wrong:
+            raise SignalError(f"the relative sigma of {', '.join(wrong)} is negative or not finite; give zero or more")
+        sigma = np.empty_like(self.chi)
+        for index, link in enumerate(self.links):
+            chi = self.chi[10 * index : 10 * index + 10]
+            mass, half_trace = chi[0], 0.5 * (chi[4] + chi[6] + chi[9])
+            length = np.sqrt(half_trace / mass) if mass > 0.0 else 0.0
+            scale = np.array([mass, *[mass * length] * 3, *[half_trace] * 6])
+            sigma[10 * index : 10 * index + 10] = relative[link] * scale
+        return sigma

@@ -1,0 +1,275 @@
+"""Non-linear ExIDDM, recursively: the payload of a free-flyer from its joints and base IMU, while it flies.
+
+The same likelihood as :mod:`onboard.identification.exiddm.batch`, taken in a few ticks at a time by an extended Kalman
+filter whose state is all that is unknown: angular momentum, payload, the IMU's errors, the doubted links. A filter that
+begins with nothing known is not to be trusted to linearise, so the first seconds are solved as one window, again and
+again while it grows (:mod:`onboard.identification.exiddm.window`); after that every batch is one step.
+
+When the payload changes, momentum and payload are forgotten, everything else is kept, and a new window begins. What
+happened is decided by which story explains that window: nothing held, the same payload after a push, or a new payload.
+
+The joints' own noise, the ripple of their gears above all, is added to that of the IMU as far as it shows there.
+"""
+
+from collections import deque
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.payload import BodyEstimate, body_estimate
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.change import ChangeDetector
+from onboard.identification.change import Change
+from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor, Prediction
+from onboard.identification.exiddm.window import Hypothesis, Ticks, WindowFit
+
+SOLVED_AT_s = (1.0, 2.0, 4.0)  # after the start or a change: the window so far, as a whole
+BATCH_TICKS = 10
+_DRIFT_MEMORY_s = 300.0  # a drift goes on for so long; then another one
+_LONGEST_HOLE_s = 1.0  # in the joints, that the momentum is carried over
+_LONGEST_WAIT_s = 8.0  # between windows that nothing explains
+_DETERMINED = 0.1  # sigma of the payload's mass by itself: from there on a linear step will do
+_BELIEVED = 1e-6  # by chance: a window whose misfit is less likely is not explained
+_SNAPSHOTS = 12  # batches: what is kept at a change is as it was before
+
+
+class RecursiveExiddm:
+    """A payload estimated tick by tick.
+
+    Args:
+        predictor: of the vehicle's IMU.
+        imu_frame: the frame it measures in.
+        payload_sigma: how much of a payload there could be: standard deviations of its standard parameters about none
+            at all, (10,); wide.
+        held: a payload is held at the start.
+        false_alarms_per_hour: of the change detector, at most.
+        known: standard parameters of the payload that was held last, (10,), and their covariance, (10, 10): whether it
+            is held still, or nothing or another one is, the first window tells, whatever ``held`` says.
+
+    Attributes:
+        state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
+        covariance: (p, p).
+        held: a payload is held; None while that is not decided.
+        ticks_used: with an IMU, taken in since the start or the last change.
+        glitches: ticks left out because nobody would believe them.
+        changes: found or told so far.
+    """
+
+    def __init__(
+        self,
+        predictor: ImuPredictor,
+        imu_frame: str,
+        payload_sigma: FloatArray,
+        held: bool,
+        false_alarms_per_hour: float = 0.1,
+        known: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
+        self.predictor = predictor
+        self.payload_sigma = np.asarray(payload_sigma, np.float64)
+        self._imu_frame = imu_frame
+        self.held: bool | None = held
+        self._before: bool | None = held  # a change that is not decided yet
+        self._pending = Ticks.none(len(predictor.vehicle.joints))
+        p = len(predictor.names)
+        self.state: FloatArray | None = None
+        self.covariance = np.zeros((p, p))
+        self.ticks_used = self.glitches = 0
+        self.changes: list[Change] = []
+        batches_per_hour = 3600.0 / (BATCH_TICKS * predictor.period_s)
+        self._detector = ChangeDetector(false_alarms_per_hour, batches_per_hour, 6)
+        self._snapshots: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_SNAPSHOTS)
+        self._drifts = np.array([at for _, at in predictor.biases], np.intp)
+        carried = [*range(3), *(at for at, _ in predictor.biases)]
+        self._carried = np.array(carried, np.intp)  # what changes from tick to tick
+        mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+        stories: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
+        if known is not None:
+            mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
+            self.held, self._before, stories = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
+        self._open(stories, mean, covariance)
+
+    def update(self, ticks: Ticks) -> None:
+        """Takes ticks in; the newest waits for its successor, and the last few for a whole batch.
+
+        Where joints are missing the momentum is carried on with what it may have turned meanwhile; after a long hole
+        it is found anew.
+        """
+        known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
+        ticks = ticks.part(known)
+        first = 0
+        while first < len(ticks.time_s):
+            if len(self._pending.time_s):
+                gap_s = ticks.time_s[first] - self._pending.time_s[-1]
+                if abs(gap_s - self.predictor.period_s) > 0.5 * self.predictor.period_s:
+                    self._bridge(ticks.time_s[first] - self._pending.time_s[0])
+            stretch = np.flatnonzero(np.abs(np.diff(ticks.time_s[first:]) / self.predictor.period_s - 1.0) > 0.5)
+            last = min(first + self._wanted(), first + stretch[0] + 1 if stretch.size else len(ticks.time_s))
+            self._pending = self._pending.and_then(ticks.part(slice(first, last)))
+            if self._wanted() == 0:
+                self._solve_window() if self._stories else self._step()
+            first = last
+
+    def told(self, held: bool, time_s: float) -> None:
+        """The payload has been captured, or let go, somebody says; nothing happens when that is known."""
+        if held != self.held:
+            self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
+            self._reopen((Hypothesis.NEW if held else Hypothesis.NOTHING,), 0)
+
+    def estimate(self) -> BodyEstimate | None:
+        """The payload in its link's frame; None where none is held, or nothing is known yet.
+
+        Raises:
+            SignalError: a mass that is not positive.
+        """
+        if self.state is None or not self.held:
+            return None
+        return body_estimate(self.state[PAYLOAD], self.covariance[PAYLOAD, PAYLOAD])
+
+    # ------------------------------------------------------------------ a window, as a whole
+
+    def _open(self, stories: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
+        """Begin a window of which the momentum is not known, and of the rest this."""
+        self._stories, self._prior, self._solves, self._wait = stories, (mean, covariance), 0, 0
+        self._start: FloatArray | None = None
+        self._pending = Ticks.none(len(self.predictor.vehicle.joints))
+        self._detector.forget()
+        self._snapshots.clear()
+
+    def _reopen(self, stories: tuple[Hypothesis, ...], batches_back: int) -> None:
+        """Begin a window with what was known so many batches ago."""
+        if len(self._snapshots):
+            prior = self._snapshots[max(0, len(self._snapshots) - 1 - batches_back)]
+        elif self.state is not None:
+            prior = self.state, self.covariance
+        else:
+            prior = self._prior
+        self.state, self.held, self.ticks_used = None, None, 0
+        self._open(stories, *prior)
+
+    def _wanted(self) -> int:
+        """Ticks until there is something to do."""
+        whole = BATCH_TICKS + 2
+        if self._stories:
+            whole = self._window_ticks() + self._wait
+        return whole - len(self._pending.time_s)
+
+    def _window_ticks(self) -> int:
+        return round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
+
+    def _solve_window(self) -> None:
+        ticks = self._pending.part(slice(-self._window_ticks(), None))
+        window = WindowFit(self.predictor, self._imu_frame, self.payload_sigma, ticks, *self._prior)
+        for story in self._stories:
+            solved = window.solve(story, self._start)
+            if solved is not None and solved.chance > _BELIEVED:
+                break
+        else:  # contact may not be over; what is known of the rest stays
+            longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
+            self.state, self.held, self._start, self._solves = None, None, None, 0
+            self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
+            self._pending = ticks.part(slice(-self._window_ticks(), None))
+            return
+        now_s = float(ticks.time_s[-1])
+        if len(self._stories) > 1 and story is not Hypothesis.NEW and self._before == (story is Hypothesis.SAME):
+            self.changes.append(Change("contact", now_s, float(ticks.time_s[0]), np.nan))
+        self.held = story is not Hypothesis.NOTHING
+        self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
+        self.ticks_used, self._stories, self._wait = solved.used, (story,), 0
+        if story is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
+            self._solves += 1
+            self._pending = ticks  # without what was waited out
+        elif story is Hypothesis.NEW and not self._determined():  # the arm is still, it seems
+            self._start = None
+            self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
+        else:
+            self.glitches += solved.glitches
+            self._stories = ()
+            self._pending = ticks.part(slice(-2, None))
+
+    def _determined(self) -> bool:
+        assert self.state is not None
+        mass_kg = self.state[PAYLOAD.start]
+        return bool(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]) < _DETERMINED * mass_kg)
+
+    # ------------------------------------------------------------------ a batch, as a step
+
+    def _step(self) -> None:
+        assert self.state is not None
+        ticks = self._pending
+        links = link_motions(self.predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
+        predicted = self.predictor.predict(links, self.state)
+        noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
+        measured, sigma = ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1]
+        use = np.logical_and.reduce(np.isfinite(measured), axis=1)  # (b,)
+        state, covariance = self.state, self.covariance
+        if use.any():
+            W, e = self._innovation(predicted, measured, sigma, use)
+            verdict = self._detector.check((e.reshape(-1, 6) ** 2).sum(axis=1))
+            if verdict.alarm:
+                self._alarm(verdict.score, verdict.batches)
+                return
+            if verdict.suspect:
+                use[:] = False
+            elif verdict.glitches.any():
+                self.glitches += int(verdict.glitches.sum())
+                use[np.flatnonzero(use)[verdict.glitches]] = False
+                if use.any():
+                    W, e = self._innovation(predicted, measured, sigma, use)
+            if use.any():
+                change = W.T @ e
+                state = state + change
+                covariance = covariance - W.T @ W
+                self.ticks_used += int(use.sum())
+        self._carry(state, covariance, predicted)
+        self._pending = ticks.part(slice(BATCH_TICKS, None))
+        self._snapshots.append((self.state, self.covariance))
+
+    def _innovation(
+        self, predicted: Prediction, measured: FloatArray, sigma: FloatArray, use: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """``L^-1 H P`` and ``L^-1 r``, with ``L L'`` the covariance of the whitened innovation r."""
+        r = ((measured - predicted.values) / sigma)[use].ravel()
+        H = (predicted.jacobian / sigma[:, :, None])[use].reshape(r.size, -1)
+        HP = H @ self.covariance
+        S = HP @ H.T
+        S.flat[:: len(S) + 1] += 1.0
+        factor = np.linalg.cholesky(S)
+        solved = solve_triangular(factor, np.column_stack([HP, r]), lower=True, check_finite=False)
+        return solved[:, :-1], solved[:, -1]
+
+    def _carry(self, state: FloatArray, covariance: FloatArray, predicted: Prediction) -> None:
+        """To the last tick but one."""
+        assert self.state is not None
+        c, F = self._carried, predicted.transition
+        self.state = predicted.state + F @ (state - self.state)
+        P = covariance.copy()
+        P[c] = F[c] @ covariance
+        P[:, c] = P @ F[c].T
+        aged_s = BATCH_TICKS * self.predictor.period_s
+        P[self._drifts, self._drifts] += 2.0 * aged_s / _DRIFT_MEMORY_s * self.predictor.sigma[self._drifts] ** 2
+        self.covariance = P
+
+    def _alarm(self, score: float, batches: int) -> None:
+        now_s = float(self._pending.time_s[-1])
+        since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s
+        self._before = bool(self.held)
+        self.changes.append(Change("ejection" if self.held else "capture", now_s, since_s, score))
+        stories = (
+            (Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW) if self.held else (Hypothesis.NOTHING, Hypothesis.NEW)
+        )
+        self._reopen(stories, batches + 1)
+
+    def _bridge(self, gap_s: float) -> None:
+        """The joints were not known for a while: the momentum has turned, nobody knows how."""
+        rates = np.linalg.norm(self._pending.measured[:, :3], axis=1)
+        rates = rates[np.isfinite(rates)]
+        if self._stories or self.state is None:
+            self._open(self._stories, *self._prior)
+        elif gap_s > _LONGEST_HOLE_s or rates.size == 0:
+            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
+        else:
+            turned = np.linalg.norm(self.state[MOMENTUM]) * rates.max() * gap_s
+            self.covariance = self.covariance.copy()
+            self.covariance[MOMENTUM, MOMENTUM] += turned**2 * np.eye(3)
+            self._pending = Ticks.none(len(self.predictor.vehicle.joints))

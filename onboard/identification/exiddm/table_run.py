@@ -1,0 +1,57 @@
+"""A run on an air-bearing table as it is recorded: its ticks are judged, and nothing is estimated of them on board.
+
+What the joints do now tells what the velocity is only from the start of the run on, so the run is estimated as a whole
+when it is over (:mod:`onboard.identification.exiddm.air_bearing`).
+"""
+
+import numpy as np
+
+from onboard.dynamics.vehicle import STANDARD
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.identification.change import Change
+from onboard.identification.online import IMU_ROWS
+from onboard.identification.quantities import Estimate
+from onboard.regressor.signals import Signals
+
+
+class TableRun:
+    """An :class:`onboard.identification.online.OnlineIdentifier` that judges ticks and estimates nothing.
+
+    Its rows are the six lines of the base IMU, means over each tick.
+
+    Args:
+        payload: link of which nothing is known.
+    """
+
+    def __init__(self, payload: str) -> None:
+        self.row_names: tuple[str, ...] = IMU_ROWS
+        self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
+        self.quantity_names: tuple[str, ...] = ()
+        self.rows_used = 0
+        self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """Judges new ticks."""
+        found = np.repeat(np.asarray(excluded, np.int64)[:, None], len(self.row_names), axis=1)
+        every = [signals.q, signals.dq, signals.ddq, signals.measured, signals.sigma]
+        found[~np.isfinite(np.concatenate(every, axis=1)).all(axis=1)] |= GateReason.GAP
+        for reason in self.refused:
+            self.refused[reason] += int(np.count_nonzero(found & int(reason)))
+        return found
+
+    def estimate(self, level: float = 0.95) -> Estimate:
+        """Nothing but that."""
+        nothing = np.full(len(self.parameter_names), np.nan)
+        unsupported = np.zeros(len(self.parameter_names), np.bool_)
+        return Estimate(
+            self.parameter_names, nothing, nothing, nothing, nothing, unsupported, (), 0, dict(self.refused)
+        )
+
+    def triangle(self) -> FloatArray:
+        """Of no information, (11, 11)."""
+        return np.zeros((len(self.parameter_names) + 1, len(self.parameter_names) + 1))
+
+    def news(self) -> tuple[Change, ...]:
+        """None."""
+        return ()

@@ -1,0 +1,248 @@
+"""Batch fit of a short window of ticks: initialises the recursive filter, and classifies a detected change.
+
+The maximum likelihood of :mod:`onboard.identification.exiddm.batch` on the state of
+:mod:`onboard.identification.exiddm.imu_prediction`, from several guesses, with what is known already as its prior.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from enum import Enum
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, chdtri
+
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.kinematics import LinkMotion, link_motions
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.ticks import FlightSignals
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import ConvergenceError, SingularError
+from onboard.estimation.maximum_likelihood import Fit, fit
+from onboard.identification.exiddm.batch import GUESSES
+from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor
+from onboard.regressor.free_rows import rough_payload
+from onboard.regressor.signals import Signals
+
+_ITERATIONS = 40
+_FIRST_TICKS = 10  # that tell the momentum to begin with
+_ROUGH_WIDTH_s = 0.3
+_GOOD_FIT = 1e-2  # by chance: a misfit that is likelier needs no other guess
+_GLITCH = 1e-9  # by chance, of one tick's residual
+_FEW = 0.03  # of the ticks may be glitches
+
+
+class Ticks(NamedTuple):
+    """Consecutive ticks."""
+
+    time_s: FloatArray  # (n,)
+    q: FloatArray  # (n, joints) at the middle of each tick; NaN where they are not known
+    dq: FloatArray
+    ddq: FloatArray
+    measured: FloatArray  # (n, 6) means of rate and specific force, IMU axes; NaN for a tick without
+    sigma: FloatArray  # (n, 6) of these
+    joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
+
+    def part(self, which: slice) -> "Ticks":
+        """Some of them."""
+        return Ticks(*(x[which] for x in self))
+
+    def and_then(self, more: "Ticks") -> "Ticks":
+        """These and those."""
+        return Ticks(*(np.concatenate(pair) for pair in zip(self, more, strict=True)))
+
+    @staticmethod
+    def none(joints: int) -> "Ticks":
+        """No ticks."""
+        angles, six = np.zeros((0, joints)), np.zeros((0, 6))
+        return Ticks(np.zeros(0), angles, angles, angles, six, six, np.zeros((0, 2, joints)))
+
+
+def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
+    """Signals as ticks, their noise inflated for the correlation of neighbours.
+
+    Args:
+        signals: at n ticks; joints without a noise are taken for exact.
+        measured: (n, 6) rate and specific force, NaN where refused.
+    """
+    joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
+    if signals.noise is not None:
+        joint_sigma = signals.noise.inflation * np.stack([signals.noise.dq, signals.noise.ddq], axis=1)
+    return Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma, joint_sigma)
+
+
+class Hypothesis(Enum):
+    """What a window of ticks may be explained by."""
+
+    NOTHING = "nothing held"
+    SAME = "the same payload"
+    NEW = "a payload of which nothing is known"
+
+
+class Solved(NamedTuple):
+    """A window under one story."""
+
+    start: FloatArray  # (p,) at its first tick
+    state: FloatArray  # (p,) at its last tick but one
+    covariance: FloatArray  # (p, p) of that
+    used: int  # ticks
+    glitches: int
+    chance: float  # of a misfit as large
+
+
+class WindowFit:
+    """A window of ticks with all joints known.
+
+    Args:
+        predictor: of the IMU.
+        imu_frame: the frame it measures in.
+        payload_sigma: of a payload of which nothing is known, (10,).
+        ticks: the window, in succession.
+        mean: (p,) what is known of the state at its first tick, the momentum aside.
+        covariance: (p, p) of that.
+    """
+
+    def __init__(
+        self,
+        predictor: ImuPredictor,
+        imu_frame: str,
+        payload_sigma: FloatArray,
+        ticks: Ticks,
+        mean: FloatArray,
+        covariance: FloatArray,
+    ) -> None:
+        self._predictor, self._imu_frame, self._payload_sigma = predictor, imu_frame, payload_sigma
+        self._ticks, self._mean, self._covariance = ticks, mean, covariance
+        self._sigma = ticks.sigma
+        self._links = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
+
+    def solve(self, story: Hypothesis, start: FloatArray | None) -> Solved | None:
+        """The window under a story; None where that leads nowhere.
+
+        Args:
+            story: what is held.
+            start: (p,) the state at the first tick as it was found before; None: guesses are made.
+        """
+        p = len(self._mean)
+        others, own = np.arange(13, p), np.arange(3, 13)
+        mean, information, active = self._mean.copy(), np.zeros((p, p)), np.arange(p)
+        if story is Hypothesis.SAME:
+            information[3:, 3:] = np.linalg.inv(self._covariance[3:, 3:])
+        else:
+            information[13:, 13:] = np.linalg.inv(self._covariance[13:, 13:])
+            information[own, own] = 1.0 / self._payload_sigma**2
+            mean[PAYLOAD] = 0.0
+        if story is Hypothesis.NOTHING:
+            active = np.concatenate([np.arange(3), others])
+        use = np.logical_and.reduce(np.isfinite(self._ticks.measured[1:-1]), axis=1)
+        if use[:_FIRST_TICKS].sum() < _FIRST_TICKS // 2:
+            return None
+        problem = _Problem(mean, information, active)
+        with contextlib.suppress(ConvergenceError, SingularError):
+            found = self._from_guesses(problem, story, use) if start is None else start
+            fitted = None if found is None else self._settle(problem, found, use)
+            if fitted is None:
+                return None
+            glitches = 0
+            while glitches < _FEW * len(use):  # the worst bends the fit, and others with it: one at a time
+                squares = (self._residuals(problem, use, fitted.x)[0].reshape(-1, 6) ** 2).sum(axis=1)
+                worst = int(squares.argmax())
+                if squares[worst] < chdtri(6.0, _GLITCH):
+                    break
+                use[np.flatnonzero(use)[worst]] = False
+                glitches += 1
+                fitted = self._settle(problem, problem.state(fitted.x), use)
+            found = problem.state(fitted.x)
+            end = self._predictor.predict(self._links, found)
+            F = end.transition[:, active]
+            chance = float(chdtrc(6.0 * use.sum(), fitted.residual_sum))
+            return Solved(found, end.state, F @ fitted.covariance @ F.T, int(use.sum()), glitches, chance)
+        return None
+
+    def _from_guesses(self, problem: "_Problem", story: Hypothesis, use: NDArray[np.bool_]) -> FloatArray | None:
+        """The best fit from one guess after the other, until one is good; half a second is too short to tell."""
+        found: Fit | None = None
+        for payload in self._guesses(story):
+            x = problem.mean.copy()
+            x[PAYLOAD] = payload
+            x[MOMENTUM] = self._first_momentum(x)
+            with contextlib.suppress(ConvergenceError, SingularError):
+                tried = self._fit(problem, x, use, 1.0)
+                if found is None or tried.residual_sum < found.residual_sum:
+                    found = tried
+                if chdtrc(6.0 * use.sum(), tried.residual_sum) > _GOOD_FIT:
+                    break
+        return None if found is None else problem.state(found.x)
+
+    def _settle(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_]) -> Fit:
+        """To the bottom; but for a valley without a slope, near enough is good enough."""
+        with contextlib.suppress(ConvergenceError):
+            return self._fit(problem, start, use, 1e-2)
+        return self._fit(problem, start, use, 1.0)
+
+    def _fit(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_], tolerance: float) -> Fit:
+        active = problem.active
+        prior = problem.information[np.ix_(active, active)]
+        noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
+        self._sigma = np.hypot(self._ticks.sigma, noise)
+        residuals = partial(self._residuals, problem, use)
+        return fit(residuals, start[active], problem.mean[active], prior, _ITERATIONS, tolerance)
+
+    def _residuals(self, problem: "_Problem", use: NDArray[np.bool_], x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened, predicted less measured, of the ticks to use, and their derivatives by what is active."""
+        n = len(use)
+        predicted = self._predictor.predict(_first(self._links, n + 2), problem.state(x))
+        sigma = self._sigma[1 : n + 1]
+        r = ((predicted.values - self._ticks.measured[1 : n + 1]) / sigma)[use]
+        J = (predicted.jacobian[:, :, problem.active] / sigma[:, :, None])[use]
+        return r.ravel(), J.reshape(r.size, -1)
+
+    def _guesses(self, story: Hypothesis) -> Iterator[FloatArray]:
+        if story is not Hypothesis.NEW:
+            yield self._mean[PAYLOAD] if story is Hypothesis.SAME else np.zeros(10)
+            return
+        vehicle, ticks = self._predictor.vehicle, self._ticks
+        spread = np.nanmedian(ticks.sigma, axis=0)
+        signals = FlightSignals(
+            self._predictor.period_s,
+            ticks.q,
+            ticks.dq,
+            ticks.ddq,
+            ticks.measured[:, :3],
+            ticks.measured[:, 3:],
+            spread[:3],
+            spread[3:],
+            1,
+        )
+        with contextlib.suppress(SignalError, ConvergenceError):  # noise may make it no body at all; the others are
+            yield standard_of(rough_payload(vehicle, self._imu_frame, signals, _ROUGH_WIDTH_s, self._payload_sigma))
+        for guess in GUESSES:
+            yield standard_of(guess)
+
+    def _first_momentum(self, state: FloatArray) -> FloatArray:
+        """What the first gyro readings mean under the payload of ``state``."""
+        state = state.copy()
+        state[MOMENTUM] = 0.0
+        predicted = self._predictor.predict(_first(self._links, _FIRST_TICKS + 2), state)
+        gap = self._ticks.measured[1 : _FIRST_TICKS + 1, :3] - predicted.values[:, :3]
+        seen = np.isfinite(gap).all(axis=1)
+        J = predicted.jacobian[seen, :3, MOMENTUM].reshape(-1, 3)
+        return np.asarray(np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)
+
+
+class _Problem(NamedTuple):
+    mean: FloatArray  # (p,)
+    information: FloatArray  # (p, p)
+    active: NDArray[np.intp]  # what is estimated; the rest stays as it is in the mean
+
+    def state(self, x: FloatArray) -> FloatArray:
+        """The whole state with these values of what is active."""
+        state = self.mean.copy()
+        state[self.active] = x
+        return state
+
+
+def _first(links: tuple[LinkMotion, ...], ticks: int) -> tuple[LinkMotion, ...]:
+    return tuple(LinkMotion(*(part[:ticks] for part in link)) for link in links)

@@ -1,0 +1,1 @@
+"""Identification by least squares on measurement rows, with or without instrumental variables."""

@@ -1,0 +1,326 @@
+"""Smoothed signals in, parameters and masses with their intervals out: the one path of the flight and of the analyst.
+
+``chi = [arm, payload]``: rows made while the payload is held carry both links' columns, rows made without it carry the
+arm's only. One recursive least squares over both therefore gives the arm, the payload and their sum, with the
+covariance between them. Until both kinds of rows have come, what they cannot tell apart is not reported: a quantity is
+*supported* only when the data, not the prior, determine it.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
+from onboard.estimation.instrumental import RecursiveInstrumental
+from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
+from onboard.estimation.rls import SquareRootRls
+from onboard.identification.change import Change
+from onboard.identification.quantities import (
+    SUPPORTED_FREEDOM,
+    SUPPORTED_SHRINKAGE,
+    Estimate,
+    Quantity,
+    QuantityEstimate,
+)
+from onboard.identification.rows.instruments import Instruments, MotionRows
+from onboard.regressor.base_parameters import BaseParameters
+from onboard.regressor.noise import RowNoise
+from onboard.regressor.rows import BaseMotion, RowModel
+from onboard.regressor.signals import Signals
+
+_SCALE_ROUNDS = 2
+_BATCH_TICKS = 64  # rows judged by one estimate before they change it
+
+
+class Considered(NamedTuple):
+    """Something wrong by a known sigma in all of a row's readings, not estimated, and carried into the intervals."""
+
+    name: str
+    row: str
+    effect: Literal["scale", "delay"]
+    sigma: float  # relative for a scale, s for a delay
+
+
+class Start(NamedTuple):
+    """What another estimator of the same vehicle had learned, to go on from in place of the prior."""
+
+    mean: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    sensitivity: FloatArray  # (p, k) to what is considered, of which the covariance holds nothing
+
+
+class RowObserver(Protocol):
+    """Is shown every row that an identifier uses."""
+
+    def __call__(
+        self,
+        times_s: FloatArray,
+        held: BoolArray,
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        noise: FloatArray | None,
+    ) -> None:
+        """Rows (m, p) of the base parameters, as :meth:`BlockScores.add` takes them; ``held`` (m,): payload there."""
+
+
+class Identifier:
+    """Recursive identification of a vehicle's base parameters from smoothed signals.
+
+    Args:
+        model: the rows.
+        base: its base parameters.
+        prior_sigma: standard deviations of the standard parameters about ``model.chi``, (P,).
+        block_s: first block of the honest covariance; five kernel widths or more.
+        quantities: what to report besides the base parameters.
+        considered: what is wrong by a known sigma and not estimated.
+        residual_sigma: threshold of the residual gate.
+        memory: how long rows count.
+        huber_sigma: innovations beyond so many sigmas weigh less (Huber); none do, where not given.
+        imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
+        instruments_lag_s: with instrumental variables, for a free base: the smoothing kernel's width, so that motion
+            predicted from what was measured so long ago shares no noise with what is measured. Plain least squares
+            where not given.
+        start: where to begin; at the prior, where not given.
+
+    Raises:
+        UnknownFrameError: a considered row that the model does not have, or an IMU frame that the base does not have.
+        RowError: see :mod:`onboard.estimation`.
+    """
+
+    def __init__(
+        self,
+        model: RowModel,
+        base: BaseParameters,
+        prior_sigma: FloatArray,
+        block_s: float,
+        quantities: Sequence[Quantity] = (),
+        considered: Sequence[Considered] = (),
+        residual_sigma: float = 6.0,
+        memory: Memory = FOR_EVER,
+        huber_sigma: float | None = None,
+        imu_frame: str | None = None,
+        instruments_lag_s: float | None = None,
+        start: Start | None = None,
+    ) -> None:
+        rows = [row.name for row in model.rows]
+        for cause in considered:
+            if cause.row not in rows:
+                raise UnknownFrameError(f"considered {cause.name!r} names row {cause.row!r}; there are {rows}")
+        self.model = model
+        self.base = base
+        self.quantities = tuple(quantities)
+        self.considered = tuple(considered)
+        self.memory = memory
+        self._considered_rows = [rows.index(cause.row) for cause in considered]
+        p = len(base.names)
+        self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
+        known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
+        self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
+        self.prior_sigma = prior_sigma
+        self._prior_covariance = base.covariance(prior_sigma)
+        self._instruments: Instruments | None = None
+        if instruments_lag_s is None:
+            self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
+        else:
+            instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
+            self._recursion = instrumental
+            self._instruments = Instruments(instrumental, model, self._fold, base, prior_sigma, instruments_lag_s)
+        self.rls.prior(*(start or (base.value(model.chi), self._prior_covariance)))
+        self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
+        self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
+        self.rows_used = 0
+        self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+        self.observer: RowObserver | None = None
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Of the columns of ``measured``."""
+        return tuple(row.name for row in self.model.rows)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Of the base parameters."""
+        return self.base.names
+
+    @property
+    def quantity_names(self) -> tuple[str, ...]:
+        """Of what is reported besides."""
+        return tuple(quantity.name for quantity in self.quantities)
+
+    def triangle(self) -> FloatArray:
+        """Square-root information ``[R z]`` of all parameters, considered ones included, (s, s)."""
+        return self.rls.state().triangle
+
+    def news(self) -> tuple[Change, ...]:
+        """Nothing: rows do not tell that the payload has changed."""
+        return ()
+
+    @property
+    def rls(self) -> SquareRootRls:
+        """The recursion that the rows went into."""
+        return self._recursion.rls
+
+    @property
+    def blocks(self) -> BlockScores:
+        """The same rows by blocks of time."""
+        return self._recursion.blocks
+
+    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """Takes the rows of new ticks in.
+
+        Args:
+            signals: at the new ticks.
+            attached: (n,) whether the payload is held.
+            excluded: (n,) reasons of the gates that look at ticks; 0 where the tick may be used.
+
+        Returns:
+            (n, rows) reasons: those given, ``GAP`` for a row that is not finite, ``RESIDUAL`` for one that contradicts
+            the estimate.
+
+        Raises:
+            SignalError: shapes that do not fit.
+        """
+        n, m = signals.measured.shape
+        if m != len(self.model.rows) or signals.sigma.shape != (n, m) or excluded.shape != (n,):
+            raise SignalError(f"{m} measured rows a tick for {len(self.model.rows)} in the model; give one each")
+        found = np.repeat(np.asarray(excluded, np.int64)[:, None], m, axis=1)
+        moving = [signals.q, signals.dq, signals.ddq, *signals.motion]
+        whole = np.logical_and.reduce([np.isfinite(v).reshape(n, -1).all(axis=1) for v in moving])
+        found[~whole] |= GateReason.GAP
+        if signals.noise is not None:
+            doubts = [np.isfinite(v).reshape(n, -1).all(axis=1) for v in signals.noise[:-1]]
+            whole &= np.logical_and.reduce(doubts)
+            found[~whole] |= GateReason.GAP
+        found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
+        for first in range(0, n, _BATCH_TICKS):
+            self._batch(signals, attached, found, slice(first, first + _BATCH_TICKS))
+        for reason in self.refused:
+            self.refused[reason] += int(np.count_nonzero(found & int(reason)))
+        return found
+
+    def _batch(self, signals: Signals, attached: BoolArray, found: ReasonArray, part: slice) -> None:
+        reasons = found[part]
+        ticks = np.flatnonzero((reasons == 0).any(axis=1))
+        if ticks.size == 0:
+            return
+        at = ticks + part.start
+        motion = BaseMotion(*(v[at] for v in signals.motion))
+        joints = signals.q[at], signals.dq[at], signals.ddq[at]
+        none = np.zeros((at.size, len(self.model.rows)))
+        Y = self.model.regressor(*joints, motion, attached[at], predicted=none, fold=self._fold)
+        use = reasons[ticks] == 0  # (t, m)
+        if self._scales:
+            self._fill_scales(Y, signals.measured[at], signals.sigma[at], use)
+        rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
+        sigma = signals.sigma[at][use]
+        doubt, changes, group = None, None, np.zeros(at.size, np.intp)
+        if signals.noise is not None:
+            mean = self.rls.solve().mean if self._scales else None
+            changes, group = self._noise.changes(signals, signals.noise, at, attached, mean)
+            doubt = changes[group][use]  # (r, s, p + 1)
+            effect = (doubt @ [*self.rls.solve().mean, -1.0]) * signals.noise.inflation
+            sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
+        innovation, spread = self.rls.innovation(rows, y, sigma)
+        verdict = self.gate.check(innovation, spread)
+        kept = verdict == 0
+        widening = self.gate.widening(innovation, spread)
+        sigma = sigma * widening
+        block = reasons[ticks]
+        block[use] |= verdict
+        reasons[ticks] = block
+        if not kept.any():
+            return
+        use[use] = kept
+        tick = np.nonzero(use)[0]  # (r,) of each row
+        times = signals.time_s[at][tick]
+        C = self._considered_columns(signals, at, use)
+        rows, y, sigma = rows[kept], y[kept], sigma[kept]
+        doubt = None if doubt is None else doubt[kept]
+        self._recursion.add(times, rows, y, sigma, C, doubt)
+        if self._instruments is not None:
+            own = signals.sigma[at][use] * widening[kept]
+            moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
+            taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
+            self._instruments.take(taken)
+        if self.observer is not None:
+            self.observer(times, attached[at][tick], rows, y, sigma, doubt)
+        self.rows_used += y.size
+
+    def _fill_scales(self, Y: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
+        """Fills the columns of the scales, (t, rows, p + 1), with what the sensors should read.
+
+        A scale multiplies its reading, so the rows are linear for a given prediction only. The prediction is that of
+        the estimate with these very rows taken in on trial: it must not be the one of a payload not yet known.
+        """
+        before, trial = self.rls.state(), SquareRootRls(self.rls.parameters, self.rls.considered)
+        C = np.zeros((np.count_nonzero(use), len(self.considered))) if self.considered else None
+        unscaled, columns = Y.copy(), [column for _, column in self._scales]
+        unscaled[..., columns] = 0.0
+        for _ in range(_SCALE_ROUNDS):
+            trial.restore(before)
+            trial.update(Y[..., :-1][use], (measured - Y[..., -1])[use], sigma[use], C)
+            predicted = unscaled @ [*trial.solve().mean, 1.0]  # (t, rows)
+            for row, column in self._scales:
+                Y[:, row, column] = predicted[:, row]
+
+    def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:
+        """``d y / d c``, (r, k): the reading itself for a scale, minus its rate for a delay."""
+        if not self.considered:
+            return None
+        C = np.zeros((*use.shape, len(self.considered)))
+        for k, (cause, row) in enumerate(zip(self.considered, self._considered_rows, strict=True)):
+            if cause.effect == "scale":
+                C[:, row, k] = signals.measured[at, row]
+            elif signals.measured_rate is None:
+                raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
+            else:
+                C[:, row, k] = -signals.measured_rate[at, row]
+        return C[use]
+
+    def honest(self, level: float = 0.95) -> HonestEstimate:
+        """The estimate of the base parameters with its honest covariance."""
+        return self._recursion.honest([cause.sigma for cause in self.considered], level)
+
+    def estimate(self, level: float = 0.95) -> Estimate:
+        """Base parameters and quantities with two-sided intervals.
+
+        Args:
+            level: of the intervals.
+        """
+        honest = self.honest(level)
+        p = len(self.base.names)
+        weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])
+        interval = honest.combination(weights)
+        before = np.einsum("ri,ij,rj->r", weights, self._prior_covariance, weights)
+        shrinkage = np.maximum(interval.sigma, np.sqrt(honest.formal_variance(weights))) / np.sqrt(before)
+        supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
+        quantities = []
+        for index, quantity in enumerate(self.quantities, start=p):
+            fine = bool(supported[index])
+            mean, sigma, low, high = (
+                float(v[index]) if fine else np.nan
+                for v in (interval.mean, interval.sigma, interval.low, interval.high)
+            )
+            note = quantity.note if fine else "not determined by the data so far"
+            quantities.append(
+                QuantityEstimate(
+                    quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note
+                )
+            )
+        return Estimate(
+            self.base.names,
+            honest.mean,
+            interval.sigma[:p],
+            interval.low[:p],
+            interval.high[:p],
+            supported[:p],
+            tuple(quantities),
+            self.rows_used,
+            dict(self.refused),
+        )

@@ -1,0 +1,92 @@
+"""Standard parameters of the links from an estimate of base parameters, and bodies that can exist.
+
+Rows tell base parameters only. What the ten parameters of a link are within them, only the drawing says: the standard
+parameters given here are the drawing's, moved by what the rows say, each as far as its prior sigma allows. For Gaussian
+priors that is the posterior, covariance included, and no row is asked again.
+"""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.inertia import RigidBody, composite_functional, elements, pseudo_inertia, take_away
+from onboard.dynamics.payload import body_jacobian, body_of, possible_body, standard_of
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.rows.free_body import Whole
+from onboard.identification.rows.identifier import Identifier
+
+_SAME = 1e-9  # combinations that differ by less are one
+
+
+class LinkEstimate(NamedTuple):
+    """A link's ten standard parameters, about its frame's origin and in its axes, and the body they stand for."""
+
+    link: str
+    mean: FloatArray  # (10,)
+    covariance: FloatArray  # (10, 10)
+    body: RigidBody | None  # one that can exist: the estimate itself, or the likeliest one; None for a mass below zero
+    away: float  # how far the estimate is from that, in sigmas of the covariance: zero where it can exist itself
+
+
+def link_estimate(link: str, mean: FloatArray, covariance: FloatArray) -> LinkEstimate:
+    """Standard parameters with the body that they, or else the likeliest ones, stand for."""
+    if not mean[0] > 0.0:
+        return LinkEstimate(link, mean, covariance, None, np.inf)
+    body = possible_body(mean, covariance)
+    if np.linalg.eigvalsh(pseudo_inertia(mean))[0] > 0.0:
+        return LinkEstimate(link, mean, covariance, body, 0.0)
+    gap = standard_of(body) - mean
+    squared = float(gap @ np.linalg.pinv(covariance, hermitian=True) @ gap)
+    return LinkEstimate(link, mean, covariance, body, max(squared, 0.0) ** 0.5)
+
+
+def whole_estimate(link: str, whole: Whole, scale_sigma: float) -> LinkEstimate:
+    """A free body with its rotors, locked, as one link; its mass is taken for exact.
+
+    Args:
+        link: the vehicle's base.
+        whole: what was found.
+        scale_sigma: relative, of the scale of all of its inertia.
+    """
+    mean = standard_of(whole.body)
+    inertia = np.concatenate([np.zeros(4), elements(whole.body.inertia_kg_m2)])
+    covariance = scale_sigma**2 * np.outer(inertia, inertia)
+    covariance[1:, 1:] += whole.weights @ whole.honest.covariance @ whole.weights.T
+    back = np.linalg.inv(body_jacobian(mean))
+    return link_estimate(link, mean, back @ covariance @ back.T)
+
+
+def without_rotors(vehicle: VehicleModel, whole: RigidBody) -> RigidBody:
+    """The base link of a free body that was estimated as one: less what the URDF's other links weigh."""
+    others = vehicle.chi.copy()
+    base = 10 * vehicle.links.index(vehicle.spec.base_link)
+    others[base : base + 10] = 0.0
+    return take_away(whole, body_of(composite_functional(vehicle) @ others))
+
+
+def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> tuple[LinkEstimate, ...]:
+    """The links that have a part in what the rows determine, be it base parameters or quantities.
+
+    Args:
+        identifier: after its rows.
+        nuisance: base parameters that take up what is not theirs.
+    """
+    model, base, sigma = identifier.model, identifier.base, identifier.prior_sigma
+    honest, estimate = identifier.honest(), identifier.estimate()
+    told = [*(estimate.supported & ~np.isin(base.names, list(nuisance))), *(q.supported for q in estimate.quantities)]
+    weights = np.vstack([np.eye(len(base.names)), *(q.weights for q in identifier.quantities)])[told]  # (k, p)
+    F = weights @ base.grouping  # (k, P)
+    K = sigma[:, None] * np.asarray(
+        np.linalg.pinv(F * sigma, rcond=_SAME)
+    )  # (P, k) for a prior of independent parameters
+    mean = model.chi + K @ (weights @ honest.mean - F @ model.chi)
+    left = np.diag(sigma**2) - K @ (F * sigma**2)  # what the rows do not tell
+    covariance = left + K @ weights @ honest.covariance @ weights.T @ K.T
+    found = []
+    for index, link in enumerate(model.vehicle.links):
+        own = slice(10 * index, 10 * index + 10)
+        if (F[:, own] * sigma[own]).any():
+            found.append(link_estimate(link, mean[own], covariance[own, own]))
+    return tuple(found)

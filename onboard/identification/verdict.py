@@ -1,0 +1,124 @@
+"""What an estimate is good for, in one word and a reason.
+
+The rules, from worst to best; every one that applies is said:
+
+- *do not use*: no row could be used, or the estimator gave up; more than one row in twenty contradicts the others; a
+  body explains less than seven tenths of what was measured, and noise does not explain the rest; what was found is no
+  body, five sigmas from any that can exist; the motion determines nothing that was asked; one half of the motion is
+  predicted from the other no better than by nobody, beyond what noise does.
+- *weak*: something that was asked is not determined, and it is named; one half predicts the other to no better than a
+  half; the log is too short for any motion to be held out.
+- *good*: none of these.
+
+What noise explains is told by the whitened residuals, the correlation of neighbouring rows taken out: a residual sum of
+four times the number of rows is no noise any more. Alone that is no reason: friction and gears leave more than noise,
+and the intervals are made of what they leave.
+"""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.identification.rows.held_out import HeldOut, Prediction
+
+MOST_CONTRADICTED = 0.05  # of the rows, by the residual gate
+MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
+MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other
+WEAKLY_PREDICTED = 0.5
+FARTHEST_BODY = 5.0  # sigmas from what was found to the likeliest body
+NOISE = 4.0  # residual sum a row that may still be noise
+WORST_MISFIT = 2.0  # of a maximum likelihood fit, whose residuals are independent
+
+
+class Level(StrEnum):
+    """From best to worst."""
+
+    GOOD = "good"
+    WEAK = "weak"
+    DO_NOT_USE = "do not use"
+
+
+class Verdict(NamedTuple):
+    """A level, and why it is no better."""
+
+    level: Level
+    reasons: tuple[str, ...]
+    weak: tuple[str, ...]  # what was asked and is not determined
+
+    @property
+    def text(self) -> str:
+        """``weak in these directions: I_yy, I_zz; ...``."""
+        directions = f" in these directions: {', '.join(self.weak)}" if self.weak and self.level is Level.WEAK else ""
+        reasons = "; ".join(self.reasons)
+        return self.level + directions + (f"{';' if directions else ':'} {reasons}" if reasons else "")
+
+
+class Evidence(NamedTuple):
+    """What a verdict is made of."""
+
+    rows_used: int
+    refused: Mapping[str, int]  # rows by reason
+    asked: Mapping[str, bool]  # what was asked for, and whether the data determine it
+    held_out: HeldOut | None
+    correlation: float = 1.0  # how many neighbouring rows say the same thing: the square of the sigmas' inflation
+    failure: str = ""  # why the estimator gave up
+    away: Mapping[str, float] = MappingProxyType({})  # by link: sigmas from what was found to a body
+    misfit: float | None = None  # of a maximum likelihood fit: residual sum over its degrees of freedom
+    unchecked: str = "too short to be checked on motion that was not used"  # why nothing is held out, where it is not
+
+
+def verdict(evidence: Evidence) -> Verdict:
+    """The rules at the head of this file."""
+    if not evidence.rows_used:
+        why = ", ".join(f"{count} {reason}" for reason, count in evidence.refused.items())
+        return Verdict(Level.DO_NOT_USE, (f"no row could be used ({why or 'there was none'})",), tuple(evidence.asked))
+    if evidence.failure:
+        return Verdict(Level.DO_NOT_USE, (evidence.failure,), tuple(evidence.asked))
+    weak = tuple(name for name, determined in evidence.asked.items() if not determined)
+    bad = _contradictions(evidence)
+    if len(weak) == len(evidence.asked):
+        bad.append("the motion determines nothing that was asked; move more, and every joint")
+    held_out = evidence.held_out
+    reasons = []
+    if held_out is None:
+        reasons.append(evidence.unchecked)
+    elif _beyond_noise(held_out.worst, evidence):
+        said = f"one half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
+        if held_out.worst.relative_error >= MOST_UNPREDICTED:
+            bad.append(said)
+        elif held_out.worst.relative_error >= WEAKLY_PREDICTED:
+            reasons.append(said)
+    if bad:
+        return Verdict(Level.DO_NOT_USE, (*bad, *reasons), weak)
+    return Verdict(Level.WEAK if weak or reasons else Level.GOOD, tuple(reasons), weak)
+
+
+def _contradictions(evidence: Evidence) -> list[str]:
+    said = []
+    refused = evidence.refused.get("residual", 0)
+    share = refused / (evidence.rows_used + refused)
+    if share > MOST_CONTRADICTED:
+        said.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
+    fit = evidence.held_out.fit if evidence.held_out is not None else None
+    if fit is not None and fit.relative_error > MOST_UNEXPLAINED and _beyond_noise(fit, evidence):
+        said.append(
+            f"no body explains what was measured: {fit.relative_error:.0%} of it is left over; check signs, frames and "
+            "units, and the sensors against each other"
+        )
+    for link, away in evidence.away.items():
+        if away > FARTHEST_BODY:
+            far = f"{away:.0f} sigmas from any body" if away < np.inf else "its mass is not positive"
+            said.append(f"what was found for {link} cannot exist: {far}; check signs and units")
+    if evidence.misfit is not None and evidence.misfit > WORST_MISFIT:
+        said.append(
+            f"no body explains what was measured: {evidence.misfit:.1f} times the noise is left over; check signs, "
+            "frames and units, and the sensors against each other"
+        )
+    return said
+
+
+def _beyond_noise(prediction: Prediction, evidence: Evidence) -> bool:
+    return prediction.misfit * evidence.correlation > NOISE

@@ -1,0 +1,1 @@
+"""Recordings from elsewhere to logs, by a mapping file (``heft import``)."""

@@ -1,0 +1,89 @@
+"""Columns of foreign files: CSV with a line of names, and NumPy's NPZ. A file is held in memory as a whole."""
+
+import csv
+import zipfile
+from collections.abc import Mapping as Columns
+from pathlib import Path
+
+import numpy as np
+from numpy.lib.npyio import NpzFile
+from numpy.typing import NDArray
+
+from onboard.offline.bring_in.errors import SourceError
+from onboard.offline.bring_in.mapping import Csv
+
+Values = NDArray[np.generic]
+
+
+def read_npz(path: Path) -> Columns[str, Values]:
+    """The arrays of an NPZ file, by name.
+
+    Raises:
+        SourceError: it is no NPZ file, or one with pickled objects.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        try:
+            loaded = np.load(file, allow_pickle=False)
+            if isinstance(loaded, NpzFile):
+                return {name: loaded[name] for name in loaded.files}
+        except (ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise SourceError(f"{path} is not an NPZ file of plain arrays ({error}); check its format") from error
+    raise SourceError(f"{path} is one array without a name, not an NPZ file; save it with numpy.savez")
+
+
+def read_csv(path: Path, layout: Csv) -> Columns[str, Values]:
+    """The columns of a CSV file, by name: integers where every cell is one, else floats.
+
+    Raises:
+        SourceError: a line has another number of cells than the header, or a cell is no number.
+        OSError: it cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            for _ in range(layout.header_line - 1):
+                file.readline()
+            lines = csv.reader(file, delimiter=layout.delimiter)
+            names = [name.strip() for name in next(lines, [])]
+            cells = [line for line in lines if line]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise SourceError(f"{path} is not CSV text ({error}); check the mapping's format") from error
+    for number, line in enumerate(cells, 1):
+        if len(line) != len(names):
+            raise SourceError(
+                f"{path}: row {number} has {len(line)} cells where the header names {len(names)}; check [csv]"
+            )
+    columns = zip(*cells, strict=True) if cells else ([] for _ in names)
+    return {name: _numbers(path, name, list(column)) for name, column in zip(names, columns, strict=True)}
+
+
+def _numbers(path: Path, name: str, cells: list[str]) -> Values:
+    """Numbers of a column; text, when a cell is none, which is an error only if the mapping asks for the column."""
+    for kind in (np.int64, np.float64):
+        try:
+            return np.array(cells, dtype=str).astype(kind)
+        except (ValueError, OverflowError):
+            continue
+    return np.array(cells, dtype=str)
+
+
+def read(path: Path, layout: Csv, kind: str) -> Columns[str, Values]:
+    """The columns of a file of ``kind`` (csv or npz); see ``read_csv`` and ``read_npz``."""
+    return read_csv(path, layout) if kind == "csv" else read_npz(path)
+
+
+def numbers(path: Path, columns: Columns[str, Values], name: str, width: int | None = None) -> Values:
+    """Column ``name`` (n,), or (n, width), of a file that has been read.
+
+    Raises:
+        SourceError: there is none, or it is not of numbers of that shape.
+    """
+    if name not in columns:
+        raise SourceError(f"{path} has no column {name!r}; it has {', '.join(map(repr, columns))}")
+    values = columns[name]
+    if values.dtype.kind not in "iuf":
+        raise SourceError(f"{path}: column {name!r} holds cells that are no numbers; correct them or the mapping")
+    if values.ndim != (1 if width is None else 2) or (width is not None and values.shape[1] != width):
+        wanted = "one value" if width is None else f"{width} values"
+        raise SourceError(f"{path}: column {name!r} has shape {values.shape}; the mapping needs {wanted} a row")
+    return values

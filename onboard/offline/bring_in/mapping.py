@@ -1,0 +1,250 @@
+"""Mapping files: which columns of a foreign recording become which channels, with what scale, unit and axes.
+
+::
+
+    [mapping]
+    name = "bench_2024"
+    format = "csv"                  # or "npz"
+
+    [csv]                           # only for csv; these are the defaults
+    delimiter = ","
+    header_line = 1                 # the line that names the columns
+
+    [time]
+    column = "t"
+    unit = "s"                      # ns, us, ms, s
+    offset = 0                      # added to the column, in its unit
+    # rate_Hz = 500                 # instead of column: samples without times, evenly spaced (heft resync finds when)
+
+    [channel.imu_base]
+    record = "imu"
+
+    [channel.imu_base.accel]        # and the same for gyro
+    columns = ["ax", "ay", "az"]    # or column = "acc", an array of three columns
+    axes = ["-y", "+x", "+z"]       # body x, y, z, each by the recorded axis it is read from
+    values = "counts"               # whole numbers; "physical": values in `unit`, rounded to counts of size `scale`
+    scale = [9.81, 2048]            # `unit` per count, as a number or [numerator, denominator]
+    unit = "m/s^2"
+
+    [channel.joint_1]
+    record = "scalar"
+    time = { column = "t2", unit = "s" }    # a channel may have a clock of its own
+
+    [channel.joint_1.value]
+    column = "angle"
+    sign = "-"
+    values = "physical"
+    scale = 1e-6
+    unit = "deg"
+"""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from onboard.offline.bring_in.errors import MappingError
+
+# unit to the unit it is kept in, and how much of that it is
+UNITS = {
+    "1": ("1", 1.0),
+    "m/s^2": ("m/s^2", 1.0),
+    "g": ("m/s^2", 9.80665),  # standard gravity, CGPM 1901
+    "rad/s": ("rad/s", 1.0),
+    "deg/s": ("rad/s", math.pi / 180),
+    "rev/min": ("rad/s", 2 * math.pi / 60),
+    "rad": ("rad", 1.0),
+    "deg": ("rad", math.pi / 180),
+    "rev": ("rad", 2 * math.pi),
+    "N": ("N", 1.0),
+    "N m": ("N m", 1.0),
+    "A": ("A", 1.0),
+}
+NS_PER = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+
+_Positive = Annotated[float, Field(gt=0)]
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class About(_Section):
+    """Name of the mapping, and what it reads."""
+
+    name: str
+    format: Literal["csv", "npz"]
+
+
+class Csv(_Section):
+    """How a CSV file is laid out."""
+
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    header_line: Annotated[int, Field(ge=1)] = 1
+
+
+class Time(_Section):
+    """The recording's own clock: a column of times, or nothing but the nominal rate of evenly spaced samples."""
+
+    column: str | None = None
+    unit: Literal["ns", "us", "ms", "s"] = "s"
+    rate_Hz: _Positive | None = None  # noqa: N815  (a key ends in its SI symbol)
+    offset: float = 0
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if (self.column is None) == (self.rate_Hz is None):
+            raise ValueError("give either `column`, the name of the times, or `rate_Hz`, where there are none")
+        return self
+
+
+def _as_ratio(scale: object) -> object:
+    return scale if isinstance(scale, list) else [scale, 1]
+
+
+class _Quantity(_Section):
+    keeps: ClassVar[tuple[str, ...]] = ()  # units that it may be kept in; none: any
+
+    values: Literal["counts", "physical"] = "counts"
+    scale: Annotated[tuple[_Positive, _Positive], BeforeValidator(_as_ratio)]
+    unit: str
+
+    @model_validator(mode="after")
+    def _check_unit(self) -> Self:
+        good = [unit for unit, (kept, _) in UNITS.items() if not self.keeps or kept in self.keeps]
+        if self.unit not in good:
+            raise ValueError(f"unit {self.unit!r} is not known here; use one of {', '.join(map(repr, good))}")
+        return self
+
+    @property
+    def si_unit(self) -> str:
+        """The unit that the channel is kept in."""
+        return UNITS[self.unit][0]
+
+    @property
+    def count(self) -> float:
+        """The size of one count in `unit`."""
+        return self.scale[0] / self.scale[1]
+
+    @property
+    def si_count(self) -> float:
+        """The size of one count in `si_unit`."""
+        return self.count * UNITS[self.unit][1]
+
+
+class Vector(_Quantity):
+    """A quantity with three axes."""
+
+    column: str | None = None
+    columns: tuple[str, str, str] | None = None
+    axes: tuple[Axis, Axis, Axis] = ("+x", "+y", "+z")
+
+    @model_validator(mode="after")
+    def _check_axes(self) -> Self:
+        if (self.column is None) == (self.columns is None):
+            raise ValueError("give either `column`, an array of three, or `columns`, three names")
+        if sorted(axis[1] for axis in self.axes) != ["x", "y", "z"]:
+            raise ValueError(f"axes {list(self.axes)} must name each of x, y and z once")
+        return self
+
+
+class Acceleration(Vector):
+    """Specific force."""
+
+    keeps = ("m/s^2",)
+
+
+class AngularRate(Vector):
+    """Angular velocity."""
+
+    keeps = ("rad/s",)
+
+
+class Scalar(_Quantity):
+    """A quantity of one value."""
+
+    column: str
+    sign: Literal["+", "-"] = "+"
+
+
+class ImuChannel(_Section):
+    """A channel of ``records.IMU``."""
+
+    record: Literal["imu"]
+    accel: Acceleration
+    gyro: AngularRate
+    time: Time | None = None
+
+
+class ScalarChannel(_Section):
+    """A channel of ``records.SCALAR``."""
+
+    record: Literal["scalar"]
+    value: Scalar
+    time: Time | None = None
+
+
+Channel = Annotated[ImuChannel | ScalarChannel, Field(discriminator="record")]
+
+
+class MappingFile(_Section):
+    """A whole mapping file."""
+
+    mapping: About
+    csv: Csv = Csv()
+    time: Time
+    channel: Annotated[dict[str, Channel], Field(min_length=1)]
+
+
+class Mapping(BaseModel):
+    """A mapping file that has been read, and its text."""
+
+    model_config = ConfigDict(frozen=True)
+
+    path: Path
+    text: str
+    file: MappingFile
+
+
+def packaged() -> dict[str, Path]:
+    """The mappings that come with heft, by name."""
+    return {path.stem: path for path in sorted((Path(__file__).parent / "mappings").glob("*.toml"))}
+
+
+def load(name: str | Path) -> Mapping:
+    """Read and check a mapping: a packaged one by its name, or a file by its path.
+
+    Raises:
+        MappingError: there is none, it is no TOML, or it holds an unknown key or a wrong value.
+    """
+    known = packaged()
+    path = known.get(str(name), Path(name))
+    try:
+        text = path.read_text(encoding="utf-8")
+        file = MappingFile.model_validate(tomllib.loads(text))
+    except OSError as error:
+        raise MappingError(
+            f"{path}: {error.strerror}; give a mapping file, or one of these names: {', '.join(known)}"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise MappingError(f"{path} is not UTF-8 text ({error}); give a mapping file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise MappingError(f"{path} is not TOML: {error}") from error
+    except ValidationError as error:
+        raise MappingError("\n".join(_explain(path, dict(one)) for one in error.errors())) from error
+    return Mapping(path=path, text=text, file=file)
+
+
+def _explain(path: Path, error: dict[str, object]) -> str:
+    where = error["loc"]
+    assert isinstance(where, tuple)
+    # pydantic puts the record of a channel behind its name
+    key = ".".join(str(part) for n, part in enumerate(where) if (where[0], n) != ("channel", 2))
+    if error["type"] == "extra_forbidden":
+        return f"{path}: unknown key {key!r}; remove it, or correct its spelling"
+    if error["type"] == "missing":
+        return f"{path}: {key!r} is missing; add it"
+    return f"{path}: {key!r}: {error['msg']}"

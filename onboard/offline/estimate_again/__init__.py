@@ -1,0 +1,1 @@
+"""The estimator that flew, run on logs (``heft replay``, ``heft identify``)."""

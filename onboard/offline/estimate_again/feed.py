@@ -1,0 +1,55 @@
+"""A log through the flight's estimator, as in flight: steps of the vehicle's ``step_ms`` in the log's own time.
+
+Memory is constant in the length of the log: every channel is read by a pass of its own, a chunk at a time, so it is of
+no account in which order the channels lie in the file.
+"""
+
+from collections.abc import Iterator
+
+from drivers.records import Batch
+from onboard import config
+from onboard.flight.estimator import Estimator
+from onboard.offline.tables.source import ChannelRows
+from onboard.recording.errors import ChannelError
+from onboard.recording.reader import LogReader
+
+
+def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
+    """That a log has every channel of a vehicle's devices, with rows of the right kind.
+
+    Raises:
+        ChannelError: it has not.
+    """
+    wanted = vehicle.channels
+    missing = [name for name in wanted if name not in log.channels]
+    other = [name for name, dtype in wanted.items() if name not in missing and log.channels[name] != dtype]
+    if missing or other:
+        what = f"no channel {', '.join(missing)}" if missing else f"another kind of rows in {', '.join(other)}"
+        raise ChannelError(
+            f"{log.path} has {what}, which vehicle {vehicle.file.vehicle.name!r} needs; it has "
+            f"{', '.join(log.channels) or 'none'}. Give the vehicle that it was flown with"
+        )
+
+
+def feed(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
+    """What the estimator answers, step by step; the last step waits for nothing, as at the end of a flight.
+
+    Args:
+        estimator: of the vehicle that the log was flown with.
+        log: its rows' ``host_ns`` are the time that passes.
+
+    Raises:
+        ChannelError: the log does not fit the vehicle.
+    """
+    check_channels(estimator.vehicle, log)
+    step_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6)
+    sources = {name: ChannelRows(log, name) for name in estimator.inputs}
+    begin = [source.next_ns for source in sources.values() if source.next_ns is not None]
+    if not begin:
+        return
+    now_ns = min(begin)
+    yield from estimator.process(now_ns, {})
+    while any(source.next_ns is not None for source in sources.values()):
+        now_ns += step_ns
+        yield from estimator.process(now_ns, {name: source.take(now_ns) for name, source in sources.items()})
+    yield from estimator.process(now_ns, {}, 0)

@@ -1,0 +1,116 @@
+"""What ``heft identify`` says of one log: answers with intervals, what they rest on, and what they are good for."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from onboard.dynamics.inertia import elements
+from onboard.dynamics.vehicle import STANDARD
+from onboard.identification.observability import ObservedDirections
+from onboard.identification.rows.held_out import HeldOut
+from onboard.identification.rows.standard import LinkEstimate
+from onboard.identification.verdict import Level, Verdict
+from onboard.offline.estimate_again.throws import Throw, plain
+
+
+class Answer(NamedTuple):
+    """One name's value; numbers are NaN where the data do not support it."""
+
+    name: str
+    unit: str
+    value: float
+    sigma: float
+    low: float
+    high: float
+    supported: bool
+    bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values, None for what is no number."""
+        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
+
+
+@dataclass(frozen=True)
+class Identified:
+    """One log's answer."""
+
+    log: Path
+    method: str
+    answers: tuple[Answer, ...]  # base parameters without a unit, then the quantities
+    rows_used: int
+    refused: dict[str, int]  # rows by reason
+    damage: tuple[object, ...]
+    verdict: Verdict
+    throw: Throw | None = None
+    held_out: HeldOut | None = None
+    misfit: float | None = None  # of a maximum likelihood fit, over its degrees of freedom
+    subspace: ObservedDirections | None = None
+    essential: tuple[str, ...] = ()  # base parameters that differ from zero
+    links: tuple[LinkEstimate, ...] = field(default=())
+
+    @property
+    def supported(self) -> bool:
+        """Whether the log answers what the vehicle was flown for: its load, or at least one quantity."""
+        if self.throw is not None:
+            return self.throw.body is not None
+        asked = [answer for answer in self.answers if answer.unit] or self.answers
+        return any(answer.supported for answer in asked)
+
+    @property
+    def usable(self) -> bool:
+        """Whether it answers, and nothing speaks against the answer."""
+        return self.supported and self.verdict.level is not Level.DO_NOT_USE
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "log": str(self.log),
+            "method": self.method,
+            "verdict": {**self.verdict._asdict(), "text": self.verdict.text},
+            "supported": self.supported,
+            "rows_used": self.rows_used,
+            "refused": self.refused,
+            "damage": [str(one) for one in self.damage],
+            "quantities": [answer.as_json() for answer in self.answers],
+            "held_out": _predictions(self.held_out),
+            "misfit": self.misfit,
+            "observable": _subspace(self.subspace),
+            "essential": list(self.essential),
+            "links": [_link(one) for one in self.links],
+            "throw": self.throw.as_json() if self.throw else None,
+        }
+
+
+def _predictions(held_out: HeldOut | None) -> dict[str, Any] | None:
+    if held_out is None:
+        return None
+    parts = {
+        "later_from_earlier": held_out.later,
+        "earlier_from_later": held_out.earlier,
+        "all_from_all": held_out.fit,
+    }
+    return {name: prediction._asdict() for name, prediction in parts.items()}
+
+
+def _subspace(found: ObservedDirections | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {**found._asdict(), "condition": plain(found.condition), "undetermined": list(found.undetermined)}
+
+
+def _link(one: LinkEstimate) -> dict[str, Any]:
+    return {
+        "link": one.link,
+        "parameters": list(STANDARD),
+        "mean": one.mean.tolist(),
+        "covariance": one.covariance.tolist(),
+        "sigmas_from_a_body": plain(one.away),
+        "body": None
+        if one.body is None
+        else {
+            "mass_kg": one.body.mass_kg,
+            "centre_of_mass_m": one.body.centre_of_mass_m.tolist(),
+            "inertia_kg_m2": elements(one.body.inertia_kg_m2).tolist(),
+        },
+    }

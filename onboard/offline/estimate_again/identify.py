@@ -1,0 +1,221 @@
+"""``heft identify``: recorded flights through the estimator that flies, and its last word on each.
+
+For any vehicle these are the last quantities with their intervals, as the onboard QUANTITY channel carries them. For a
+free body (``[free_body]`` in the vehicle file) the load is told from them, and loads of known truth are summed up.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.records import Rows
+from onboard import config
+from onboard.config.checks import check
+from onboard.dynamics.urdf import with_bodies
+from onboard.flight.estimator import Estimator
+from onboard.flight.identification import build_model
+from onboard.flight.roles import roles_of
+from onboard.identification.essential import essential
+from onboard.identification.observability import subspace
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
+from onboard.identification.rows.held_out import RowBlocks
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.standard import identified_links, without_rotors
+from onboard.identification.verdict import Evidence, Level, verdict
+from onboard.offline.estimate_again import throws
+from onboard.offline.estimate_again.exiddm_log import EXIDDM, identify_exiddm
+from onboard.offline.estimate_again.feed import check_channels, feed
+from onboard.offline.estimate_again.identified import Answer, Identified
+from onboard.offline.estimate_again.planar_log import identify_planar
+from onboard.offline.estimate_again.throws import Calibration, LoadSummary
+from onboard.recording.reader import LogReader
+
+
+@dataclass(frozen=True)
+class Identification:
+    """All logs' answers, and what they say together."""
+
+    vehicle: config.Vehicle
+    logs: tuple[Identified, ...]
+    calibration: Calibration | None
+
+    @property
+    def supported(self) -> bool:
+        """Whether every log answers."""
+        return all(log.supported for log in self.logs)
+
+    @property
+    def usable(self) -> bool:
+        """Whether every log answers, and nothing speaks against any answer."""
+        return all(log.usable for log in self.logs)
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What could not be read, with the log it is from."""
+        return tuple(f"{log.log}: {one}" for log in self.logs for one in log.damage)
+
+    @property
+    def summaries(self) -> list[LoadSummary]:
+        """By load, where the truth is known."""
+        return throws.summaries([log.throw for log in self.logs if log.throw is not None])
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "vehicle": self.vehicle.file.vehicle.name,
+            "logs": [log.as_json() for log in self.logs],
+            "loads": [summary.as_json() for summary in self.summaries],
+            "calibration": self.calibration.as_json() if self.calibration else None,
+        }
+
+
+def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
+    """The same vehicle with another estimator.
+
+    Raises:
+        ConfigError: its file has not what that needs.
+    """
+    settings = vehicle.file.estimation.model_copy(update={"method": method})
+    other = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+    check(other)
+    if method != EXIDDM and not (settings.base_rows or roles_of(other).cells):
+        raise config.ConfigError(f"{vehicle.path}: there are no rows; give base_rows in [estimation], or a load cell")
+    return other
+
+
+def identify(
+    vehicle: config.Vehicle, logs: Sequence[Path], progress: Callable[[int], None] | None = None
+) -> Identification:
+    """Every log through an estimator of its own; throws that calibrate once more through one for all of their kind.
+
+    Args:
+        vehicle: that flew.
+        logs: its logs.
+        progress: is told how many logs are done.
+
+    Raises:
+        LogFormatError: a file that is no log.
+        ChannelError: a log of another vehicle.
+        LoadError: a log of a free body that no load, or more than one, goes by.
+        ConfigError: the vehicle file does not fit its URDF.
+    """
+    readers = [LogReader(log) for log in logs]
+    for reader in readers:
+        check_channels(vehicle, reader)
+    loads = [throws.load_of(vehicle, log) if vehicle.file.free_body else None for log in logs]
+    calibration: dict[str, Identifier] = {}
+    found = []
+    by_rows = vehicle.file.estimation.method != EXIDDM
+    by_likelihood = identify_planar if vehicle.file.planar else identify_exiddm
+    for reader, load in zip(readers, loads, strict=True):
+        found.append(_one(vehicle, reader, load) if by_rows else by_likelihood(vehicle, reader))
+        if load is not None and load.role != "load":
+            again = Estimator(vehicle, calibration.get(load.role))
+            calibration[load.role] = again.identifier
+            for _ in feed(again, reader):
+                pass
+        if progress:
+            progress(len(found))
+    return Identification(vehicle, tuple(found), throws.calibrate(vehicle, calibration))
+
+
+def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:
+    estimator = Estimator(vehicle)
+    who = estimator.identifier
+    method = vehicle.file.estimation.method
+    seen = RowBlocks(len(who.base.names), who.blocks.block_s)
+    who.observer = seen
+    last = None
+    for channel, rows in feed(estimator, log):
+        if channel == "quantity":
+            last = rows
+    refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}
+    if last is None:
+        nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
+        none = throws.throw(vehicle, load, who, None) if load else None
+        return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
+    estimate = who.estimate()
+    answers = _answers(last, who)
+    thrown = throws.throw(vehicle, load, who, estimate) if load else None
+    names = _asked_names(vehicle, who)
+    if thrown is not None:  # few independent blocks of time make an interval wide, and it says so
+        told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
+    else:
+        told = {answer.name: answer.supported for answer in answers}
+    held_out = seen.held_out(who)
+    links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
+    asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
+    evidence = Evidence(who.rows_used, refused, asked, held_out, estimator.inflation**2, away=away)
+    return Identified(
+        log.path,
+        method,
+        answers,
+        who.rows_used,
+        refused,
+        log.damage,
+        verdict(evidence),
+        thrown,
+        held_out,
+        subspace=subspace(who.rls.observability(), who.base.names),
+        essential=_essential(who, estimate),
+        links=links,
+    )
+
+
+def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
+    """Of the base parameters that the data determine, those that differ from nothing."""
+    told = np.flatnonzero(estimate.supported)
+    if not told.size:
+        return ()
+    honest = who.honest()
+    kept = essential(honest.mean[told], honest.covariance[np.ix_(told, told)]).kept
+    return tuple(estimate.names[k] for k in told[kept])
+
+
+def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
+    """What a vehicle was flown for: its quantities; where it has none, the payload's base parameters, or else all."""
+    if who.quantities:
+        return [quantity.name for quantity in who.quantities]
+    names = [name for name in who.base.names if name not in vehicle.file.estimation.nuisance]
+    payload = who.model.vehicle.spec.payload_link
+    own = [name for name in names if payload is not None and name.removesuffix("_R").endswith(f"_{payload}")]
+    return own or names
+
+
+def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
+    """The last QUANTITY rows, with the bound of each."""
+    weights = np.vstack([np.eye(len(who.base.names)), *(quantity.weights for quantity in who.quantities)])
+    bounds = np.sqrt(who.honest().formal_variance(weights))
+    return tuple(
+        Answer(
+            row["name"].decode(),
+            row["unit"].decode(),
+            float(row["value"]),
+            float(row["sigma"]),
+            float(row["low"]),
+            float(row["high"]),
+            bool(row["supported"]),
+            float(bound),
+        )
+        for row, bound in zip(rows, bounds, strict=True)
+    )
+
+
+def urdf(vehicle: config.Vehicle, found: Identified) -> str:
+    """The vehicle's URDF with the bodies that a log has shown.
+
+    Raises:
+        ValueError: the verdict is not to use them, or there is none.
+    """
+    if found.verdict.level is Level.DO_NOT_USE:
+        raise ValueError(f"{found.log}: {found.verdict.text}; no URDF is made of it")
+    bodies = {one.link: one.body for one in found.links if one.body is not None}
+    if not bodies:
+        raise ValueError(f"{found.log} determines no link of the URDF; there is nothing to write")
+    if found.throw is not None:
+        model = build_model(vehicle)
+        bodies = {link: without_rotors(model, body) for link, body in bodies.items()}
+    return with_bodies(vehicle.urdf_path.read_text(encoding="utf-8"), bodies)

@@ -1,0 +1,142 @@
+"""What ``heft identify`` shows in a terminal; 80 columns are enough."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from onboard.identification.verdict import Level, Verdict
+from onboard.offline.estimate_again.identified import Identified
+from onboard.offline.estimate_again.identify import Identification
+from onboard.offline.estimate_again.throws import LoadSummary
+
+PER_KG_MM2 = 1e6
+_STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE: "bold red"}
+
+
+def render(found: Identification) -> RenderableType:
+    """What people see."""
+    if not any(log.throw for log in found.logs):
+        return Group(*(part for log in found.logs for part in _one(log)))
+    parts: list[RenderableType] = []
+    for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
+        parts.append(_throws([log for log in found.logs if log.throw and log.throw.load.name == name]))
+    if found.summaries:
+        parts.append(_summary(found.summaries))
+    parts += [Text.assemble(f"{log.log.stem}: ", _verdict(log.verdict)) for log in found.logs if not _good(log)]
+    if found.calibration:
+        rotor = found.calibration.rotor
+        text = (
+            f"calibration from the throws above: the rotor's inertia in {found.vehicle.file.vehicle.urdf} times "
+            f"{rotor.factor:.4f} ± {rotor.sigma:.4f} (sigma), misfit {100 * rotor.misfit:.2f} %; for the vehicle file:"
+        )
+        parts += [Text(text), Text(f"\n{found.calibration.as_toml()}\n")]
+    return Group(*parts)
+
+
+def _good(log: Identified) -> bool:
+    return log.verdict.level is Level.GOOD
+
+
+def _verdict(verdict: Verdict) -> Text:
+    said = Text(verdict.text)
+    said.stylize(_STYLE[verdict.level], 0, len(verdict.level))
+    return said
+
+
+def _table(title: str, *headings: str) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(headings[0], no_wrap=True)
+    for heading in headings[1:]:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def _one(log: Identified) -> list[RenderableType]:
+    """A log's answers, and below them what they rest on."""
+    answers = _table("", "", "unit", "value", "95 % interval", "bound")
+    for answer in log.answers:
+        if answer.supported:
+            interval = f"{answer.low:.4g} .. {answer.high:.4g}"
+            answers.add_row(answer.name, answer.unit, f"{answer.value:.4g}", interval, f"{answer.bound:.1g}")
+    notes = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    notes.add_column(no_wrap=True)
+    notes.add_column(overflow="fold")
+    notes.add_row("verdict", _verdict(log.verdict))
+    notes.add_row("method", log.method)
+    if any(answer.supported for answer in log.answers):
+        notes.add_row("bound", "the least sigma that this motion allows (Cramér-Rao)")
+    for name, text in _notes(log):
+        notes.add_row(name, text)
+    head = Text(str(log.log), style="bold")
+    return [head, *([answers] if answers.rows else []), notes, Text()]
+
+
+def _notes(log: Identified) -> Iterator[tuple[str, str]]:
+    if unknown := [answer.name for answer in log.answers if not answer.supported]:
+        yield "undetermined", ", ".join(unknown)
+    told = [answer.name for answer in log.answers if answer.supported and not answer.unit]
+    if nothing := [name for name in told if name not in log.essential]:
+        yield "no different", f"from zero: {', '.join(nothing)}; essential: {', '.join(log.essential)}"
+    if log.held_out is not None:
+        later, earlier, fit = (f"{100 * one.relative_error:.1f} %" for one in log.held_out)
+        yield "held out", f"later half predicted from the earlier to {later}, earlier from the later to {earlier}"
+        yield "", f"left over by the fit of all: {fit}"
+    if log.misfit is not None:
+        yield "misfit", f"{log.misfit:.2f} of the noise"
+    if log.subspace is not None:
+        seen = log.subspace
+        condition = f", condition number {seen.condition:.0f}" if seen.determined else ""
+        yield "observable", f"{seen.determined} of {seen.of} directions{condition}"
+    for one in log.links:
+        if one.body is not None:
+            said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
+            moved = "; the likeliest that can exist: the estimate is no body" if one.away else ""
+            yield one.link, said + moved
+    left_out = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in log.refused.items())
+    yield "rows", f"{log.rows_used} used; left out: {left_out or 'none'}"
+
+
+def _numbers(values: NDArray[np.float64]) -> str:
+    return ", ".join(f"{value:.1f}" for value in values)
+
+
+def _throws(logs: Sequence[Identified]) -> Table:
+    """One load's throws."""
+    stems = [log.log.stem for log in logs]
+    heads = {stem[: stem.rfind("_") + 1] for stem in stems}  # all alike: said by the title already
+    shared = len(heads.pop()) if len(heads) == 1 else 0
+    load = next(log.throw.load for log in logs if log.throw)
+    title = f"{load.name}, {1e3 * load.mass_kg:g} g: principal moments ± 95 %, kg mm²"
+    table = _table(title, "", "I1", "I2", "I3", "err %", "held out %")
+    for log, stem in zip(logs, stems, strict=True):
+        principal = log.throw.principal if log.throw else None
+        if log.throw is None or principal is None:
+            table.add_row(stem[shared:], "—", "not determined", "—")
+            continue
+        shown = [
+            f"{PER_KG_MM2 * value:.1f} ± {PER_KG_MM2 * (high - value):.1f}"
+            for value, high in zip(principal.moments, principal.high, strict=True)
+        ]
+        error = "" if log.throw.error_percent is None else f"{log.throw.error_percent:.2f}"
+        held_out = "" if log.held_out is None else f"{100 * log.held_out.worst.relative_error:.1f}"
+        table.add_row(stem[shared:], *shown, error, held_out)
+    if load.truth_kg_m2:
+        table.add_section()
+        table.add_row("truth", *(f"{PER_KG_MM2 * value:.1f}" for value in sorted(load.truth_kg_m2)))
+    return table
+
+
+def _summary(summaries: Sequence[LoadSummary]) -> Table:
+    title = "error of the principal moments, norm over norm of the truth"
+    table = _table(title, "", "throws", "mean %", "bar", "worst %", "bar", "in interval")
+    for one in summaries:
+        mean_bar, worst_bar = (f"{bar:g}" for bar in one.load.bars_percent) if one.load.bars_percent else ("", "")
+        throws_said = f"{one.throws}" if one.answered == one.throws else f"{one.answered} of {one.throws}"
+        mean, worst = f"{one.mean_percent:.2f}", f"{one.worst_percent:.2f}"
+        table.add_row(one.load.name, throws_said, mean, mean_bar, worst, worst_bar, f"{one.covered_percent:.0f} %")
+    return table

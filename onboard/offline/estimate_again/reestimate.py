@@ -1,0 +1,185 @@
+"""``heft replay --with``: the same flight estimated with other settings, beside what was said on board.
+
+The new settings are a TOML file with only the keys that change; they are put over the vehicle file that the log
+carries. The estimator is fed in the very steps it made in flight, so whatever differs comes from the settings.
+"""
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from onboard import config
+from onboard.flight.estimator import Estimator
+from onboard.offline.estimate_again.replay import Pass, steps
+from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.offline.views.summary import LogOverview, count_gates, summary
+from onboard.recording.reader import LogReader
+
+_ABSENT = "not set"
+
+
+class Difference(NamedTuple):
+    """One setting, by its dotted key."""
+
+    key: str
+    flown: str
+    now: str
+
+
+class Reestimate(NamedTuple):
+    """Settings that differ, what was said on board, and what the estimator says now."""
+
+    changes: tuple[Difference, ...]
+    flown: LogOverview
+    now: LogOverview
+    short: str  # what of the inputs the log does not hold
+    damage: tuple[object, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "changes": [change._asdict() for change in self.changes],
+            "flown": self.flown.as_json(),
+            "now": self.now.as_json(),
+            "damage": [str(one) for one in self.damage],
+        }
+
+
+def reestimate(path: Path, settings: Path) -> Reestimate:
+    """Estimate the flight of ``path`` again, with ``settings`` put over those it was flown with.
+
+    Raises:
+        LogFormatError: it is no log.
+        ConfigError: it carries no vehicle, or the settings do not fit.
+        OSError: a file cannot be read.
+    """
+    log = LogReader(path)
+    with TemporaryDirectory() as directory:
+        flown = vehicle_of(log, Path(directory))
+        vehicle = _with(flown, settings)
+        if vehicle.channels != flown.channels:
+            raise config.ConfigError(
+                f"{settings} changes the devices' channels, which a flight that is over cannot; change [estimation], "
+                "[free_body] or numbers of a device"
+            )
+        estimator = Estimator(vehicle)
+    now, short = LogOverview(), ""
+    rows_of_log = Pass(log, [*estimator.inputs, "tick"])
+    for step in steps(rows_of_log, estimator.inputs):
+        short = short or step.short
+        for channel, rows in estimator.process(step.now_ns, step.batches, step.lag_ns):
+            if channel == "row":
+                count_gates(now, rows["gate"])
+            elif channel == "quantity":
+                now.answers.update((row["name"].decode(), row) for row in rows)
+    said = summary(log)
+    said.clocks = {}
+    return Reestimate(tuple(_changes(flown, vehicle)), said, now, short, log.damage)
+
+
+def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
+    try:
+        over = tomllib.loads(settings.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise config.ConfigError(f"{settings}: not TOML: {error}") from error
+    tree = _over(tomllib.loads(flown.text), over)
+    text = "".join(f"{key} = {_inline(value)}\n" for key, value in tree.items())
+    try:
+        return config.parse(text, flown.path)
+    except config.ConfigError as error:  # its lines are those of a file that nobody has
+        message = re.sub(rf"{re.escape(str(flown.path))}(:\d+)?", str(settings), str(error))
+        raise config.ConfigError(message) from error
+
+
+def _over(tree: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """``tree`` with what ``other`` says in its place, table by table."""
+    made = dict(tree)
+    for key, value in other.items():
+        both = isinstance(value, dict) and isinstance(tree.get(key), dict)
+        made[key] = _over(tree[key], value) if both else value
+    return made
+
+
+def _inline(value: object) -> str:
+    """``value`` as TOML on one line."""
+    match value:
+        case dict():
+            return "{" + ", ".join(f"{json.dumps(key)} = {_inline(one)}" for key, one in value.items()) + "}"
+        case list():
+            return "[" + ", ".join(map(_inline, value)) + "]"
+        case str() | bool():
+            return json.dumps(value)
+        case _:
+            return repr(value)
+
+
+def _changes(flown: config.Vehicle, now: config.Vehicle) -> Iterator[Difference]:
+    old, new = (dict(_leaves(vehicle.file.model_dump())) for vehicle in (flown, now))
+    for key in dict.fromkeys([*old, *new]):
+        if old.get(key) != new.get(key):
+            yield Difference(key, *(str(tree.get(key, _ABSENT)) for tree in (old, new)))
+
+
+def _leaves(tree: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{before}{key}.")
+        else:
+            yield before + key, value
+
+
+def render(found: Reestimate) -> RenderableType:
+    """``found`` for a terminal."""
+    changed = ", ".join(f"{change.key} {change.flown} -> {change.now}" for change in found.changes)
+    parts: list[RenderableType] = [Text(f"changed: {changed or 'nothing'}"), _answers(found), _rows(found)]
+    if found.short:
+        parts.append(Text(f"not all that the estimator had is in the log: {found.short}", style="yellow"))
+    return Group(*parts)
+
+
+def _answers(found: Reestimate) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
+    table.add_column("quantity", no_wrap=True)
+    for heading in ("said on board", "95 % interval", "now", "95 % interval", "change %", "in sigmas"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name in dict.fromkeys([*found.flown.answers, *found.now.answers]):
+        flown, now = found.flown.answers.get(name), found.now.answers.get(name)
+        if not any(row is not None and row["supported"] for row in (flown, now)):
+            continue
+        table.add_row(Text(name), *_answer(flown), *_answer(now), *_change(flown, now))
+    return table
+
+
+def _answer(row: np.void | None) -> tuple[str, str]:
+    if row is None or not row["supported"]:
+        return "", "not determined"
+    return f"{row['value']:.6g}", f"{row['low']:.4g} .. {row['high']:.4g}"
+
+
+def _change(flown: np.void | None, now: np.void | None) -> tuple[str, str]:
+    if flown is None or now is None or not (flown["supported"] and now["supported"]):
+        return "", ""
+    step = float(now["value"] - flown["value"])
+    percent = f"{100 * step / abs(float(flown['value'])):+.3f}" if flown["value"] else ""
+    return percent, f"{step / float(flown['sigma']):+.2f}" if flown["sigma"] else ""
+
+
+def _rows(found: Reestimate) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
+    table.add_column("rows", no_wrap=True)
+    for heading in ("on board", "now"):
+        table.add_column(heading, justify="right")
+    table.add_row("used", *(f"{one.used:,} of {one.rows:,}" for one in (found.flown, found.now)))
+    for reason in dict.fromkeys([*found.flown.refused, *found.now.refused]):
+        counts = (f"{one.refused.get(reason, 0):,}" for one in (found.flown, found.now))
+        table.add_row(f"refused: {reason.replace('_', ' ')}", *counts)
+    return table

@@ -1,0 +1,218 @@
+"""Estimate again from a log and compare with what was said in flight, bit for bit.
+
+The TICK records say what each step of the onboard estimator consumed; the same code is fed the same rows in the same
+steps. Whatever the scheduling was on board, the answers are the same to the last bit, or something is wrong.
+"""
+
+import tempfile
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Batch, Rows
+from onboard import config
+from onboard.flight.estimator import Estimator
+from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.recording.reader import LogReader
+
+SEQUENCED = np.dtype([("sequence", "<u8"), ("host_ns", "<i8")])
+_UNANSWERED = 2  # last steps of a flight that was cut off, whose TICK came into the log and whose answers did not
+
+
+class Replay(NamedTuple):
+    """What a replay found."""
+
+    identical: bool
+    summary: str
+    compared: dict[str, int]  # rows by channel
+    damage: tuple[object, ...]
+
+
+class Pass:
+    """One pass over a log: rows of several channels, each kept from when it is come across until it is asked for."""
+
+    def __init__(self, log: LogReader, channels: Iterable[str]) -> None:
+        known = [name for name in channels if name in log.channels]
+        self._waiting: dict[str, Rows] = {name: np.empty(0, log.channels[name]) for name in known}
+        self._batches: Iterator[Batch] = log.batches(known)
+
+    def read_on(self) -> bool:
+        """Come across one batch more; False at the end of the log."""
+        batch = next(self._batches, None)
+        if batch is not None:
+            waiting = self._waiting[batch.channel]
+            self._waiting[batch.channel] = np.concatenate([waiting, batch.rows]) if len(waiting) else batch.rows
+        return batch is not None
+
+    def take(self, name: str, first: int, last: int) -> Rows:
+        """Rows ``first..last`` (sequence numbers, both included) of one channel, as far as the log has them."""
+        if name not in self._waiting:
+            return np.empty(0, SEQUENCED)
+        while not len(self._waiting[name]) or self._waiting[name]["sequence"][-1] < last:
+            if not self.read_on():
+                break
+        rows = self._waiting[name]
+        low = int(np.searchsorted(rows["sequence"], first))
+        high = int(np.searchsorted(rows["sequence"], last, side="right"))
+        self._waiting[name] = rows[high:]
+        return rows[low:high]
+
+    def following(self, name: str) -> Iterator[np.void]:
+        """Every row of one channel to the end of the log."""
+        while name in self._waiting:
+            rows = self._waiting[name]
+            if len(rows):
+                self._waiting[name] = rows[1:]
+                yield rows[0]
+            elif not self.read_on():
+                return
+
+    def waiting(self, name: str) -> Rows:
+        """What has been come across of one channel and not been taken; it is now."""
+        rows = self._waiting.get(name)
+        if rows is None:
+            return np.empty(0, SEQUENCED)
+        self._waiting[name] = rows[:0]
+        return rows
+
+
+class _Said:
+    """What was said on one channel beside what is said again, row by row."""
+
+    def __init__(self, dtype: np.dtype[np.void]) -> None:
+        self.recorded = self.same = 0
+        self.differs = False
+        self._said: Rows = np.empty(0, dtype)
+        self._again: Rows = np.empty(0, dtype)
+
+    @property
+    def replayed(self) -> int:
+        """Rows said again."""
+        return self.same + len(self._again)
+
+    @property
+    def unsaid(self) -> Rows:
+        """Rows that only the replay said, so far."""
+        return self._again[len(self._said) :]
+
+    def add(self, said: Rows, again: Sequence[Rows] = ()) -> None:
+        """Compare more of both; after the first difference they are only counted."""
+        self.recorded += len(said)
+        self._said = np.concatenate([self._said, said]) if len(self._said) else said
+        self._again = np.concatenate([self._again, *again])
+        count = min(len(self._said), len(self._again))
+        if self.differs or not count:
+            return
+        if self._said.dtype != self._again.dtype:
+            self.differs = True
+            return
+        equal = (_bytes(self._again[:count]) == _bytes(self._said[:count])).all(axis=1)
+        self.differs = not equal.all()
+        count = int(np.argmin(equal)) if self.differs else count
+        self.same += count
+        self._said, self._again = self._said[count:], self._again[count:]
+
+    def forget(self, known: int) -> None:
+        """Of what was said again, only ``known`` rows in all had come out before their estimator died."""
+        self._again = self._again[: max(0, known - self.same)]
+
+    def end(self, answered_ns: int) -> None:
+        """The flight ended, or was cut off, before the answers to its last steps came out: these need not be there."""
+        if len(self._again) and (self.unsaid["host_ns"] > answered_ns).all():
+            self._again = self._again[: len(self._said)]
+        self.differs |= len(self._said) + len(self._again) > 0
+
+
+def _bytes(rows: Rows) -> NDArray[np.uint8]:
+    """The rows' fields as they lie in memory, (n, itemsize), what fills the gaps between them zeroed."""
+    clean = np.zeros(len(rows), rows.dtype)
+    for field in rows.dtype.names or ():
+        clean[field] = rows[field]
+    return clean.view(np.uint8).reshape(len(rows), rows.dtype.itemsize)
+
+
+def replay(path: Path) -> Replay:
+    """Replay a log.
+
+    Raises:
+        LogFormatError: it is no log.
+        ConfigError: it carries no vehicle that can be used.
+    """
+    log = LogReader(path)
+    with tempfile.TemporaryDirectory() as directory:
+        return _replay(log, vehicle_of(log, Path(directory)))
+
+
+class Step(NamedTuple):
+    """What a step of the onboard estimator consumed, by channel."""
+
+    now_ns: int
+    batches: dict[str, Rows]
+    lag_ns: int | None
+    fresh: bool  # another estimator began with it
+    short: str  # what of it the log does not hold; empty where it holds all
+
+
+def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[Step]:
+    """The steps that the estimator of a flight made, as the TICK records tell them.
+
+    Args:
+        rows: a pass over the flight's log, with these channels and ``tick``.
+        channels: what the estimator consumed, in its order.
+    """
+    for tick in rows.following("tick"):
+        batches: dict[str, Rows] = {}
+        short = ""
+        consumed = zip(
+            channels, *(tick[k].tolist() for k in ("consumed", "first_sequence", "last_sequence")), strict=True
+        )
+        for name, count, first, last in consumed:
+            if not count:
+                continue
+            batches[name] = rows.take(name, first, last)
+            if len(batches[name]) != count:
+                short = short or f"{name}: {count - len(batches[name])} rows of {first}..{last} are not in the log"
+        fresh = "fresh" in (tick.dtype.names or ()) and bool(tick["fresh"])
+        yield Step(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short)
+
+
+def _replay(log: LogReader, vehicle: config.Vehicle) -> Replay:
+    estimator = Estimator(vehicle)
+    outputs = estimator.outputs
+    rows = Pass(log, [*estimator.inputs, "tick", *outputs])
+    channels = {name: _Said(dtype) for name, dtype in outputs.items()}
+    short = ""
+    times_ns: deque[int] = deque([-1], maxlen=_UNANSWERED + 1)
+    for step in steps(rows, estimator.inputs):
+        times_ns.append(step.now_ns)
+        if step.fresh:  # in place of one that died, whose last answers may not have come out
+            said = {name: int((log.read(name)["host_ns"] < step.now_ns).sum()) for name in outputs}
+            for name, channel in channels.items():
+                channel.forget(said[name])
+            estimator = Estimator(vehicle)
+            estimator.go_on_from(said)
+        short = short or step.short
+        again: dict[str, list[Rows]] = {name: [] for name in outputs}
+        for name, made in estimator.process(step.now_ns, step.batches, step.lag_ns):
+            if name in again:
+                again[name].append(made)
+        for name, channel in channels.items():
+            channel.add(rows.waiting(name), again[name])
+    while rows.read_on():
+        pass
+    answered_ns = times_ns[0]
+    for name, channel in channels.items():
+        channel.add(rows.waiting(name))
+        replayed = channel.replayed
+        channel.end(answered_ns)
+        if channel.differs:
+            why = f"; {short}" if short else ""
+            text = f"{name} differs from row {channel.same}: {channel.recorded} recorded, {replayed} replayed{why}"
+            return Replay(False, text, {n: c.recorded for n, c in channels.items()}, log.damage)
+    compared = {name: channel.recorded for name, channel in channels.items()}
+    total = ", ".join(f"{count} {name}" for name, count in compared.items())
+    return Replay(True, f"identical to the last bit: {total}", compared, log.damage)

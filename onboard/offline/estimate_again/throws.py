@@ -1,0 +1,243 @@
+"""Logs of a free body: which load flew in each, what it came out as beside what it is known to be, and calibration.
+
+The vehicle file says what may be on board (``[[free_body.load]]``, told by the log's name) and what the carrier itself
+is (``[free_body.carrier]``). Where throws of the carrier alone and of the proof body are among the logs, those same
+numbers are found anew from them, in the form that the vehicle file takes.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.dynamics.inertia import RigidBody, elements, symmetric
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
+from onboard.identification.rows.free_body import (
+    FREE_BODY,
+    KnownBody,
+    PrincipalMoments,
+    RotorCalibration,
+    calibrate_rotor,
+    whole_body,
+    without_carrier,
+)
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.standard import LinkEstimate, whole_estimate
+
+
+class LoadError(ValueError):
+    """Nobody can tell what flew in a log."""
+
+
+def plain(value: float) -> float | None:
+    """None for what is no number."""
+    return value if math.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class Throw:
+    """One log's load."""
+
+    load: config.Load
+    body: RigidBody | None  # in base axes; None where the data do not support it
+    principal: PrincipalMoments | None
+    whole: LinkEstimate | None = None  # carrier and load, the rotors locked
+
+    @property
+    def links(self) -> tuple[LinkEstimate, ...]:
+        """The whole as one link, where it is determined."""
+        return () if self.whole is None else (self.whole,)
+
+    @property
+    def error_percent(self) -> float | None:
+        """Norm of the error of the principal moments over the norm of the true ones."""
+        if self.principal is None or self.load.truth_kg_m2 is None:
+            return None
+        truth = np.sort(self.load.truth_kg_m2)
+        return float(100.0 * np.linalg.norm(self.principal.moments - truth) / np.linalg.norm(truth))
+
+    @property
+    def covered(self) -> int | None:
+        """How many of the three true moments lie in their intervals."""
+        if self.principal is None or self.load.truth_kg_m2 is None:
+            return None
+        truth = np.sort(self.load.truth_kg_m2)
+        return int(np.count_nonzero((self.principal.low <= truth) & (truth <= self.principal.high)))
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        made: dict[str, Any] = {"load": self.load.name, "role": self.load.role, "supported": self.body is not None}
+        if self.body is not None and self.principal is not None:
+            made["centre_of_mass_m"] = self.body.centre_of_mass_m.tolist()
+            made["inertia_kg_m2"] = elements(self.body.inertia_kg_m2).tolist()
+            made["principal_kg_m2"] = {
+                field: getattr(self.principal, field).tolist() for field in self.principal._fields
+            }
+        if self.load.truth_kg_m2 is not None:
+            made |= {"truth_kg_m2": sorted(self.load.truth_kg_m2), "truth_source": self.load.truth_source}
+            made |= {"error_percent": self.error_percent, "covered": self.covered}
+        return made
+
+
+class LoadSummary(NamedTuple):
+    """All throws of one load whose truth is known."""
+
+    load: config.Load
+    throws: int
+    answered: int
+    mean_percent: float
+    worst_percent: float
+    covered_percent: float  # of the true moments that lie in their intervals
+
+    @property
+    def within_bars(self) -> bool | None:
+        """Whether mean and worst error are accepted; None where the vehicle file sets no bars."""
+        bars = self.load.bars_percent
+        if bars is None:
+            return None
+        return self.answered == self.throws and self.mean_percent <= bars[0] and self.worst_percent <= bars[1]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "load": self.load.name,
+            **{field: plain(getattr(self, field)) for field in self._fields[1:]},
+            "bars_percent": self.load.bars_percent,
+            "within_bars": self.within_bars,
+        }
+
+
+class Calibration(NamedTuple):
+    """What the throws of the carrier and of the proof body say."""
+
+    rotor: RotorCalibration
+    carrier: KnownBody
+
+    def as_toml(self) -> str:
+        """The tables of the vehicle file; the rotors' inertia in the URDF is to be multiplied by the factor."""
+        body, sigma = self.carrier
+
+        def numbers(values: FloatArray, digits: int) -> str:
+            said = [f"{value:.{digits}g}" for value in values]
+            lines = [", ".join(said[first : first + 3]) for first in range(0, len(said), 3)]
+            return "[" + ",\n    ".join(lines) + "]"
+
+        return "\n".join(
+            [
+                "[free_body]",
+                f"rotor_sigma = {self.rotor.sigma:.2g}",
+                "",
+                "[free_body.carrier]",
+                f"mass_kg = {body.mass_kg:g}",
+                f"centre_of_mass_m = {numbers(body.centre_of_mass_m, 4)}",
+                f"centre_of_mass_sigma_m = {numbers(sigma[:3], 2)}",
+                f"inertia_kg_m2 = {numbers(elements(body.inertia_kg_m2), 4)}",
+                f"inertia_sigma_kg_m2 = {numbers(sigma[3:], 2)}",
+            ]
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        body, sigma = self.carrier
+        return {
+            "rotor": self.rotor._asdict(),
+            "carrier": {
+                "mass_kg": body.mass_kg,
+                "centre_of_mass_m": body.centre_of_mass_m.tolist(),
+                "centre_of_mass_sigma_m": sigma[:3].tolist(),
+                "inertia_kg_m2": elements(body.inertia_kg_m2).tolist(),
+                "inertia_sigma_kg_m2": sigma[3:].tolist(),
+            },
+        }
+
+
+def load_of(vehicle: config.Vehicle, log: Path) -> config.Load:
+    """The load that flew in ``log``.
+
+    Raises:
+        LoadError: none of the vehicle file's loads, or more than one, is told by this log's name.
+    """
+    loads = vehicle.file.free_body.load if vehicle.file.free_body else []
+    found = [load for load in loads if fnmatchcase(log.name, load.logs)]
+    if len(found) == 1:
+        return found[0]
+    known = ", ".join(f"{load.name} ({load.logs})" for load in found or loads) or "none"
+    what = "more than one load" if found else "no load"
+    raise LoadError(
+        f"{log}: {what} of {vehicle.path} goes by this name: {known}; rename the log, or correct its 'logs'"
+    )
+
+
+def carrier_of(vehicle: config.Vehicle) -> KnownBody | None:
+    """The carrier as the vehicle file has it."""
+    carrier = vehicle.file.free_body.carrier if vehicle.file.free_body else None
+    if carrier is None:
+        return None
+    inertia = symmetric(np.array(carrier.inertia_kg_m2))
+    body = RigidBody(carrier.mass_kg, np.array(carrier.centre_of_mass_m), inertia)
+    return KnownBody(body, np.array([*carrier.centre_of_mass_sigma_m, *carrier.inertia_sigma_kg_m2]))
+
+
+def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier, estimate: Estimate | None) -> Throw:
+    """What a log says of its load.
+
+    Args:
+        vehicle: its carrier is subtracted, unless the carrier is the load.
+        load: what flew.
+        identifier: after the log.
+        estimate: its last; None where no row could be used.
+    """
+    section = vehicle.file.free_body
+    assert section is not None
+    # Few independent blocks of time make an interval wide, and it says so; what the prior would say is no answer.
+    told = {q.name for q in estimate.quantities if q.shrinkage <= SUPPORTED_SHRINKAGE} if estimate else set()
+    if not set(FREE_BODY) <= told:
+        return Throw(load, None, None)
+    carrier = None if load.role == "carrier" else carrier_of(vehicle)
+    mass = load.mass_kg + (carrier.body.mass_kg if carrier else 0.0)
+    whole = whole_body(identifier, mass)
+    found = without_carrier(whole, carrier, section.rotor_sigma)
+    return Throw(load, *found, whole_estimate(vehicle.file.vehicle.base_link, whole, section.rotor_sigma))
+
+
+def summaries(throws: Sequence[Throw]) -> list[LoadSummary]:
+    """One for each load whose truth is known, in the order of the throws."""
+    made = []
+    for load in dict.fromkeys(throw.load.name for throw in throws if throw.load.truth_kg_m2 is not None):
+        mine = [throw for throw in throws if throw.load.name == load]
+        errors = [throw.error_percent for throw in mine if throw.error_percent is not None]
+        inside = [throw.covered for throw in mine if throw.covered is not None]
+        worst, mean = (max(errors), float(np.mean(errors))) if errors else (np.nan, np.nan)
+        covered = 100.0 * sum(inside) / (3 * len(inside)) if inside else np.nan
+        made.append(LoadSummary(mine[0].load, len(mine), len(errors), mean, worst, covered))
+    return made
+
+
+def calibrate(vehicle: config.Vehicle, calibration: Mapping[str, Identifier]) -> Calibration | None:
+    """The rotors and the carrier, from throws of known bodies only.
+
+    Args:
+        vehicle: tells the masses and the proof body.
+        calibration: by role ("carrier", "proof"), an identifier that has seen all the throws of that role.
+
+    Returns:
+        None unless both roles have usable throws.
+    """
+    loads = vehicle.file.free_body.load if vehicle.file.free_body else []
+    by_role = {load.role: load for load in loads}
+    if not {"carrier", "proof"} <= {role for role, seen in calibration.items() if seen.rows_used}:
+        return None
+    device_kg, proof = by_role["carrier"].mass_kg, by_role["proof"]
+    assert proof.truth_kg_m2 is not None
+    device = whole_body(calibration["carrier"], device_kg)
+    both = whole_body(calibration["proof"], device_kg + proof.mass_kg)
+    known = RigidBody(proof.mass_kg, np.zeros(3), np.diag(proof.truth_kg_m2))
+    rotor = calibrate_rotor(device.body, both.body, known)
+    body = device.body._replace(inertia_kg_m2=rotor.factor * device.body.inertia_kg_m2)
+    return Calibration(rotor, KnownBody(body, device.sigma * np.repeat([1.0, rotor.factor], [3, 6])))

@@ -1,0 +1,182 @@
+"""Columns of numbers and text to CSV (RFC 4180, LF line ends), a block of rows at a time and without a loop over rows.
+
+Every cell is laid into a field of fixed width with NUL as filler, the fields of a block make a matrix of bytes, and
+what is not NUL is the text. What recurs is formatted once: 16-bit counts and their products with a scale that stays are
+looked up in tables, other floats and text are formatted by distinct value.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Rows
+from onboard.offline.tables.columns import Column, Values
+
+Cells = NDArray[np.uint8]  # (n, width), NUL where there is nothing; (1, width) where all rows are alike
+
+_POWERS = 10 ** np.arange(1, 20, dtype=np.uint64)
+_GROUP = np.uint64(10_000)
+_ODD_BYTES = (b",", b'"', b"\n", b"\r")
+
+
+def header(columns: Sequence[Column]) -> bytes:
+    """The first line."""
+    return b",".join(_quoted(column.header.encode()) for column in columns) + b"\n"
+
+
+class Encoder:
+    """Rows of one channel to lines; what it has formatted once it keeps, in constant memory.
+
+    Args:
+        columns: of the table.
+    """
+
+    def __init__(self, columns: Sequence[Column]) -> None:
+        self._columns = [(column, _Products(column.digits)) for column in columns]
+
+    def block(self, rows: Rows) -> bytes:
+        """The lines of ``rows`` (n,)."""
+        if not len(rows):
+            return b""
+        parts = [self._cells(column, products, rows) for column, products in self._columns]
+        lines = np.empty((len(rows), sum(part.shape[1] + 1 for part in parts)), np.uint8)
+        at = 0
+        for part in parts:
+            end = at + part.shape[1]
+            lines[:, at:end] = part
+            lines[:, end] = ord(",")
+            at = end + 1
+        lines[:, -1] = ord("\n")
+        return lines.tobytes().translate(None, b"\0")
+
+    @staticmethod
+    def _cells(column: Column, products: "_Products", rows: Rows) -> Cells:
+        if column.product is not None:
+            counts, scale = (take(rows) for take in column.product)
+            if counts.dtype == np.int16 and (scale == scale[0]).all():
+                return products.cells(counts, scale[0])
+        return cells(column.values(rows), column.digits)
+
+
+class _Products:
+    """Cells of count x scale for every 16-bit count, filled as counts turn up; begun anew when the scale changes."""
+
+    def __init__(self, digits: int | None) -> None:
+        self._digits = digits
+        self._scale: np.generic | None = None
+        self._known = np.zeros(0, np.bool_)
+        self._table: Cells = np.zeros((0, 1), np.uint8)
+
+    def cells(self, counts: Values, scale: np.generic) -> Cells:
+        """Cells (n, width) of ``counts`` (n,) int16 x ``scale``."""
+        if scale != self._scale:
+            self._scale = scale
+            self._known, self._table = np.zeros(1 << 16, np.bool_), np.zeros((1 << 16, 1), np.uint8)
+        index = counts.view(np.uint16)
+        if not self._known[index].all():
+            new = np.unique(counts[~self._known[index]])
+            made = cells(new.astype(np.float64) * np.float64(scale), self._digits)
+            missing = made.shape[1] - self._table.shape[1]
+            if missing > 0:
+                self._table = np.pad(self._table, ((0, 0), (0, missing)))
+            self._table[new.view(np.uint16)] = 0
+            self._table[new.view(np.uint16), : made.shape[1]] = made
+            self._known[new.view(np.uint16)] = True
+        return _rows_of(self._table, index)
+
+
+def cells(values: Values, digits: int | None = None) -> Cells:
+    """``values`` (n,) as text: integers and text as they are, floats with ``digits`` significant digits.
+
+    Floats without ``digits`` are written as the shortest text that reads back as the same value of their type.
+    """
+    kind = values.dtype.kind
+    if kind == "b" or (kind in "iu" and values.dtype.itemsize <= 2):
+        name = values.dtype.str if kind in "iu" else "|u1"
+        return _rows_of(_small_integers(name), values.astype(np.intp) - _lowest(name))
+    if kind in "iu":
+        return _integers(values)
+    return _by_value(values, _float_formatter(values.dtype, digits) if kind == "f" else _text)
+
+
+def _rows_of(table: Cells, index: NDArray[np.integer[Any]]) -> Cells:
+    """Rows ``index`` (n,) of ``table``, each moved as one item."""
+    width = table.shape[1]
+    taken = table.view(f"V{width}").reshape(-1).take(index)
+    return taken.view(np.uint8).reshape(len(index), width)
+
+
+@cache
+def _small_integers(kind: str) -> Cells:
+    limits = np.iinfo(kind)
+    return _matrix([b"%d" % n for n in range(int(limits.min), int(limits.max) + 1)])
+
+
+def _lowest(kind: str) -> int:
+    return int(np.iinfo(kind).min)
+
+
+@cache
+def _groups() -> NDArray[np.uint32]:
+    """Four digits of every number below 10,000, as one item each."""
+    return np.array([b"%04d" % n for n in range(int(_GROUP))]).view(np.uint32)
+
+
+def _integers(values: Values) -> Cells:
+    if not len(values):
+        return np.zeros((0, 1), np.uint8)
+    negative = np.less(values, 0)
+    magnitude = values.astype(np.uint64)
+    magnitude[negative] = np.uint64(0) - magnitude[negative]  # exact for the most negative one too
+    most = 1 + int(np.searchsorted(_POWERS, magnitude.max(), side="right"))
+    fewest = 1 + int(np.searchsorted(_POWERS, magnitude.min(), side="right"))
+    groups = np.empty((len(values), -(-most // 4)), np.uint32)
+    for column in range(groups.shape[1] - 1, -1, -1):
+        rest = magnitude // _GROUP
+        groups[:, column] = _groups().take((magnitude - rest * _GROUP).astype(np.intp))
+        magnitude = rest
+    result: Cells = groups.view(np.uint8)[:, -most:]
+    if fewest < most:  # leading zeros of the shorter ones
+        result = result * np.logical_or.accumulate(result != ord("0"), axis=1)
+        result[:, -1] = groups.view(np.uint8)[:, -1]
+    if negative.any():
+        result = np.column_stack([negative * np.uint8(ord("-")), result])
+    return result
+
+
+def _by_value(values: Values, to_text: Callable[[NDArray[np.generic]], list[bytes]]) -> Cells:
+    if len(values) > 1 and (values == values[0]).all():
+        return _matrix(to_text(values[:1]))
+    distinct, which = np.unique(values, return_inverse=True)
+    return _rows_of(_matrix(to_text(distinct)), which)
+
+
+def _matrix(texts: list[bytes]) -> Cells:
+    packed = np.array(texts or [b""])
+    return packed.view(np.uint8).reshape(len(packed), packed.dtype.itemsize)
+
+
+def _float_formatter(dtype: np.dtype[np.generic], digits: int | None) -> Callable[[NDArray[np.generic]], list[bytes]]:
+    def short(values: NDArray[np.generic]) -> list[bytes]:
+        # float32 has a shortest text of its own, which str of the NumPy scalar gives
+        source = values.tolist() if dtype == np.float64 else values
+        return [str(value).encode() for value in source]
+
+    if digits is None or digits > 15:
+        return short
+    form = f"%.{digits}g"
+    return lambda values: [(form % value).encode() for value in values.tolist()]
+
+
+def _text(values: NDArray[np.generic]) -> list[bytes]:
+    return [_quoted(bytes(value).decode(errors="backslashreplace").encode()) for value in values.tolist()]
+
+
+def _quoted(text: bytes) -> bytes:
+    text = text.replace(b"\0", b"\\x00")
+    if any(mark in text for mark in _ODD_BYTES):
+        return b'"' + text.replace(b'"', b'""') + b'"'
+    return text

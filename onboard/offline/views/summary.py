@@ -1,0 +1,149 @@
+"""What a flight said of itself: its clocks, why rows were left out, and its last answers; read from the log."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from onboard import channels, config
+from onboard.estimation.gates import GateReason
+from onboard.flight.clocks import known_delays
+from onboard.offline.tables.thin import Thinned
+from onboard.offline.tables.vehicle_file import attached_vehicle
+from onboard.recording.reader import LogReader
+from onboard.timebase.clock import ClockState
+from onboard.timebase.delays import Delay
+
+_POINTS = 4000  # of a clock that are kept for a plot
+
+
+@dataclass
+class LogOverview:
+    """By clock the CLOCK rows (of a long flight some), rows of the regression, last answers, and delays removed."""
+
+    clocks: dict[str, np.ndarray] = field(default_factory=dict)
+    rows: int = 0
+    used: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    answers: dict[str, np.void] = field(default_factory=dict)
+    delays: tuple[Delay, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; None for what the data do not support."""
+        return {
+            "clocks": {name: _clock_json(rows[-1]) for name, rows in sorted(self.clocks.items())},
+            "delays": [delay._asdict() for delay in self.delays],
+            "rows": {"total": self.rows, "used": self.used, "refused": self.refused},
+            "answers": {name: _answer_json(row) for name, row in self.answers.items()},
+        }
+
+
+def summary(log: LogReader) -> LogOverview:
+    """Read it from ``log``; empty parts for what the log does not have."""
+    found = LogOverview(delays=_delays(log))
+    clocks: dict[str, Thinned] = {}
+    fields = {name: set(dtype.names or ()) for name, dtype in log.channels.items()}
+    for channel, rows in log.batches():
+        if {"period_ns", "state", "marks", "channel"} <= fields[channel]:
+            for name in np.unique(rows["channel"]):
+                clocks.setdefault(name.decode(), Thinned(_POINTS)).add(rows[rows["channel"] == name])
+        elif channel == "row" and "gate" in fields[channel]:
+            count_gates(found, rows["gate"])
+        elif log.channels[channel] == channels.QUANTITY:
+            found.answers.update((row["name"].decode(), row) for row in rows[-256:])
+    found.clocks = {name: kept for name, thinned in clocks.items() if (kept := thinned.rows) is not None}
+    return found
+
+
+def _delays(log: LogReader) -> tuple[Delay, ...]:
+    try:
+        return tuple(known_delays(attached_vehicle(log)))
+    except config.ConfigError:
+        return ()  # an imported recording carries no vehicle
+
+
+def count_gates(found: LogOverview, gate: np.ndarray) -> None:
+    """Add ROW's reasons, (n, rows), to the counts of ``found``."""
+    found.rows += gate.size
+    found.used += int(np.count_nonzero(gate == 0))
+    for reason in GateReason:
+        if reason.name and (count := int(np.count_nonzero(gate & int(reason)))):
+            name = reason.name.lower()
+            found.refused[name] = found.refused.get(name, 0) + count
+
+
+def _clock_json(row: np.void) -> dict[str, Any]:
+    numbers = ("period_ns", "sigma_ns", "residual_rms_ns")
+    counts = {name: int(row[name]) for name in ("marks", "rejected")}
+    return {"state": _state(row), **{name: float(row[name]) for name in numbers}, **counts}
+
+
+def _state(row: np.void) -> str:
+    return ClockState(int(row["state"])).name.lower()
+
+
+def _answer_json(row: np.void) -> dict[str, Any]:
+    supported = bool(row["supported"])
+    numbers = {name: float(row[name]) if supported else None for name in ("value", "sigma", "low", "high")}
+    return {"supported": supported, "unit": row["unit"].decode(), **numbers}
+
+
+def render(found: LogOverview) -> RenderableType:
+    """``found`` as tables; nothing for what the log does not have."""
+    parts = [part for part in (_clocks(found), _delay_lines(found), _gates(found), _answers(found)) if part is not None]
+    return Group(*parts)
+
+
+def _table(*headings: str) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left")
+    return table
+
+
+def _clocks(found: LogOverview) -> RenderableType | None:
+    if not found.clocks:
+        return None
+    table = _table("clock", "state", "period us", "sigma us", "residual us", "marks", "rejected")
+    for name, rows in sorted(found.clocks.items()):
+        row = rows[-1]
+        numbers = (f"{row[field] * 1e-3:.3f}" for field in ("period_ns", "sigma_ns", "residual_rms_ns"))
+        style = "" if row["state"] == ClockState.LOCKED else "yellow"
+        table.add_row(name, Text(_state(row), style), *numbers, str(row["marks"]), str(row["rejected"]))
+    return table
+
+
+def _delay_lines(found: LogOverview) -> RenderableType | None:
+    if not found.delays:
+        return None
+    told = []
+    for delay in found.delays:
+        name = f"{delay.channel} {delay.part}".strip()
+        sigma = f" ± {delay.sigma_s * 1e3:.3g}" if delay.sigma_s else ""
+        told.append(f"{name} {delay.delay_s * 1e3:.4g}{sigma} ms ({delay.cause})")
+    return Text(f"delays removed: {', '.join(told)}")
+
+
+def _gates(found: LogOverview) -> RenderableType | None:
+    if not found.rows:
+        return None
+    refused = ", ".join(f"{reason.replace('_', ' ')} {count:,}" for reason, count in found.refused.items())
+    return Text(
+        f"rows: {found.used:,} of {found.rows:,} used; refused (a row may have several reasons): {refused or 'none'}"
+    )
+
+
+def _answers(found: LogOverview) -> RenderableType | None:
+    """The quantities; base parameters only where there is nothing else."""
+    supported = {name: row for name, row in found.answers.items() if row["supported"]}
+    supported = {name: row for name, row in supported.items() if row["unit"]} or supported
+    if not supported:
+        return None
+    table = _table("identified", "value", "95 % interval", "unit")
+    for name, row in supported.items():
+        value, low, high = (f"{row[key]:.6g}" for key in ("value", "low", "high"))
+        table.add_row(name, value, f"{low} .. {high}", row["unit"].decode())
+    return table

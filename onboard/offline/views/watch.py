@@ -1,0 +1,232 @@
+"""``heft watch``: a flight on one screen, from its rings while it flies or from its log.
+
+The board takes batches and shows what it knows. It reads no clock: "now" is the newest stamp it has seen, so a log
+played fast looks as the flight did.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from drivers.records import EVENT, GAP, Batch, Rows, Severity
+from onboard import channels
+from onboard.estimation.gates import GateReason
+from onboard.offline.views.info import printable
+from onboard.timebase.clock import ClockState
+
+_RATE_NS = 2_000_000_000  # rates and gates are those of the last two seconds
+_QUIET_NS = 1_000_000_000  # a channel that had a rate and says nothing for so long is marked
+_POINTS = 32  # of the trend of an interval; it has always the whole flight
+_TREND_NS = 250_000_000  # between two of them at first
+_EVENTS = 4
+_BLOCKS = "▁▂▃▄▅▆▇█"
+_STATE_STYLE = {
+    ClockState.ACQUIRING: "dim",
+    ClockState.LOCKED: "green",
+    ClockState.FLYWHEEL: "yellow",
+    ClockState.INVALID: "bold red",
+}
+
+
+@dataclass
+class _Channel:
+    rows: int = 0
+    missing: int = 0
+    told: int = 0
+    flagged: int = 0
+    last_sequence: int | None = None
+    last_ns: int = 0
+    recent: deque[tuple[int, int]] = field(default_factory=deque)  # (newest stamp, rows) of batches
+
+    def add(self, rows: Rows) -> None:
+        sequence = rows["sequence"].astype(np.int64)
+        before = sequence[0] - 1 if self.last_sequence is None else self.last_sequence
+        steps = np.diff(sequence, prepend=before)
+        self.missing += int((steps[steps > 1] - 1).sum())
+        self.rows += len(rows)
+        self.last_sequence, self.last_ns = int(sequence[-1]), max(self.last_ns, int(rows["host_ns"].max()))
+        self.recent.append((int(rows["host_ns"][-1]), len(rows)))
+        if "status" in (rows.dtype.names or ()):
+            self.flagged += int(np.count_nonzero(rows["status"]))
+
+    def rate_hz(self, now_ns: int) -> float:
+        while self.recent and self.recent[0][0] < now_ns - _RATE_NS:
+            self.recent.popleft()
+        return sum(count for _, count in self.recent) / (_RATE_NS * 1e-9)
+
+
+@dataclass
+class _Answer:
+    last: np.void
+    every_ns: int
+    widths: list[float] = field(default_factory=list)
+    sampled_ns: int = 0
+
+    def add(self, row: np.void) -> None:
+        self.last = row
+        if row["supported"] and int(row["host_ns"]) - self.sampled_ns >= self.every_ns:
+            self.sampled_ns = int(row["host_ns"])
+            self.widths.append(float(row["high"] - row["low"]))
+        if len(self.widths) > _POINTS:
+            self.widths, self.every_ns = self.widths[::2], 2 * self.every_ns
+
+
+class Board:
+    """What is known of a flight so far.
+
+    Args:
+        title: stands on top.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.start_ns: int | None = None
+        self.now_ns = 0
+        self.lost = 0  # rows that a ring had overrun before they were looked at: the viewer's loss, not the flight's
+        self._channels: dict[str, _Channel] = {}
+        self._clocks: dict[str, np.void] = {}
+        self._answers: dict[str, _Answer] = {}
+        self._gates: deque[tuple[int, np.ndarray]] = deque()
+        self._used = self._total = 0
+        self._events: deque[tuple[int, int, str]] = deque(maxlen=_EVENTS)
+        self._phase = ""
+
+    def add(self, batch: Batch) -> None:
+        """Take rows in."""
+        name, rows = batch
+        if not len(rows):
+            return
+        newest = int(rows["host_ns"].max())
+        self.now_ns = max(self.now_ns, newest)
+        self.start_ns = int(rows["host_ns"].min()) if self.start_ns is None else self.start_ns
+        self._channels.setdefault(name, _Channel()).add(rows)
+        fields = set(rows.dtype.names or ())
+        if rows.dtype == GAP:
+            for row in rows:
+                count = int(row["last_missing"]) - int(row["first_missing"]) + 1
+                self._channels.setdefault(printable(row["channel"]), _Channel()).told += count
+        elif rows.dtype == EVENT:
+            self._say(rows)
+        elif rows.dtype == channels.QUANTITY:
+            for row in rows:
+                self._answers.setdefault(printable(row["name"]), _Answer(row, _TREND_NS)).add(row)
+        elif {"period_ns", "state", "channel"} <= fields:
+            self._clocks.update((printable(row["channel"]), row) for row in rows)
+        elif name == "row" and "gate" in fields:
+            self._gates.append((newest, rows["gate"].copy()))
+            self._total += rows["gate"].size
+            self._used += int(np.count_nonzero(rows["gate"] == 0))
+
+    def _say(self, rows: Rows) -> None:
+        for row in rows:
+            if row["code"] == b"phase":
+                self._phase = printable(row["text"])
+            else:
+                said = f"{printable(row['source'])}: {printable(row['text'])}"
+                self._events.append((int(row["host_ns"]), int(row["severity"]), said))
+
+    def render(self) -> RenderableType:
+        """The board as it stands."""
+        side = Table.grid(padding=(0, 3))
+        side.add_row(self._channel_table(), Group(self._clock_table(), Text(), self._gate_lines()))
+        parts: list[RenderableType] = [self._head(), Text(), side]
+        if self._answers:
+            parts += [Text(), self._answer_table()]
+        parts += [Text(), *self._event_lines()] if self._events else []
+        return Group(*parts)
+
+    def _head(self) -> Text:
+        since = 0.0 if self.start_ns is None else (self.now_ns - self.start_ns) * 1e-9
+        head = Text.assemble((self.title, "bold"), f"   {since:9.1f} s", f"   {self._phase}")
+        if self.lost:
+            head.append(f"   this viewer was too slow for {self.lost:,} rows", "yellow")
+        return head
+
+    def _channel_table(self) -> Table:
+        table = _table("channel", "Hz", "rows", "missing", "flagged")
+        for name, channel in sorted(self._channels.items()):
+            if not channel.rows and not channel.told:
+                continue
+            rate = channel.rate_hz(self.now_ns)
+            quiet = self.now_ns - channel.last_ns > _QUIET_NS and channel.rows > 20
+            unexplained = channel.missing > channel.told
+            table.add_row(
+                Text(name, "red" if quiet and not rate else ""),
+                f"{rate:.0f}" if rate else "-",
+                f"{channel.rows:,}",
+                Text(f"{channel.missing:,}" if channel.missing else "-", "bold red" if unexplained else ""),
+                f"{channel.flagged:,}" if channel.flagged else "-",
+            )
+        return table
+
+    def _clock_table(self) -> Table:
+        table = _table("clock", "state", "tick us", "sigma us", "resid us")
+        for name, row in sorted(self._clocks.items()):
+            state = ClockState(int(row["state"]))
+            numbers = (row["period_ns"] * 1e-3, row["sigma_ns"] * 1e-3, row["residual_rms_ns"] * 1e-3)
+            shown = [f"{number:.2f}" for number in numbers] if state is not ClockState.ACQUIRING else ["", "", ""]
+            table.add_row(name, Text(state.name.lower(), _STATE_STYLE[state]), *shown)
+        return table
+
+    def _gate_lines(self) -> Text:
+        while self._gates and self._gates[0][0] < self.now_ns - _RATE_NS:
+            self._gates.popleft()
+        lines = Text(f"rows used {self._used:,} of {self._total:,}")
+        if not self._gates:
+            return lines
+        recent = np.concatenate([gate for _, gate in self._gates])
+        share = 100 * np.count_nonzero(recent == 0) / recent.size
+        lines.append(f"; of the last two seconds {share:.0f} %", "green" if share else "yellow")
+        for reason in GateReason:
+            count = int(np.count_nonzero(recent & int(reason))) if reason.name else 0
+            if count:
+                lines.append(f"\n  {100 * count / recent.size:3.0f} % {(reason.name or '').lower().replace('_', ' ')}")
+        return lines
+
+    def _answer_table(self) -> Table:
+        table = _table("estimate", "value", "95 % ±", "", "", "interval so far")
+        for name, answer in self._answers.items():
+            row = answer.last
+            unit = printable(row["unit"])
+            if not unit and not row["supported"]:
+                continue  # base parameters that the data do not hold would fill the screen
+            if not row["supported"]:
+                table.add_row(Text(name, "dim"), Text("not determined yet", "dim"), "", unit, "", "")
+                continue
+            half = 0.5 * float(row["high"] - row["low"])
+            relative = f"{100 * half / abs(float(row['value'])):.2f} %" if row["value"] else ""
+            table.add_row(
+                name, f"{row['value']:.6g}", f"{half:.2g}", unit, relative, Text(trend(answer.widths), "cyan")
+            )
+        return table
+
+    def _event_lines(self) -> list[RenderableType]:
+        lines: list[RenderableType] = []
+        for at_ns, severity, said in self._events:
+            style = {Severity.INFO: "dim", Severity.WARNING: "yellow"}.get(Severity(min(severity, 2)), "bold red")
+            when = (at_ns - (self.start_ns or at_ns)) * 1e-9
+            lines.append(Text(f"{when:9.3f} s  {said}", style, no_wrap=True, overflow="ellipsis"))
+        return lines
+
+
+def trend(values: Iterable[float]) -> str:
+    """Positive ``values`` as a line of blocks on a logarithmic scale, the largest a full block."""
+    logs = [math.log(value) for value in values if value > 0.0]
+    if not logs:
+        return ""
+    low, high = min(logs), max(logs)
+    scale = (len(_BLOCKS) - 1) / (high - low) if high > low else 0.0
+    return "".join(_BLOCKS[round((value - low) * scale)] for value in logs)
+
+
+def _table(*headings: str) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if 0 < number < 5 else "left", no_wrap=True)
+    return table

@@ -1,0 +1,229 @@
+"""Structural base parameters: the combinations of standard parameters that a vehicle's rows can ever tell apart.
+
+Recursive least squares runs on these, not on the standard parameters: the columns are independent for general motion,
+so what is left undetermined in flight is a lack of excitation and nothing else; the matrices are small; and no prior
+hides a rank that was never there. A Gaussian prior on the standard parameters maps to the base parameters exactly.
+
+Method: QR with column pivoting on rows sampled over random motion gives the rank (Gautier; Limparis 2.123-2.128). The
+independent columns are then taken in an order people write parameters in (rotational inertia and first moments near
+the base first; ``YY``, ``MZ`` and ``M`` are regrouped), and the others are expressed through them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lstsq, qr
+
+from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.vehicle import STANDARD_GRAVITY_M_S2, BaseKind
+from onboard.estimation.arrays import FloatArray
+from onboard.regressor.rows import BaseMotion, RowModel
+
+Vector3 = tuple[float, float, float]
+
+_KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "scale", "Ia", "Fv", "Fc", "zero")
+_TOLERANCE = 1e-9  # of a column's norm
+
+
+@dataclass(frozen=True, slots=True)
+class SampledMotion:
+    """Which of the base's motions may occur at all; a zero takes one out, and with it what only it could show."""
+
+    rate_rad_s: float | Vector3 = 1.0
+    acceleration_rad_s2: float | Vector3 = 1.0
+    specific_force_m_s2: float | Vector3 = 1.0
+    constant_force_m_s2: Vector3 = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, kind: BaseKind, gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)) -> "SampledMotion":
+        """General motion of a base of this kind; a fixed and a planar one stand in gravity, in base axes."""
+        x, y, z = gravity_m_s2
+        if kind is BaseKind.FIXED:
+            return cls(0.0, 0.0, 0.0, (-x, -y, -z))
+        if kind is BaseKind.PLANAR:
+            return cls((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 0.0), (-x, -y, -z))
+        return cls()
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """From standard to base parameters: ``beta = grouping @ chi`` and ``Y chi = Y[:, independent] @ beta``.
+
+    Attributes:
+        names: of the base parameters; ``_R`` at the end marks a regrouped one.
+        independent: (p,) their columns in the standard regressor.
+        grouping: (p, P).
+        standard_names: (P,).
+    """
+
+    names: tuple[str, ...]
+    independent: NDArray[np.intp]
+    grouping: FloatArray
+    standard_names: tuple[str, ...]
+
+    def reduce(self, Y: FloatArray) -> FloatArray:
+        """The base regressor, (..., p), from the standard one, (..., P)."""
+        return Y[..., self.independent]
+
+    def value(self, chi: FloatArray) -> FloatArray:
+        """Base parameters, (p,), of standard ones, (P,)."""
+        return np.asarray(self.grouping @ chi, np.float64)
+
+    def covariance(self, sigma: FloatArray) -> FloatArray:
+        """Covariance of the base parameters, (p, p), for independent standard parameters of these sigmas, (P,)."""
+        half = self.grouping * sigma
+        return np.asarray(half @ half.T, np.float64)
+
+    def weights(self, functional: FloatArray) -> FloatArray:
+        """A linear functional of the standard parameters, (..., P), as weights on the base parameters, (..., p).
+
+        Raises:
+            SignalError: the functional is not a combination of base parameters: no motion can ever tell it.
+        """
+        wanted = np.atleast_2d(functional)
+        found = lstsq(self.grouping.T, wanted.T)[0].T
+        error = np.abs(found @ self.grouping - wanted).max()
+        if error > 1e-6 * max(np.abs(wanted).max(), 1e-300):
+            raise SignalError("this quantity is no combination of base parameters; these rows can never determine it")
+        return np.asarray(found.reshape((*functional.shape[:-1], len(self.names))), np.float64)
+
+
+def sampled_rows(
+    model: RowModel, rng: np.random.Generator, ticks: int, motion: SampledMotion, released: bool
+) -> FloatArray:
+    """Rows of random motion, (ticks x rows, P); every other tick without the payload if ``released``."""
+    vehicle = model.vehicle
+    low = np.array([max(joint.low, -np.pi) for joint in vehicle.joints])
+    high = np.array([min(joint.high, np.pi) for joint in vehicle.joints])
+    shape = (ticks, len(vehicle.joints))
+    q = rng.uniform(low, high, shape)
+    base = BaseMotion(
+        np.asarray(motion.rate_rad_s) * rng.standard_normal((ticks, 3)),
+        np.asarray(motion.acceleration_rad_s2) * rng.standard_normal((ticks, 3)),
+        np.asarray(motion.specific_force_m_s2) * rng.standard_normal((ticks, 3)) + motion.constant_force_m_s2,
+    )
+    attached = np.arange(ticks) % 2 == 0 if released else None
+    dq, ddq, predicted = (rng.standard_normal(size) for size in (shape, shape, (ticks, len(model.rows))))
+    Y = model.regressor(q, dq, ddq, base, attached, predicted=predicted)
+    return Y.reshape(-1, Y.shape[2])
+
+
+def base_parameters(
+    model: RowModel,
+    rng: np.random.Generator,
+    motion: SampledMotion | None = None,
+    released: bool | None = None,
+    ticks: int = 0,
+    known: NDArray[np.bool_] | None = None,
+) -> BaseParameters:
+    """Finds the base parameters of a row model.
+
+    Args:
+        model: the rows.
+        rng: seeded, so that the names do not depend on luck.
+        motion: which base motions may occur; all that the base kind allows, where not given.
+        released: whether the payload is also flown without; so if there is a payload link, where not given.
+        ticks: how many ticks to sample; five for each column where zero.
+        known: (P,) columns whose parameters are taken for exact: they are in no base parameter.
+
+    Raises:
+        SignalError: rows that depend on no parameter at all.
+    """
+    vehicle = model.vehicle
+    allowed = SampledMotion.of(vehicle.spec.base, vehicle.spec.gravity_m_s2) if motion is None else motion
+    let_go = vehicle.spec.payload_link is not None if released is None else released
+    W = sampled_rows(model, rng, ticks or 5 * len(model.names) + 20, allowed, let_go)
+    if known is not None:
+        W[:, known] = 0.0
+    norms = np.sqrt(np.einsum("ij,ij->j", W, W))
+    norms[norms < _TOLERANCE * norms.max()] = 0.0  # rounding, where there should be nothing
+    if not (norms > 0.0).any():
+        raise SignalError("no parameter moves these rows; check the frames they are measured at")
+    scaled = W / np.where(norms > 0.0, norms, 1.0)
+    diagonal = np.abs(np.diag(qr(scaled, mode="r", pivoting=True)[0]))
+    rank = int((diagonal > _TOLERANCE * diagonal[0] * np.sqrt(scaled.shape[1])).sum())
+    independent = _choose(scaled, rank, _preference(model.names))
+    grouping = grouping_of(W, independent)
+    names = tuple(
+        model.names[column] + ("_R" if np.count_nonzero(grouping[row]) > 1 else "")
+        for row, column in enumerate(independent)
+    )
+    for array in (independent, grouping):
+        array.setflags(write=False)
+    return BaseParameters(names, independent, grouping, model.names)
+
+
+def grouping_of(W: FloatArray, independent: NDArray[np.intp]) -> FloatArray:
+    """The map from standard to base parameters, (p, P), of which the columns ``independent`` are the base.
+
+    Args:
+        W: rows of general motion, (r, P).
+        independent: (p,) columns that span all others.
+    """
+    columns = W.shape[1]
+    norms = np.sqrt(np.einsum("ij,ij->j", W[:, independent], W[:, independent]))
+    dependent = np.setdiff1d(np.arange(columns), independent)
+    K = lstsq(W[:, independent] / norms, W[:, dependent])[0] / norms[:, None]
+    K[np.abs(K) < 1e-9] = 0.0
+    grouping = np.zeros((independent.size, columns))
+    grouping[np.arange(independent.size), independent] = 1.0
+    grouping[:, dependent] = K
+    return grouping
+
+
+def _preference(names: tuple[str, ...]) -> list[int]:
+    """Columns in the order they are wanted as independent ones."""
+    kinds = [name.split("_", 1)[0] for name in names]
+    first = [column for column, kind in enumerate(kinds) if kind in _KEPT_FIRST]
+    # Within a link, in the order of _KEPT_FIRST; links stay in their order.
+    owners = [name.split("_", 1)[1] for name in names]
+    order = list(dict.fromkeys(owners))
+    first.sort(key=lambda c: (order.index(owners[c]), _KEPT_FIRST.index(kinds[c])))
+    return first + [column for column in range(len(names)) if column not in first]
+
+
+def _choose(scaled: FloatArray, rank: int, order: list[int]) -> NDArray[np.intp]:
+    """The first ``rank`` columns, in the preferred order, that are independent of those before them; Gram-Schmidt."""
+    basis = np.zeros((scaled.shape[0], rank))
+    chosen: list[int] = []
+    for column in order:
+        if len(chosen) == rank:
+            break
+        v = scaled[:, column].copy()
+        for _ in range(2):  # twice is enough
+            v -= basis @ (basis.T @ v)
+        length = np.sqrt(v @ v)
+        if length > 1e-7:
+            basis[:, len(chosen)] = v / length
+            chosen.append(column)
+    return np.array(sorted(chosen), np.intp)
+
+
+def named_relative_sigma(model: RowModel, links: Mapping[str, float], extras: Mapping[str, float]) -> FloatArray:
+    """Prior sigmas of all columns, (P,): by link relative to the URDF, by name absolute for the extra columns.
+
+    Args:
+        model: gives the columns.
+        links: relative sigma by link (:meth:`Vehicle.parameter_sigma`).
+        extras: absolute sigma by column name, in the column's SI unit: every extra column (``bias_<row>``,
+            ``Fv_<joint>`` ...), and any link's own (``M_body``) that is known otherwise than the rest of its link.
+
+    Raises:
+        UnknownFrameError: a name that is missing or unknown.
+        SignalError: a sigma that is negative or not finite.
+    """
+    own = model.vehicle.parameter_sigma(dict(links))
+    expected = model.names[own.size :]
+    if not set(expected) <= set(extras) <= set(model.names):
+        raise UnknownFrameError(
+            f"give a sigma for each of {', '.join(expected) or 'no extra column'}, and else for columns of links only"
+        )
+    wrong = [name for name, value in extras.items() if not 0.0 <= value < np.inf]
+    if wrong:
+        raise SignalError(f"the sigma of {', '.join(wrong)} is negative or not finite; give zero or more")
+    sigma = np.concatenate([own, np.zeros(len(expected))])
+    for name, value in extras.items():
+        sigma[model.names.index(name)] = value
+    return sigma

@@ -1,0 +1,187 @@
+"""The links' columns of every row, from one call of Pinocchio a tick.
+
+Pinocchio's joint torque regressor is linear in the ten parameters of each *joint's* body, about the joint's frame. Its
+row of a joint's velocity is that joint's torque row, and its first six rows are the wrench on each body about the
+base's origin, in base axes. A link is a part of its joint's body, so its columns are those of the body times a constant
+matrix; and the wrench through any cut is the sum over the links beyond, moved to the cut's frame.
+
+Only what is wanted of the columns is multiplied out: a :class:`Fold` is made of a matrix ``mix`` once and stands for
+``Y @ mix`` from then on. What is known can so be left out of the rows, or added up into one column.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from onboard.dynamics.errors import UrdfError
+from onboard.dynamics.inertia import parameters_of, pseudo_inertia
+from onboard.dynamics.vehicle import FREE_FLYER_NV, VehicleModel
+from onboard.estimation.arrays import BoolArray, FloatArray
+
+
+class Projected(Protocol):
+    """What a row is, as far as the links' columns go; :class:`onboard.regressor.rows.WrenchRow` is one."""
+
+    @property
+    def frame(self) -> str:
+        """The cut's frame."""
+        ...
+
+    @property
+    def projection(self) -> tuple[float, float, float, float, float, float]:
+        """Of the wrench (force, moment) at that frame, in its axes."""
+        ...
+
+    @property
+    def coasting(self) -> bool:
+        """Whether the base's specific force is left out."""
+        ...
+
+
+class _Cut(NamedTuple):
+    """Rows through one frame."""
+
+    frame: int
+    rows: slice | NDArray[np.intp]
+    velocities: (
+        slice | NDArray[np.intp] | None
+    )  # rows of Pinocchio's regressor that are these rows, for a joint's torque
+    projection: FloatArray  # (rows here, 6); on the wrench about the base's origin where the frame is fixed in the base
+    fixed: bool
+    coasting: bool
+    columns: BoolArray  # (10 x links,) of the links beyond
+
+
+def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """The same places as a slice, where they follow one another: a view instead of a copy."""
+    return slice(int(index[0]), int(index[-1]) + 1) if (np.diff(index) == 1).all() else index
+
+
+class Fold(NamedTuple):
+    """Columns ``Y[:, links] @ mix``, ready to be made: one matrix a cut, with the payload held and without."""
+
+    held: tuple[FloatArray, ...]  # (10 x bodies, c) each
+    released: tuple[FloatArray, ...]
+    columns: int
+
+
+def body_parameters(vehicle: VehicleModel) -> FloatArray:
+    """Parameters of the joints' bodies, about the joints' frames, of those of the links, (10 x bodies, 10 x links)."""
+    model = vehicle.model
+    out = np.zeros((10 * (model.njoints - 1), 10 * len(vehicle.links)))
+    for link, name in enumerate(vehicle.links):
+        frame = model.frames[vehicle.frame_id(name)]
+        pose, first = frame.placement.homogeneous, 10 * (int(frame.parentJoint) - 1)
+        for k, unit in enumerate(np.eye(10)):
+            out[first : first + 10, 10 * link + k] = parameters_of(pose @ pseudo_inertia(unit) @ pose.T)
+    return out
+
+
+class WrenchColumns:
+    """Columns of the links' parameters for the rows of a vehicle.
+
+    Args:
+        vehicle: the model.
+        rows: what is projected where.
+
+    Raises:
+        UnknownFrameError: a row at a frame the URDF does not have.
+        UrdfError: a row with nothing beyond its cut.
+    """
+
+    def __init__(self, vehicle: VehicleModel, rows: Sequence[Projected]) -> None:
+        self._model, self._data = vehicle.model, vehicle.model.createData()
+        self._rows = len(rows)
+        self._bodies = body_parameters(vehicle)
+        self._payload = vehicle.payload_columns()
+        groups: dict[tuple[str, bool], list[int]] = {}
+        for index, row in enumerate(rows):
+            groups.setdefault((row.frame, row.coasting), []).append(index)
+        self._cuts = [self._cut(vehicle, rows, *key, mine) for key, mine in groups.items()]
+        self._coasting = sorted({cut.coasting for cut in self._cuts})
+        self.whole = self.fold(np.eye(10 * len(vehicle.links)))
+
+    def _cut(
+        self, vehicle: VehicleModel, rows: Sequence[Projected], name: str, coasting: bool, mine: list[int]
+    ) -> _Cut:
+        index, beyond = vehicle.frame_id(name), vehicle.distal_links(name)
+        if not beyond:
+            raise UrdfError(f"nothing with mass hangs beyond {name!r}; measure elsewhere or give a link inertia")
+        columns = np.zeros(10 * len(vehicle.links), bool)
+        for link in beyond:
+            columns[10 * link : 10 * link + 10] = True
+        projection = np.array([rows[row].projection for row in mine])
+        frame = self._model.frames[index]
+        velocities = None
+        for joint in vehicle.joints:
+            axis = np.concatenate([[0.0] * 3, joint.axis] if joint.revolute else [joint.axis, [0.0] * 3])
+            if joint.name == name and (projection == axis).all():
+                velocities = np.full(len(mine), joint.v_index)
+        fixed = int(frame.parentJoint) == 1
+        if fixed:
+            projection = projection @ frame.placement.toActionMatrix().T
+            if (projection == np.eye(FREE_FLYER_NV)[np.abs(projection).argmax(axis=1)]).all():
+                velocities = np.abs(projection).argmax(axis=1)
+        places = None if velocities is None else _as_slice(velocities)
+        return _Cut(index, _as_slice(np.array(mine)), places, projection, fixed, coasting, columns)
+
+    def fold(self, mix: FloatArray) -> Fold:
+        """Combinations of the columns, to be made again and again.
+
+        Args:
+            mix: (10 x links, c).
+        """
+        without = mix.copy()
+        without[self._payload] = 0.0
+        held, released = (
+            tuple(self._bodies @ (cut.columns[:, None] * part) for cut in self._cuts) for part in (mix, without)
+        )
+        return Fold(held, released, mix.shape[1])
+
+    def make(self, fold: Fold, held: BoolArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """The columns of ``fold`` at n ticks, (n, rows, c).
+
+        Args:
+            fold: which.
+            held: (n,) whether the payload is.
+            q: Pinocchio's configurations, (n, nq), the base at the origin.
+            v: velocities, (n, nv), the base's own linear one zero.
+            a: accelerations, (n, nv), the base's linear one its specific force.
+        """
+        out = np.empty((len(q), self._rows, fold.columns))
+        for coasting in self._coasting:
+            if coasting:
+                a = a.copy()
+                a[:, :3] = 0.0
+            body, placements = self._regressors(q, v, a)
+            for number, cut in enumerate(self._cuts):
+                if cut.coasting != coasting:
+                    continue
+                if cut.velocities is not None:
+                    part = body[:, cut.velocities]
+                else:
+                    G = cut.projection if cut.fixed else cut.projection @ placements[cut.frame]
+                    part = G @ body[:, :FREE_FLYER_NV]
+                if held.all():
+                    out[:, cut.rows] = part @ fold.held[number]
+                else:
+                    out[held, cut.rows] = part[held] @ fold.held[number]
+                    out[~held, cut.rows] = part[~held] @ fold.released[number]
+        return out
+
+    def _regressors(self, q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, dict[int, FloatArray]]:
+        """Pinocchio's regressor at each tick, (n, nv, 10 x bodies), and the moving cuts' matrices, (n, 6, 6) each."""
+        model, data = self._model, self._data
+        body = np.empty((len(q), model.nv, self._bodies.shape[0]))
+        moving = [cut.frame for cut in self._cuts if cut.velocities is None and not cut.fixed]
+        placements = {frame: np.empty((len(q), 6, 6)) for frame in moving}
+        for tick in range(len(q)):
+            body[tick] = pin.computeJointTorqueRegressor(model, data, q[tick], v[tick], a[tick])
+            if moving:
+                pin.forwardKinematics(model, data, q[tick])
+                for frame in moving:
+                    placements[frame][tick] = pin.updateFramePlacement(model, data, frame).toActionMatrix().T
+        return body, placements

@@ -1,0 +1,96 @@
+"""Measurement rows of a free base: the wrench on the whole vehicle is zero.
+
+With the other links known, ``W_payload chi_payload = -W_known chi_known``.
+
+The regressor is made of base motion: measured (plain least squares, biased by its noise) or predicted (instrumental
+variables). One batch of ticks at a time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.kinematics import composite_inertia, cross, link_motions, wrench_columns
+from onboard.dynamics.payload import possible_body
+from onboard.dynamics.ticks import FlightSignals
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.smoothing import smooth
+
+_ROUNDS = 5
+
+
+class BaseSignals(NamedTuple):
+    """The base's motion, each (n, 3), base axes and origin; NaN where it is not known."""
+
+    rate: FloatArray
+    acceleration: FloatArray
+    specific_force: FloatArray
+
+
+def measured_base(vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, width_s: float) -> BaseSignals:
+    """The base's motion from its IMU through the smoothing kernel.
+
+    Args:
+        vehicle: gives the IMU's place.
+        imu_frame: the IMU's frame.
+        signals: the flight.
+        width_s: of the kernel; every signal goes through the same one.
+    """
+    R, p = vehicle.pose_in_base(imu_frame)
+    known = np.isfinite(np.concatenate([signals.rate, signals.specific_force], axis=1)).all(axis=1)
+    at = signals.period_s * np.arange(len(known))
+    rate, force = signals.rate[known] @ R.T, signals.specific_force[known] @ R.T
+    w, dw = (smooth(at[known], rate, at, width_s, derivative).values for derivative in (0, 1))
+    f = smooth(at[known], force, at, width_s).values
+    return BaseSignals(w, dw, f - cross(dw, p) - cross(w, cross(w, p)))
+
+
+def zero_wrench_rows(
+    vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, base: BaseSignals
+) -> tuple[FloatArray, FloatArray]:
+    """Rows ``y = Y chi_payload``: Y (n, 6, 10) and y (n, 6), force then moment about the base's origin."""
+    links = link_motions(vehicle, q, dq, ddq)
+    columns = vehicle.payload_columns()
+    Y, y = np.empty((len(q), 6, 10)), np.zeros((len(q), 6))
+    for index, link in enumerate(links):
+        W = wrench_columns(link, base.rate, base.specific_force, base.acceleration)
+        if 10 * index == columns.start:
+            Y = W
+        else:
+            y -= W @ vehicle.chi[10 * index : 10 * index + 10]
+    return Y, y
+
+
+def rough_payload(
+    vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, width_s: float, sigma: FloatArray
+) -> RigidBody:
+    """The payload of a plain least squares, with the accelerometer's zero beside it: a start, biased by noise.
+
+    Args:
+        vehicle: with a payload link.
+        imu_frame: the IMU's frame.
+        signals: the flight.
+        width_s: of the kernel that smooths the base's motion.
+        sigma: prior standard deviations of the payload's standard parameters about none, (10,).
+
+    Raises:
+        SignalError: a mass that is not positive.
+    """
+    base = measured_base(vehicle, imu_frame, signals, width_s)
+    whole = np.isfinite(base.specific_force).all(axis=1) & np.isfinite(base.acceleration).all(axis=1)
+    q, dq, ddq = signals.q[whole], signals.dq[whole], signals.ddq[whole]
+    moved = BaseSignals(*(part[whole] for part in base))
+    links, chi, zero = link_motions(vehicle, q, dq, ddq), vehicle.chi.copy(), np.zeros(3)
+    mean, covariance, noise = np.zeros(10), np.eye(10), 1.0
+    for _ in range(_ROUNDS):  # of Gauss and Newton: the zero acts on all masses, the payload's among them
+        Y, y = zero_wrench_rows(vehicle, q, dq, ddq, moved._replace(specific_force=moved.specific_force - zero))
+        chi[vehicle.payload_columns()] = mean
+        rows = np.concatenate([Y, -composite_inertia(links, chi)[:, :, :3]], axis=2).reshape(-1, 13)
+        information = rows.T @ rows / noise + np.diag([*(1.0 / sigma**2), 1.0, 1.0, 1.0])
+        covariance = np.linalg.inv(information)
+        solution = covariance @ (rows.T @ y.ravel()) / noise
+        mean, zero = solution[:10], zero + solution[10:]
+        noise = float(np.mean((y.ravel() - rows @ solution) ** 2))
+    return possible_body(mean, covariance[:10, :10])

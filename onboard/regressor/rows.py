@@ -1,0 +1,321 @@
+"""Measurement rows ``y = Y chi`` for a batch of ticks.
+
+Every row is the projection of a wrench on an axis: the wrench that must act through a cut of the vehicle, at a frame,
+to move everything beyond the cut as it moves.
+
+- Load cell: the cut is the cell, the axis is the cell's; a cell on a lever reads moment / lever.
+- Joint torque: the cut is the joint, the axis is the joint's; with actuator inertia and friction columns if asked.
+- Base wrench: the cut is around the whole vehicle; what is known to be zero (free flight) gives rows ``0 = Y chi``.
+
+A reading may be off by a scale that is not known, ``reading = (1 + scale) (Y chi + bias)``: the calibration of a cell,
+the torque constant of a motor. Its column is what the sensor should read by the estimate so far. The reading itself
+would not do: it explains its own noise best by a scale of one.
+
+The base's motion comes from an IMU: angular rate, angular acceleration and specific force (a - g, not acceleration).
+With gravity zero in the model and the specific force as the base's acceleration, gravity, attitude and the base's
+velocity all cancel (Galilean invariance), so none of them has to be known.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.regressor.columns import Fold, WrenchColumns
+
+
+class BaseMotion(NamedTuple):
+    """Motion of the base frame, in base axes; each (n, 3)."""
+
+    rate_rad_s: FloatArray
+    acceleration_rad_s2: FloatArray
+    specific_force_m_s2: FloatArray  # at the base frame's origin
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchRow:
+    """One row a tick: ``projection @ wrench``, the wrench (force, moment) at ``frame``, in its axes, on all beyond."""
+
+    name: str
+    frame: str
+    projection: tuple[float, float, float, float, float, float]
+    bias: bool = False
+    scale: bool = False
+    friction_joint: str | None = None
+    coasting: bool = (
+        False  # the frame's origin is the centre of mass of a vehicle in free fall: no specific force there
+    )
+
+
+def load_cell_row(
+    name: str,
+    frame: str,
+    axis: Sequence[float],
+    measures: str,
+    lever_m: float = 1.0,
+    bias: bool = True,
+    scale: bool = False,
+) -> WrenchRow:
+    """Row of a single-axis load cell, in the unit it reads: N for a force or a moment on a lever, N m with lever 1.
+
+    Args:
+        name: of the row; its bias column is ``bias_<name>``.
+        frame: the cut; what the near side exerts on the far side is positive.
+        axis: sensing axis in that frame, normalised here.
+        measures: ``"moment"`` or ``"force"``.
+        lever_m: the reading is moment / lever.
+        bias: whether the reading at no load is a parameter.
+        scale: whether its scale is, relative, column ``scale_<name>``.
+
+    Raises:
+        SignalError: a zero axis, a lever that is not positive, or another word for ``measures``.
+    """
+    direction = np.asarray(axis, np.float64)
+    length = float(np.linalg.norm(direction))
+    if direction.shape != (3,) or not length > 0.0 or not lever_m > 0.0:
+        raise SignalError(f"load cell {name!r}: give an axis of three numbers, not all zero, and a positive lever")
+    x, y, z = (float(v) for v in direction / length)
+    if measures == "moment":
+        return WrenchRow(name, frame, (0.0, 0.0, 0.0, x / lever_m, y / lever_m, z / lever_m), bias, scale)
+    if measures == "force":
+        return WrenchRow(name, frame, (x, y, z, 0.0, 0.0, 0.0), bias, scale)
+    raise SignalError(f"load cell {name!r} measures {measures!r}; say 'moment' or 'force'")
+
+
+def joint_torque_row(vehicle: VehicleModel, joint: str, friction: bool = True) -> WrenchRow:
+    """Row of the torque (or force) of a joint's actuator; with ``Ia``, ``Fv``, ``Fc`` columns if ``friction``.
+
+    Raises:
+        UnknownFrameError: no such joint.
+    """
+    found = vehicle.joint(joint)
+    x, y, z = found.axis
+    projection = (0.0, 0.0, 0.0, x, y, z) if found.revolute else (x, y, z, 0.0, 0.0, 0.0)
+    return WrenchRow(f"torque_{joint}", joint, projection, friction_joint=joint if friction else None)
+
+
+def base_force_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
+    """The rows of the force on the whole vehicle, in base axes: three, x and y alone on a planar bed."""
+    frame = vehicle.spec.base_link
+    unit = np.eye(6)
+    axes = "xy" if vehicle.spec.base is BaseKind.PLANAR else "xyz"
+    return tuple(WrenchRow(f"base_force_{n}", frame, tuple(unit[i])) for i, n in enumerate(axes))
+
+
+def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
+    """The rows of the moment on the whole vehicle, in base axes: three, z alone on a planar bed.
+
+    They are about the base frame's origin, unless the base is free and its joints turn balanced rotors only. Such a
+    vehicle's centre of mass is fixed in the base and feels no specific force, so the rows are taken about it: exact,
+    and without the accelerometer's errors. The base link's ``XX .. ZZ`` are then what the whole vehicle has about its
+    centre of mass, less the rotors' own, while ``MX, MY, MZ``, which only the force rows show, stay about the frame's
+    origin.
+    """
+    frame = vehicle.spec.base_link
+    coasting = vehicle.spec.base is BaseKind.FREE and vehicle.centre_of_mass_is_fixed()
+    unit = np.eye(6)
+    axes = "z" if vehicle.spec.base is BaseKind.PLANAR else "xyz"
+    return tuple(WrenchRow(f"base_moment_{n}", frame, tuple(unit[3 + "xyz".index(n)]), coasting=coasting) for n in axes)
+
+
+def standing(vehicle: VehicleModel, ticks: int) -> BaseMotion:
+    """Motion of a fixed base: none, in its gravity."""
+    still = np.zeros((ticks, 3))
+    return BaseMotion(still, still, still - vehicle.spec.gravity_m_s2)
+
+
+def base_motion(
+    vehicle: VehicleModel, imu_frame: str, rate: ArrayLike, acceleration: ArrayLike, specific_force: ArrayLike
+) -> BaseMotion:
+    """Motion of the base frame from what an IMU fixed in the base measures, all in the IMU's axes.
+
+    Args:
+        vehicle: gives the IMU's pose.
+        imu_frame: name of the IMU's frame.
+        rate: angular rate, (n, 3), rad/s.
+        acceleration: angular acceleration, (n, 3), rad/s^2.
+        specific_force: at the IMU, (n, 3), m/s^2.
+
+    Raises:
+        UnknownFrameError: no such frame, or one that is not fixed in the base.
+        SignalError: shapes that are not (n, 3).
+    """
+    R_BS, p_BS = vehicle.pose_in_base(imu_frame)
+    parts = [np.asarray(v, np.float64) for v in (rate, acceleration, specific_force)]
+    if any(part.ndim != 2 or part.shape != (parts[0].shape[0], 3) for part in parts):
+        raise SignalError("rate, angular acceleration and specific force must be (n, 3) each")
+    w, dw, f = (part @ R_BS.T for part in parts)
+    # f_S = f_B + dw x p + w x (w x p), and w x (w x p) = w (w.p) - p (w.w)
+    centripetal = w * (w @ p_BS)[:, None] - p_BS * np.einsum("ni,ni->n", w, w)[:, None]
+    return BaseMotion(w, dw, f - dw @ skew(p_BS) - centripetal)
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Cross-product matrix, (3, 3): times a vector from the left it is v cross x, from the right x cross v."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], np.float64)
+
+
+class RowFold(NamedTuple):
+    """Combinations ``Y @ mix`` of a row model's columns, made at the price of what is wanted; :meth:`RowModel.fold`."""
+
+    links: Fold
+    extras: FloatArray  # (P - 10 x links, c)
+
+
+class RowModel:
+    """The rows of a vehicle as a function of its motion.
+
+    Args:
+        vehicle: the model.
+        rows: what is measured, or known to be zero.
+        zero_force: adds three columns ``zero_force_x, _y, _z``, m/s^2 in base axes: a constant that the specific force
+            is too large by (accelerometer zero, lever arms times a gyro's zero). It acts on the first moments as
+            gravity would, and turns with the joints: unaccounted for, it passes for inertia. The columns are made with
+            the URDF's first moments; the product of an error in those and of a zero is not worth a column.
+
+    Attributes:
+        names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, ``scale_<row>``, then ``Ia_, Fv_,
+            Fc_<joint>``, then ``zero_force_x, _y, _z``.
+        chi: prior values of the columns: the URDF's, zero for the extra ones.
+        scales: row and column of each scale.
+
+    Raises:
+        UnknownFrameError: a row at a frame the URDF does not have.
+        UrdfError: a row with nothing beyond its cut.
+    """
+
+    def __init__(self, vehicle: VehicleModel, rows: Sequence[WrenchRow], zero_force: bool = False) -> None:
+        self.vehicle = vehicle
+        self.rows = tuple(rows)
+        names = [f"{parameter}_{link}" for link in vehicle.links for parameter in STANDARD]
+        self._biases: list[tuple[int, int]] = []  # row, column
+        self._frictions: list[tuple[int, int, int]] = []  # row, joint, first column
+        for index, row in enumerate(self.rows):
+            if row.bias:
+                self._biases.append((index, len(names)))
+                names.append(f"bias_{row.name}")
+        scaled = [index for index, row in enumerate(self.rows) if row.scale]
+        self.scales = tuple((index, len(names) + k) for k, index in enumerate(scaled))
+        names += [f"scale_{self.rows[index].name}" for index in scaled]
+        for index, row in enumerate(self.rows):
+            if row.friction_joint is not None:
+                joint = vehicle.joints.index(vehicle.joint(row.friction_joint))
+                self._frictions.append((index, joint, len(names)))
+                names += [f"{p}_{row.friction_joint}" for p in ("Ia", "Fv", "Fc")]
+        self._zero_force = len(names) if zero_force else None
+        if zero_force:
+            names += [f"zero_force_{axis}" for axis in "xyz"]
+        self.names = tuple(names)
+        self.chi = np.concatenate([vehicle.chi, np.zeros(len(names) - vehicle.chi.size)])
+        self.chi.setflags(write=False)
+        self._columns = WrenchColumns(vehicle, self.rows)
+        self._turning = [(k, joint.q_index) for k, joint in enumerate(vehicle.joints) if joint.q_size == 2]
+
+    def fold(self, mix: FloatArray) -> RowFold:
+        """Combinations of the columns, to be asked of :meth:`regressor` again and again.
+
+        Args:
+            mix: (P, c).
+        """
+        links = self.vehicle.chi.size
+        return RowFold(self._columns.fold(mix[:links]), mix[links:])
+
+    def regressor(
+        self,
+        q: ArrayLike,
+        dq: ArrayLike,
+        ddq: ArrayLike,
+        motion: BaseMotion,
+        attached: ArrayLike | None = None,
+        fill_zero_force: bool = True,
+        predicted: ArrayLike | None = None,
+        fold: RowFold | None = None,
+    ) -> FloatArray:
+        """The regressor Y, (n, rows, columns), or the combinations of its columns that ``fold`` stands for.
+
+        Args:
+            q: joint positions, (n, joints), in the order of ``vehicle.joints``.
+            dq: joint rates, (n, joints).
+            ddq: joint accelerations, (n, joints).
+            motion: of the base.
+            attached: (n,) bool, whether the payload link is held; always, where not given.
+            fill_zero_force: whether the ``zero_force`` columns are made, if the model has them; else they stay zero.
+            predicted: (n, rows) what the rows' sensors should read, scales aside; needed where a scale is a parameter.
+            fold: which combinations of columns; every column by itself, where not given.
+
+        Raises:
+            SignalError: shapes that do not fit, motion that is not finite, or a scale without predictions.
+        """
+        nj = len(self.vehicle.joints)
+        position, velocity, acceleration = (np.asarray(v, np.float64) for v in (q, dq, ddq))
+        n = motion.rate_rad_s.shape[0]
+        parts = (position, velocity, acceleration, *motion)
+        if any(part.shape != (n, nj if k < 3 else 3) for k, part in enumerate(parts)):
+            raise SignalError(
+                f"joint signals must be (n, {nj}) and base motion (n, 3), the same number of ticks; "
+                f"they are {[part.shape for part in parts]}"
+            )
+        held = np.ones(n, bool) if attached is None else np.asarray(attached, bool)
+        if held.shape != (n,):
+            raise SignalError(f"{held.size} flags for {n} ticks; say for each tick whether the payload is held")
+        states = self._states(position, velocity, acceleration, motion)
+        if not all(math.isfinite(np.vdot(state, state)) for state in states):
+            raise SignalError("motion must be finite; leave invalid ticks out before building rows")
+        made = self._columns.make(self._columns.whole if fold is None else fold.links, held, *states)
+        own = made.shape[2] if fold is None else self.vehicle.chi.size
+        if own == len(self.names):
+            return made
+        extras = np.zeros((n, len(self.rows), len(self.names) - own))
+        if self._zero_force is not None and fill_zero_force:
+            first = self._zero_force - own
+            self._fill_zero_force(extras[:, :, first : first + 3], states[0], held)
+        for row, column in self._biases:
+            extras[:, row, column - own] = 1.0
+        if self.scales:
+            expected = np.asarray(() if predicted is None else predicted, np.float64)
+            if expected.shape != (n, len(self.rows)):
+                raise SignalError(f"scales are parameters; give the predicted readings, ({n}, {len(self.rows)})")
+            for row, column in self.scales:
+                extras[:, row, column - own] = expected[:, row]
+        for row, joint, column in self._frictions:
+            extras[:, row, column - own] = acceleration[:, joint]
+            extras[:, row, column - own + 1] = velocity[:, joint]
+            extras[:, row, column - own + 2] = np.sign(velocity[:, joint])
+        return np.concatenate([made, extras], axis=2) if fold is None else made + extras @ fold.extras
+
+    def _states(
+        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, motion: BaseMotion
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Pinocchio's (q, v, a): base at the origin, at rest for this instant, accelerating by the specific force."""
+        n, model = q.shape[0], self.vehicle.model
+        q_full, v_full, a_full = np.zeros((n, model.nq)), np.zeros((n, model.nv)), np.zeros((n, model.nv))
+        q_full[:, FREE_FLYER_NQ - 1] = 1.0  # unit quaternion x, y, z, w
+        v_full[:, 3:FREE_FLYER_NV] = motion.rate_rad_s
+        a_full[:, :3] = motion.specific_force_m_s2
+        a_full[:, 3:FREE_FLYER_NV] = motion.acceleration_rad_s2
+        if self._turning:
+            straight = [(k, joint.q_index) for k, joint in enumerate(self.vehicle.joints) if joint.q_size == 1]
+            for column, index in straight:
+                q_full[:, index] = q[:, column]
+            for column, index in self._turning:
+                q_full[:, index], q_full[:, index + 1] = np.cos(q[:, column]), np.sin(q[:, column])
+        else:
+            q_full[:, FREE_FLYER_NQ:] = q
+        v_full[:, FREE_FLYER_NV:], a_full[:, FREE_FLYER_NV:] = dq, ddq  # a joint has one velocity each, in their order
+        return q_full, v_full, a_full
+
+    def _fill_zero_force(self, columns: FloatArray, q: FloatArray, held: NDArray[np.bool_]) -> None:
+        """Minus the rows' response, at the URDF's parameters, to a unit specific force along each base axis."""
+        drawn = self._columns.fold(self.vehicle.chi[:, None])
+        still = np.zeros((len(q), self.vehicle.model.nv))
+        for axis in range(3):
+            unit = still.copy()
+            unit[:, axis] = 1.0
+            columns[:, :, axis] = -self._columns.make(drawn, held, q, still, unit)[:, :, 0]

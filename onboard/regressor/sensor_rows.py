@@ -1,0 +1,90 @@
+"""Sensors of more than one row, or at more than one place: wrist cells, motor currents, IMUs on any link."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.kinematics import cross, frame_motions, turned
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.regressor.rows import BaseMotion, WrenchRow, joint_torque_row, load_cell_row
+
+
+def wrist_cell_rows(name: str, frame: str, bias: bool = True, scale: bool = False) -> tuple[WrenchRow, ...]:
+    """Six rows of a six-axis load cell: force, then moment, along the frame's axes; ``<name>_force_x ...``, N, N m.
+
+    Args:
+        name: of the cell.
+        frame: the cut; what the near side exerts on the far side is positive.
+        bias: whether the readings at no load are parameters.
+        scale: whether the scales of the six axes are.
+    """
+    return tuple(
+        load_cell_row(f"{name}_{kind}_{axis}", frame, unit, kind, bias=bias, scale=scale)
+        for kind in ("force", "moment")
+        for axis, unit in zip("xyz", np.eye(3).tolist(), strict=True)
+    )
+
+
+def motor_current_row(vehicle: VehicleModel, joint: str, friction: bool = True, bias: bool = False) -> WrenchRow:
+    """Row of a joint's motor current times the *nominal* torque constant, N m at the joint, that constant a parameter.
+
+    The constant is nominal over ``1 + scale_current_<joint>``. Torque and all inertia scale together: only a payload or
+    a link that is known otherwise, or the prior, tells the constant.
+
+    Raises:
+        UnknownFrameError: no such joint.
+    """
+    row = joint_torque_row(vehicle, joint, friction)
+    return replace(row, name=f"current_{joint}", bias=bias, scale=True)
+
+
+def base_motion_from_link(
+    vehicle: VehicleModel, imu_frame: str, joints: tuple[FloatArray, FloatArray, FloatArray], imu: BaseMotion
+) -> BaseMotion:
+    """Motion of the base frame from an IMU on any link, the joints between them measured.
+
+    Args:
+        vehicle: gives the IMU's place.
+        imu_frame: name of the IMU's frame.
+        joints: positions, rates, accelerations, (n, joints) each.
+        imu: rate, angular acceleration and specific force at the IMU, (n, 3) each, in its axes.
+
+    Raises:
+        UnknownFrameError: no such frame.
+        SignalError: shapes that do not fit.
+    """
+    (at,) = frame_motions(vehicle, [imu_frame], *joints)
+    rate, acceleration, force = (turned(at.R, _three(v, len(at.p))) for v in imu)
+    w = rate - at.w
+    dw = acceleration - at.dw - cross(w, at.w)
+    return BaseMotion(w, dw, force - at.a - cross(dw, at.p) - cross(w, cross(w, at.p) + 2.0 * at.v))
+
+
+def imu_on_link(
+    vehicle: VehicleModel, imu_frame: str, joints: tuple[FloatArray, FloatArray, FloatArray], motion: BaseMotion
+) -> BaseMotion:
+    """What an IMU on any link feels, (n, 3) each, in its axes: the inverse of :func:`base_motion_from_link`.
+
+    Raises:
+        UnknownFrameError: no such frame.
+        SignalError: shapes that do not fit.
+    """
+    (at,) = frame_motions(vehicle, [imu_frame], *joints)
+    w, dw, f = (_three(v, len(at.p)) for v in motion)
+    felt = (
+        w + at.w,
+        dw + at.dw + cross(w, at.w),
+        f + at.a + cross(dw, at.p) + cross(w, cross(w, at.p) + 2.0 * at.v),
+    )
+    Rt = at.R.swapaxes(-1, -2)
+    return BaseMotion(*(turned(Rt, v) for v in felt))
+
+
+def _three(values: ArrayLike, ticks: int) -> FloatArray:
+    out = np.asarray(values, np.float64)
+    if out.shape != (ticks, 3):
+        raise SignalError(f"motion of shape {out.shape} for {ticks} ticks of the joints; give ({ticks}, 3) each")
+    return out

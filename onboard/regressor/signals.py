@@ -1,0 +1,32 @@
+"""Smoothed signals as the rows take them."""
+
+from typing import NamedTuple
+
+from onboard.estimation.arrays import FloatArray
+from onboard.regressor.rows import BaseMotion
+
+
+class SignalNoise(NamedTuple):
+    """Standard deviation of the smoothed signals: sample noise times the kernel's noise gain, each axis alone."""
+
+    q: FloatArray  # (n, joints)
+    dq: FloatArray  # (n, joints)
+    ddq: FloatArray  # (n, joints)
+    rate: FloatArray  # (n, 3) IMU axes, as the three below
+    acceleration: FloatArray  # (n, 3)
+    specific_force: FloatArray  # (n, 3)
+    inflation: float = 1.0  # for the correlation of neighbouring rows
+
+
+class Signals(NamedTuple):
+    """Smoothed signals at n ticks; every one through the same kernel. NaN where a window was not valid."""
+
+    time_s: FloatArray  # (n,)
+    q: FloatArray  # (n, joints)
+    dq: FloatArray  # (n, joints)
+    ddq: FloatArray  # (n, joints)
+    motion: BaseMotion  # (n, 3) each, of the base frame
+    measured: FloatArray  # (n, rows) left-hand sides; zero for a wrench known to be zero
+    sigma: FloatArray  # (n, rows) of `measured`, correlation inflation included; zero for what is known exactly
+    measured_rate: FloatArray | None = None  # (n, rows) time derivative of `measured`; for delays considered
+    noise: SignalNoise | None = None  # of the motion; where not given, the regressor is taken for exact

@@ -1,0 +1,58 @@
+"""The base's motion predicted from momentum, against MuJoCo's integration of the whole vehicle."""
+
+import numpy as np
+import pytest
+
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.free_flight import predict_base
+from onboard.dynamics.kinematics import link_motions
+from tests.dynamics.free_flyer_twin import twin
+
+PERIOD_s = 0.01
+FIELDS = ("rate", "acceleration", "specific_force")
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return twin(3.0)
+
+
+@pytest.fixture(scope="module")
+def predict(flown):
+    ticks = flown.flight.time_s[::5]
+    q, dq, ddq = flown.motion.at(ticks)
+    links = link_motions(flown.vehicle, q, dq, ddq)
+    R, _ = flown.vehicle.pose_in_base("imu_base")
+    start = flown.momentum(q[0], dq[0], R @ flown.flight.rate_rad_s[0])
+    return lambda chi=flown.chi, momentum=start, free=(): predict_base(links, PERIOD_s, chi, momentum, free), start
+
+
+def test_prediction_is_what_mujoco_does(flown, predict):
+    base = predict[0]()
+    R, p = flown.vehicle.pose_in_base("imu_base")
+    w = base.rate
+    force = base.specific_force + np.cross(base.acceleration, p) + np.cross(w, np.cross(w, p))
+    a_ten_thousandth_of_the_gyros_noise = 2e-7
+    np.testing.assert_allclose(w @ R, flown.flight.rate_rad_s[::5], atol=a_ten_thousandth_of_the_gyros_noise)
+    np.testing.assert_allclose(force @ R, flown.flight.specific_force_m_s2[::5], atol=1e-6)
+
+
+def test_derivatives_are_finite_differences(flown, predict):
+    predict, start = predict
+    last = len(flown.vehicle.links) - 1
+    base = predict(free=(last, 0))
+    steps = [(k, np.zeros(70), 1e-5 * unit) for k, unit in enumerate(np.eye(3))]
+    for column, index in [*((3 + k, 10 * last + k) for k in range(10)), *((13 + k, k) for k in range(10))]:
+        steps.append((column, 1e-5 * np.eye(70)[index], np.zeros(3)))
+    for column, chi, momentum in steps:
+        up, down = predict(flown.chi + chi, start + momentum), predict(flown.chi - chi, start - momentum)
+        for field in FIELDS:
+            slope = (getattr(up, field) - getattr(down, field)) / 2e-5
+            ours = getattr(base, f"d_{field}")[:, :, column]
+            assert np.abs(ours - slope).max() < 2e-4 * np.abs(slope).max(), (column, field)
+
+
+def test_too_few_ticks_are_refused(flown):
+    links = link_motions(flown.vehicle, *np.zeros((3, 3, 5)))
+    with pytest.raises(SignalError, match="four or more"):
+        predict_base(links, PERIOD_s, flown.chi, np.zeros(3), ())

@@ -1,0 +1,212 @@
+"""The scenario file: its schema refuses what it does not know, and its tables are the datasheets'."""
+
+import re
+
+import pytest
+
+from hil_sim.scenario import load as scenarios
+from hil_sim.scenario.sensor_tables import Imu
+
+
+def test_packaged_scenario_loads() -> None:
+    assert "rocksat" in scenarios.names()
+    flown = scenarios.load("rocksat")
+    assert flown.scenario.name == "rocksat"
+    assert [step.phase for step in flown.sequence if step.phase] == [1, 2, 3, 4, 5, 3, 4, 1, 2, 9]
+
+
+def test_geometry_and_masses_are_those_of_tables_4_5_and_4_6() -> None:
+    flown = scenarios.load("rocksat")
+    g = flown.geometry
+    assert (g.frame_1_theta_deg, g.frame_2_a_mm, g.frame_3_d_mm, g.frame_4_a_mm, g.frame_5_a_mm) == (
+        -55.4,
+        116.1,
+        101.0,
+        155.7,
+        16.4,
+    )
+    arm, tip = flown.body.arm, flown.body.tip_mass
+    assert (arm.mass_g, arm.com_mm) == (233.13, (39.75, 1.41, 5.0))
+    e = arm.inertia_g_mm2
+    assert (e.xx, e.yy, e.zz, e.xy, e.xz, e.yz) == (52080.3, 6.99e5, 7.33e5, 7130.97, -38230.98, 1744.05)
+    assert (tip.mass_g, tip.com_mm) == (66.27, (0.0, -13.91, 0.0))
+    e = tip.inertia_g_mm2
+    assert (e.xx, e.yy, e.zz, e.xy, e.xz, e.yz) == (5978.9, 4389.61, 5978.9, 2.9e-8, 0.0, 0.0)
+
+
+def test_imu_filters_are_those_of_register_26() -> None:
+    imu = scenarios.load("rocksat").sensor["imu"]
+    assert isinstance(imu, Imu)
+    assert imu.accel_g.bandwidth_Hz[:7] == (260, 184, 94, 44, 21, 10, 5)
+    assert imu.accel_g.delay_ms[:7] == (0.0, 2.0, 3.0, 4.9, 8.5, 13.8, 19.0)
+    assert imu.gyro_deg_s.bandwidth_Hz[:7] == (256, 188, 98, 42, 20, 10, 5)
+    assert imu.gyro_deg_s.delay_ms[:7] == (0.98, 1.9, 2.8, 4.8, 8.3, 13.4, 18.6)
+
+
+@pytest.mark.parametrize("name", scenarios.names())
+def test_every_number_has_a_source_or_says_it_is_our_choice(name) -> None:
+    """A section without any comment is a section nobody can check."""
+    text = (scenarios.resources.files("hil_sim.scenario") / "packaged" / f"{name}.toml").read_text(encoding="utf-8")
+    sections = re.split(r"^(?=\[(?!\[))", text, flags=re.MULTILINE)[1:]
+    assert len(sections) > 10
+    for section in sections:
+        name = section.splitlines()[0]
+        assert name.startswith("[scenario]") or "#" in section, name
+
+
+def test_overrides_lie_over_the_file() -> None:
+    flown = scenarios.load("rocksat", {"body": {"tip_mass": {"as_built_factor": 0.75}}})
+    assert flown.body.tip_mass.as_built_factor == 0.75
+    assert flown.body.tip_mass.mass_g == 66.27
+
+
+def test_a_path_is_read_as_a_file(tmp_path) -> None:
+    text = (scenarios.resources.files("hil_sim.scenario") / "packaged" / "rocksat.toml").read_text(encoding="utf-8")
+    path = tmp_path / "copy.toml"
+    path.write_text(text.replace('name = "rocksat"', 'name = "copy"'), encoding="utf-8")
+    assert scenarios.load(path).scenario.name == "copy"
+    assert scenarios.load(str(path)).scenario.name == "copy"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "named"),
+    [
+        ({"joint": {"coulomb_friction_mNm": 1.0}}, "joint.coulomb_friction_mNm"),
+        ({"joint": {"coulomb_friction_Nm": -1.0}}, "joint.coulomb_friction_Nm"),
+        ({"wind": {}}, "wind"),
+        ({"body": {"arm": {"mass_g": float("nan")}}}, "body.arm.mass_g"),
+        ({"sensor": {"imu": {"accel_g": {"delay_ms": [0.0]}}}}, "one entry for each of the 8 filter codes"),
+        ({"sequence": [{"phase": 3, "action": "wave", "duration_s": 1.0}]}, "sequence.0"),
+        ({"sequence": []}, "sequence"),
+        ({"stops": {"pad_deg": 16.0}}, "pad_deg"),
+        ({"stops": {"pad_deg": 11.0}}, "meets the pad"),
+        ({"sequence": [{"phase": 5, "action": "eject", "duration_s": 1.0}] * 2}, "one tip mass"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_by_name(overrides, named) -> None:
+    with pytest.raises(scenarios.ScenarioError, match=re.escape(named)):
+        scenarios.load("rocksat", overrides)
+
+
+def test_a_missing_key_is_named() -> None:
+    table = scenarios.load("rocksat").model_dump()
+    del table["servo"]["torque_limit_Nm"]
+    with pytest.raises(scenarios.ScenarioError, match=r"servo\.torque_limit_Nm: Field required"):
+        scenarios.parse(table)
+
+
+def test_no_such_scenario_lists_those_there_are(tmp_path) -> None:
+    with pytest.raises(scenarios.ScenarioError, match=r"does not exist; packaged scenarios are .*rocksat"):
+        scenarios.load("apollo")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[scenario", encoding="utf-8")
+    with pytest.raises(scenarios.ScenarioError, match="is not TOML"):
+        scenarios.load(broken)
+
+
+def test_a_scenario_is_frozen() -> None:
+    flown = scenarios.load("rocksat")
+    with pytest.raises(ValueError, match="frozen"):
+        flown.joint.ripple_Nm = 1.0
+
+
+# Based on another
+
+
+def test_a_scenario_based_on_another_has_its_world_and_a_wiring_of_its_own() -> None:
+    one, other = scenarios.load("rocksat"), scenarios.load("rocksat_serial")
+    for table in ("physics", "geometry", "body", "joint", "servo", "rocket", "vibration", "reentry", "sequence"):
+        assert getattr(one, table) == getattr(other, table)
+    assert one.sensor.items() <= other.sensor.items()
+    assert "can_0" not in other.bus
+    assert "arm_phase" not in other.device
+    assert "imu_base_rc" not in other.clock
+
+
+def test_a_scenario_lies_over_the_one_it_is_based_on_key_by_key(tmp_path) -> None:
+    path = tmp_path / "heavy.toml"
+    path.write_text(
+        """
+        [scenario]
+        name = "heavy"
+        description = ""
+        based_on = "rocksat"
+        [body.tip_mass]
+        as_built_factor = 1.2
+        [sensor.encoder]
+        eccentricity_urad = 0.0
+        """
+    )
+    flown, below = scenarios.load(path), scenarios.load("rocksat")
+    assert flown.scenario.name == "heavy"
+    assert flown.body.tip_mass.as_built_factor == 1.2
+    assert flown.body.tip_mass.mass_g == below.body.tip_mass.mass_g
+    assert flown.sensor["encoder"] == below.sensor["encoder"].model_copy(update={"eccentricity_urad": 0.0})
+    assert flown.device == below.device
+
+
+@pytest.mark.parametrize(("base", "named"), [("apollo", "apollo does not exist"), ("SELF", "based on itself")])
+def test_what_a_scenario_cannot_be_based_on_is_named(tmp_path, base, named) -> None:
+    path = tmp_path / "self.toml"
+    path.write_text(f'[scenario]\nbased_on = "{path if base == "SELF" else base}"\n')
+    with pytest.raises(scenarios.ScenarioError, match=named):
+        scenarios.load(path)
+
+
+# Wiring
+
+SERIAL_LINE = {"kind": "serial"}
+NIMU = {"kind": "nimu", "bus": "line", "measures": "imu"}
+BOX = {"kind": "sync_box", "line": "sync_line"}
+CRYSTAL = {"rate_sigma": 0.0, "rate_limit": 0.0, "drift_sigma_per_s": 0.0}
+
+
+def node(**keys: object) -> dict[str, object]:
+    return {"kind": "loadcell404", "bus": "can_0", "measures": "load_cell", **keys}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "named"),
+    [
+        ({"device": {"imu_base": {"bus": "i2c_2"}}}, "device.imu_base.bus: no bus 'i2c_2'; there are: can_0, i2c_1"),
+        ({"device": {"imu_base": {"bus": "can_0"}}}, "can_0 is of kind 'can' and this goes on one of kind 'i2c'"),
+        ({"device": {"sync_box": {"line": "can_0"}}}, "device.sync_box.line: can_0 is of kind 'can'"),
+        ({"device": {"joint_1": {"measures": "radar"}}}, "device.joint_1 measures 'radar'; the sensors here are: enc"),
+        ({"device": {"joint_1": {"measures": "imu"}}}, "a encoder406 does not measure inertial; name another sensor"),
+        ({"device": {"joint_1": {"node": 2}}}, "bus can_0: 2 devices are node 2; move one, or give it another"),
+        ({"device": {"two": BOX}, "clock": {"two": CRYSTAL}}, "several sync boxes"),
+        ({"device": {"camera": node(node=4, flags=True)}}, "device.camera.loadcell404.flags"),
+        ({"device": {"camera": {"kind": "camera"}}}, "device.camera"),
+        ({"device": {"imu_2": NIMU}, "bus": {"line": SERIAL_LINE}}, "no [clock.imu_2] says how right"),
+        ({"clock": {"joint_1": CRYSTAL}}, "clock.joint_1 belongs to no device; the clocks here are: imu_base, imu_"),
+        (
+            {"bus": {"line": SERIAL_LINE}, "device": {"a": NIMU, "b": NIMU}, "clock": {"a": CRYSTAL, "b": CRYSTAL}},
+            "bus line: 2 devices are the line",
+        ),
+        (
+            {
+                "bus": {"line": SERIAL_LINE},
+                "device": {"joint_2": {"kind": "qsb", "bus": "line", "measures": "encoder"}},
+                "clock": {"joint_2": CRYSTAL},
+            },
+            "bus.line.baud_rate: a qsb comes up with 230400, not 115200",
+        ),
+        (
+            {
+                "bus": {"line": SERIAL_LINE},
+                "device": {
+                    "node": {
+                        "kind": "node_frame",
+                        "bus": "line",
+                        "channel": [{"name": "gyro", "measures": "imu", "unit": "rad/s", "type": "i16"}],
+                    }
+                },
+                "clock": {"node": CRYSTAL},
+            },
+            "device.node: a node_frame does not measure inertial",
+        ),
+    ],
+)
+def test_wiring_that_cannot_be_is_refused_with_the_remedy(overrides, named) -> None:
+    with pytest.raises(scenarios.ScenarioError, match=re.escape(named)):
+        scenarios.load("rocksat", overrides)

@@ -1,0 +1,198 @@
+"""A base on an air bearing: rows, drag and motion against MuJoCo, and what a run does not determine."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import pytest
+
+import onboard
+from hil_sim.plants import free_flyer, planar_bed
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from onboard.dynamics.air_bearing import PlanarDrag, planar_columns, predict_planar
+from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import standard_covariance, standard_of
+from onboard.dynamics.ticks import FlightSignals, tick_signals
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.errors import ConvergenceError
+from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, PlanarExiddm
+from onboard.identification.exiddm.batch import ImuPrior
+from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
+
+URDF = (Path(onboard.__file__).parent / "vehicles" / "dymaflex_air_bearing" / "dymaflex.urdf").read_text()
+BOX = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
+PAYLOAD = RigidBody(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2)
+DRAGS = (planar_bed.Drag(0.05, 0.004), planar_bed.Drag(2.0, 0.3), planar_bed.Drag(0.02, 0.002))
+TILT = (0.002, -0.001)
+PUCKS = {f"puck_{k}": DragPrior(5.0, 0.5) for k in (1, 2, 3)}
+IMU = ImuPrior(0.01, 1e-4, 0.003, 0.003, 0.1, 1e-3, 0.003, 0.003, 1e-4)
+DOUBT = AirBearingPrior(0.05, 1.0, PUCKS, 0.005)
+WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
+SECONDS = 8.0
+
+
+class Run(NamedTuple):
+    vehicle: VehicleModel
+    chi: np.ndarray
+    flight: planar_bed.PlanarFlight
+    motion: free_flyer.JointMotion
+
+
+def vehicle(base=BaseKind.PLANAR, payload="payload"):
+    return VehicleModel(URDF, VehicleSpec(base, "base", payload))
+
+
+def fly(swing, seconds=SECONDS, drags=DRAGS):
+    rng = np.random.default_rng(5)
+    motion = free_flyer.JointMotion.draw(rng, swing)
+    motion = replace(motion, start_rad=np.array([0.0, 1.2, 0.0, -1.2, 0.0]))
+    flight = planar_bed.fly(planar_bed.world(BOX, tilt_m_s2=TILT), motion, [0.02, -0.01, 0.05], drags, seconds)
+    model = vehicle()
+    chi = model.chi.copy()
+    chi[model.payload_columns()] = standard_of(PAYLOAD)
+    return Run(model, chi, flight, motion)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return fly(0.6)
+
+
+def exact(run, every=3):
+    """Signals without noise at every third sample, joints as they were commanded."""
+    f = run.flight
+    at = slice(0, None, every)
+    q, dq, ddq = run.motion.at(f.time_s[at])
+    sigma = np.full(3, 1e-3)
+    period_s = every * float(f.time_s[1] - f.time_s[0])
+    return FlightSignals(period_s, q, dq, ddq, f.rate_rad_s[at], f.specific_force_m_s2[at], sigma, sigma, 1)
+
+
+def noisy(run, rng, errors=ImuErrors()):  # noqa: B008
+    sampled = sample(run.flight, errors, rng)
+    return tick_signals(*sampled[:4], sampled[4:], 5, 0.1)
+
+
+def test_three_rows_are_mujocos_generalised_forces(rng):
+    model, truth = vehicle(), planar_bed.world(BOX)
+    chi = model.chi.copy()
+    chi[model.payload_columns()] = standard_of(PAYLOAD)
+    rows = RowModel(model, [*base_force_rows(model), *base_moment_rows(model)])
+    q, dq, ddq = rng.normal(size=(3, 4, 5))
+    velocity, acceleration = rng.normal(size=(2, 4, 3))  # x, y, yaw
+    w, dw, f = np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 3))
+    w[:, 2], dw[:, 2] = velocity[:, 2], acceleration[:, 2]
+    f[:, :2], f[:, 2] = acceleration[:, :2], 9.80665
+    found = rows.regressor(q, dq, ddq, BaseMotion(w, dw, f)) @ chi
+    still = FlightSignals(0.01, q, dq, ddq, w, f, np.ones(3), np.ones(3), 1)
+    T = planar_columns(model, still).T[::2]
+    basis = np.column_stack([acceleration, np.ones(4), w[:, 2], w[:, 2] ** 2])
+    data = mujoco.MjData(truth)
+    for k in range(4):  # yaw zero: table axes are base axes
+        data.qpos[:], data.qvel[:] = np.r_[0.3, -0.2, 0.0, q[k]], np.r_[velocity[k], dq[k]]
+        data.qacc[:] = np.r_[acceleration[k], ddq[k]]
+        mujoco.mj_inverse(truth, data)
+        np.testing.assert_allclose(found[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(T[k] @ chi @ basis[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
+
+
+def drag_of(drags):
+    viscous, coulomb = np.array([[d.viscous_N_s_m, d.coulomb_N] for d in drags]).T
+    return PlanarDrag(np.array(planar_bed.PUCKS_m), viscous, coulomb)
+
+
+def test_motion_is_mujocos_drag_and_tilt_included(run):
+    columns, truth = planar_columns(run.vehicle, exact(run)), run.flight.velocity
+    for drags, tilt, low, high in (
+        (DRAGS, TILT, 0.0, 5e-5),
+        ([planar_bed.Drag()] * 3, TILT, 0.02, np.inf),
+        (DRAGS, (0.0, 0.0), 1e-4, np.inf),
+    ):
+        found = predict_planar(columns, truth[0], run.chi, drag_of(drags), np.array(tilt), np.arange(0))
+        assert low <= np.abs(found.velocity[:, :3] - truth[::3]).max() < high
+
+
+def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
+    exiddm = PlanarExiddm(run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, DOUBT._replace(imu=IMU))
+    x = exiddm.start(PAYLOAD)
+    names = list(exiddm.names)
+    x[:3] = run.flight.velocity[0]
+    for puck, drag in zip(PUCKS, DRAGS, strict=True):
+        x[names.index(f"Fv_{puck}")], x[names.index(f"Fc_{puck}")] = drag.viscous_N_s_m, drag.coulomb_N
+    x[[names.index("tilt_x"), names.index("tilt_y")]] = TILT
+    assert np.abs(exiddm.residuals(x)[0].reshape(-1, 6)[:, 2:5] * 1e-3).max() < 2e-3  # one tick in a turn of a puck
+    assert np.abs(exiddm.residuals(x)[0]).mean() * 1e-3 < 2e-5
+    ticks = 120
+    jacobian = exiddm.residuals(x, ticks)[1]
+    for k, name in enumerate(names):
+        step = np.zeros(x.size)
+        step[k] = 1e-6
+        slope = (exiddm.residuals(x + step, ticks)[0] - exiddm.residuals(x - step, ticks)[0]) / 2e-6
+        np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-4 * np.abs(slope).max() + 1e-5, err_msg=name)
+
+
+def test_payload_and_drag_of_a_noisy_run(run, rng):
+    exiddm = PlanarExiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, DOUBT)
+    found = exiddm.fit()
+    sigma = np.sqrt(np.diag(found.payload.covariance))
+    assert found.reason == ""
+    assert abs(found.payload.body.mass_kg / BOX.mass_kg - 1) < 0.02
+    assert abs(found.payload.body.inertia_kg_m2[2, 2] / BOX.inertia_kg_m2[2, 2] - 1) < 0.06
+    assert abs(found.payload.body.mass_kg - BOX.mass_kg) < 3.5 * sigma[0]
+    truth = [value for drag in DRAGS for value in (drag.viscous_N_s_m, drag.coulomb_N)]
+    assert (np.abs(found.drag - truth) < 3.5 * found.drag_sigma).all()
+    assert (found.drag_sigma[2:4] < [0.4, 0.04]).all()
+    assert found.fit.residual_sum / found.freedom == pytest.approx(1.0, abs=0.1)
+    pushing = found.fit.x.copy()
+    pushing[exiddm.names.index("Fv_puck_3")] = -5.0 * found.drag_sigma[4]
+    assert "Fv_puck_3 came out negative" in exiddm.estimate(found.fit._replace(x=pushing)).reason
+
+
+def test_an_imu_too_bad_for_the_motion_does_not_determine_the_payload(run, rng):
+    signals = noisy(run, rng)
+    worse = signals._replace(
+        rate=signals.rate + 2.0 * rng.standard_normal(signals.rate.shape),
+        specific_force=signals.specific_force + 20.0 * rng.standard_normal(signals.rate.shape),
+        rate_sigma=np.full(3, 2.0),
+        specific_force_sigma=np.full(3, 20.0),
+    )
+    found = PlanarExiddm(run.vehicle, "imu_base", worse, WIDE, {}, DOUBT).fit()
+    assert "does not determine the payload" in found.reason
+
+
+def test_an_arm_that_stands_still_fits_nothing(rng):
+    exiddm = PlanarExiddm(vehicle(), "imu_base", noisy(fly(0.0, 3.0), rng), WIDE, {}, DOUBT)
+    with pytest.raises((ConvergenceError, SignalError), match=r"not determine|no centre of mass"):
+        exiddm.fit()
+
+
+def test_a_gyro_that_reads_too_much_contradicts_the_joints(run, rng):
+    signals = noisy(run, rng)
+    found = PlanarExiddm(run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, DOUBT).fit()
+    assert "contradict" in found.reason
+
+
+def test_what_cannot_be_used_is_named(run):
+    signals = exact(run)
+    own = standard_covariance(run.vehicle.chi[:10], 0.01, 1e-3, 0.01)
+    with pytest.raises(SignalError, match="the base is free"):
+        PlanarExiddm(vehicle(BaseKind.FREE), "imu_base", signals, WIDE, {}, DOUBT)
+    with pytest.raises(UnknownFrameError, match="no payload link"):
+        PlanarExiddm(vehicle(payload=None), "imu_base", signals, WIDE, {}, DOUBT)
+    with pytest.raises(UnknownFrameError, match="hand is none"):
+        PlanarExiddm(run.vehicle, "imu_base", signals, WIDE, {"hand": own}, DOUBT)
+    with pytest.raises(UnknownFrameError, match="'puck_4'"):
+        PlanarExiddm(run.vehicle, "imu_base", signals, WIDE, {}, DOUBT._replace(pucks={"puck_4": DragPrior(1.0, 1.0)}))
+    with pytest.raises(UnknownFrameError, match="moves with a joint"):
+        PlanarExiddm(run.vehicle, "imu_base", signals, WIDE, {}, DOUBT._replace(pucks={"link_3": DragPrior(1.0, 1.0)}))
+    with pytest.raises(SignalError, match="joints must be known"):
+        PlanarExiddm(run.vehicle, "imu_base", signals._replace(q=signals.q * np.nan), WIDE, {}, DOUBT)
+    with pytest.raises(SignalError, match="rates and specific forces"):
+        PlanarExiddm(run.vehicle, "imu_base", signals._replace(rate=signals.rate[:-1]), WIDE, {}, DOUBT)
+    gone = signals.rate.copy()
+    gone[: len(gone) // 2 + 1] = np.nan
+    with pytest.raises(SignalError, match="no IMU"):
+        PlanarExiddm(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, DOUBT)

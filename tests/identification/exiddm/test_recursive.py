@@ -1,0 +1,397 @@
+"""The payload tick by tick, with MuJoCo's truth: as good as the whole flight at once, and it notices what happens."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.payload import standard_covariance
+from onboard.dynamics.ticks import tick_signals
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.identification.exiddm.batch import CERTAIN, ImuPrior, NonLinearExiddm
+from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm
+from onboard.identification.exiddm.window import Ticks
+from tests.dynamics.free_flyer_twin import BOX, URDF, twin
+
+WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
+BIASED = ImuErrors(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
+BIASES = CERTAIN._replace(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
+DOUBT = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
+CAPTURE_s, RELEASE_s, END_s = 3.0, 7.5, 10.0
+
+
+def ticks_of(signals):
+    n = len(signals.q)
+    sigma = np.tile(np.r_[signals.rate_sigma, signals.specific_force_sigma], (n, 1))
+    measured = np.c_[signals.rate, signals.specific_force]
+    joints = (x.copy() for x in (signals.q, signals.dq, signals.ddq))
+    return Ticks(0.054 + signals.period_s * np.arange(n), *joints, measured, sigma, np.zeros((n, 2, 5)))
+
+
+def recorded(flight, rng, errors=BIASED):
+    samples = sample(flight, errors, rng)
+    return tick_signals(*samples[:4], samples[4:], 5, 0.1)
+
+
+def online(signals, held=True, doubt=BIASES, links=()):
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    covariance = {
+        name: standard_covariance(vehicle.chi[10 * k : 10 * k + 10], 0.01, 1e-3, 0.01)
+        for k, name in enumerate(vehicle.links[:-1])
+        if name in links
+    }
+    predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, doubt)
+    return RecursiveExiddm(predictor, "imu_base", WIDE, held)
+
+
+def same_bits(a, b):
+    return a.state.tobytes() == b.state.tobytes() and a.covariance.tobytes() == b.covariance.tobytes()
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return twin(8.0)
+
+
+@pytest.fixture(scope="module")
+def held(flown):
+    return recorded(flown.flight, np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def mission():
+    """Nothing held, a capture, a release."""
+    rng = np.random.default_rng(11)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(BOX, CAPTURE_s, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    free_flyer.fly_with_capture(flight, capture, RELEASE_s)
+    flight.release()
+    flight.advance(round((END_s - RELEASE_s) / flight.step_s))
+    return recorded(flight.history, rng)
+
+
+def test_it_ends_where_the_maximum_likelihood_of_the_whole_flight_does(held):
+    recursive = online(held)
+    recursive.update(ticks_of(held))
+    whole = NonLinearExiddm(recursive.predictor.vehicle, "imu_base", held, WIDE, {}, BIASES).fit()
+    found, sigma = recursive.estimate(), np.sqrt(np.diag(whole.fit.covariance))[3:13]
+    a_fifth_of_a_sigma = 0.2
+    assert np.abs(recursive.state[PAYLOAD] - whole.fit.x[3:13]).max() < a_fifth_of_a_sigma * sigma.max()
+    assert (np.abs(recursive.state[PAYLOAD] - whole.fit.x[3:13]) < a_fifth_of_a_sigma * sigma).all()
+    ratio = np.sqrt(np.diag(recursive.covariance))[PAYLOAD] / sigma
+    assert ratio.min() > 0.9
+    assert ratio.max() < 1.1
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
+    assert recursive.changes == []
+
+
+def test_with_everything_doubted_the_covariance_stays_positive_and_covers(flown):
+    signals = recorded(flown.flight, np.random.default_rng(5), ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
+    recursive = online(signals, doubt=DOUBT, links=[f"link_{k}" for k in range(1, 6)] + ["base"])
+    ticks = ticks_of(signals)
+    for first in range(0, len(ticks.time_s), 100):
+        recursive.update(ticks.part(slice(first, first + 100)))
+        if recursive.state is not None:
+            sigma = np.sqrt(np.diag(recursive.covariance))
+            assert np.linalg.eigvalsh(recursive.covariance / np.outer(sigma, sigma))[0] > 0.0
+            assert np.abs(recursive.covariance - recursive.covariance.T).max() < 1e-12 * sigma.max() ** 2
+    found = recursive.estimate()
+    error = found.body.mass_kg - 5.0
+    assert abs(error) < 3.0 * np.sqrt(found.covariance[0, 0]) < 0.3 * 5.0
+    assert recursive.changes == []
+
+
+def test_how_the_ticks_arrive_does_not_matter_to_a_bit(held):
+    ticks = ticks_of(held)
+    whole = online(held)
+    whole.update(ticks)
+    crumbs = online(held)
+    first = 0
+    for size in [1, 7, 13, 1, 250] * 10:
+        crumbs.update(ticks.part(slice(first, first + size)))
+        first += size
+    assert first > len(ticks.time_s)
+    assert same_bits(whole, crumbs)
+
+
+@pytest.mark.parametrize("at", [60, 157, 555])
+def test_what_was_pickled_goes_on_to_the_bit(held, at):
+    ticks = ticks_of(held).part(slice(0, 600))
+    whole, cut = online(held), online(held)
+    whole.update(ticks)
+    cut.update(ticks.part(slice(0, at)))
+    again = pickle.loads(pickle.dumps(cut))
+    again.update(ticks.part(slice(at, None)))
+    assert same_bits(whole, again)
+
+
+def test_capture_and_ejection_are_found_and_only_the_payload_forgotten(mission):
+    recursive, ticks = online(mission, held=False), ticks_of(mission)
+    biases = [recursive.predictor.names.index(f"gyro_bias_rad_s_{axis}") for axis in "xyz"]
+    before = int(np.searchsorted(ticks.time_s, CAPTURE_s))
+    recursive.update(ticks.part(slice(0, before)))
+    assert recursive.held is False
+    assert recursive.estimate() is None
+    known = np.sqrt(np.diag(recursive.covariance))[biases]
+    recursive.update(ticks.part(slice(before, before + 50)))
+    assert [change.kind for change in recursive.changes] == ["capture"]
+    assert CAPTURE_s < recursive.changes[0].time_s < CAPTURE_s + 0.5
+    assert recursive.held is None
+    assert recursive.estimate() is None  # it does not go on with what it held before
+    gone = int(np.searchsorted(ticks.time_s, RELEASE_s))
+    recursive.update(ticks.part(slice(before + 50, gone)))
+    assert (np.sqrt(np.diag(recursive.covariance))[biases] < known).all()
+    found = recursive.estimate()
+    assert found.body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
+    assert abs(found.body.mass_kg - BOX.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
+    recursive.update(ticks.part(slice(gone, None)))
+    assert [change.kind for change in recursive.changes] == ["capture", "ejection"]
+    assert RELEASE_s < recursive.changes[1].time_s < RELEASE_s + 0.5
+    assert recursive.held is False
+    assert recursive.estimate() is None
+
+
+def test_a_light_payload_is_not_taken_for_a_push(rng):
+    light = BOX.grown(0.2)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(light, 2.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    signals = recorded(free_flyer.fly_with_capture(flight, capture, 6.0), rng)
+    recursive = online(signals, held=False)
+    recursive.update(ticks_of(signals))
+    assert [change.kind for change in recursive.changes] == ["capture"]
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - 0.2) < 4.0 * np.sqrt(found.covariance[0, 0]) < 0.2
+
+
+def test_a_push_is_a_contact_and_the_payload_is_kept(rng):
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3), BOX)
+    flight.advance(2500)
+    flight._data.qvel[3:6] += [0.02, -0.03, 0.01]
+    flight.advance(1500)
+    signals = recorded(flight.history, rng)
+    recursive, ticks = online(signals), ticks_of(signals)
+    push = int(np.searchsorted(ticks.time_s, 5.0))
+    recursive.update(ticks.part(slice(0, push)))
+    sigma = recursive.estimate().covariance[0, 0] ** 0.5
+    recursive.update(ticks.part(slice(push, None)))
+    assert [change.kind for change in recursive.changes] == ["ejection", "contact"]
+    assert recursive.held is True
+    found = recursive.estimate()
+    assert found.covariance[0, 0] ** 0.5 < sigma
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * sigma
+
+
+def test_told_is_as_good_as_found(mission):
+    recursive, ticks = online(mission, held=False), ticks_of(mission)
+    at = int(np.searchsorted(ticks.time_s, CAPTURE_s + 0.02))
+    recursive.update(ticks.part(slice(0, at)))
+    recursive.told(True, float(ticks.time_s[at]))
+    recursive.told(False, float(ticks.time_s[at]))
+    recursive.told(True, float(ticks.time_s[at]))
+    recursive.update(ticks.part(slice(at, at + 400)))
+    assert [change.kind for change in recursive.changes] == ["capture", "ejection", "capture"]
+    assert all(np.isnan(change.score) for change in recursive.changes)
+    assert recursive.estimate().body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
+    recursive.told(True, 0.0)
+    assert len(recursive.changes) == 3
+
+
+def test_ticks_without_an_imu_carry_the_momentum_on(held):
+    ticks = ticks_of(held)
+    ticks.measured[450:520] = np.nan
+    recursive = online(held)
+    recursive.update(ticks)
+    assert recursive.changes == []
+    assert recursive.ticks_used == 398 + (len(ticks.time_s) - 400) // BATCH_TICKS * BATCH_TICKS - 70
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
+
+
+def test_when_joints_and_imu_are_missing_nothing_is_said_until_the_momentum_is_found_again(held):
+    ticks, recursive = ticks_of(held), online(held)
+    ticks.q[504:510] = np.nan
+    ticks.measured[490:510] = np.nan
+    recursive.update(ticks.part(slice(0, 502)))
+    assert recursive.estimate() is not None
+    recursive.update(ticks.part(slice(502, 511)))
+    assert recursive.estimate() is None
+    recursive.update(ticks.part(slice(511, None)))
+    assert recursive.changes == []
+    assert abs(recursive.estimate().body.mass_kg - 5.0) < 4.0 * np.sqrt(recursive.estimate().covariance[0, 0])
+
+
+@pytest.mark.parametrize("lost", [3, 150])
+def test_missing_joints_widen_the_momentum_and_nothing_else(held, lost):
+    ticks = ticks_of(held)
+    recursive = online(held)
+    recursive.update(ticks.part(slice(0, 502)))
+    before = np.diag(recursive.covariance).copy()
+    ticks.dq[502 : 502 + lost, 2] = np.nan
+    recursive.update(ticks.part(slice(502, 502 + lost + 1)))
+    if recursive.state is not None:
+        after = np.diag(recursive.covariance)
+        assert (after[MOMENTUM] > 1.5 * before[MOMENTUM]).all()
+        np.testing.assert_array_equal(after[PAYLOAD], before[PAYLOAD])
+    else:
+        assert recursive.estimate() is None
+    recursive.update(ticks.part(slice(502 + lost + 1, None)))
+    assert recursive.changes == []
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
+    assert found.covariance[0, 0] < before[3]
+
+
+def test_a_glitch_is_left_out_and_no_alarm(held):
+    ticks, clean = ticks_of(held), online(held)
+    clean.update(ticks)
+    ticks.measured[50, 1] += 0.05  # in the first window
+    ticks.measured[555, 4] -= 30.0
+    recursive = online(held)
+    recursive.update(ticks)
+    assert recursive.glitches == 2
+    assert recursive.changes == []
+    sigma = np.sqrt(np.diag(clean.covariance))
+    assert (np.abs(recursive.state - clean.state) < 0.5 * sigma).all()
+
+
+def test_a_batch_that_is_suspect_is_not_taken_in(held):
+    ticks, recursive = ticks_of(held), online(held)
+    recursive.update(ticks.part(slice(0, 500)))
+    batch = ticks.part(slice(500, 510))
+    outcomes = []
+    for scale in np.linspace(0.0, 3.0, 31):
+        again = pickle.loads(pickle.dumps(recursive))
+        again.update(batch._replace(measured=batch.measured + scale * batch.sigma * [1, -1, 1, -1, 1, -1]))
+        outcomes.append("alarm" if again.changes else again.ticks_used - recursive.ticks_used)
+    assert outcomes[0] == 10
+    assert outcomes[-1] == "alarm"
+    assert 0 in outcomes  # large, and not large enough for an alarm: it may be the beginning of something
+
+
+def test_nothing_is_said_before_the_first_window_and_of_axes_that_are_swapped(held):
+    ticks = ticks_of(held)
+    recursive = online(held)
+    recursive.update(ticks.part(slice(0, 99)))
+    assert recursive.estimate() is None
+    recursive.update(ticks.part(slice(99, 100)))
+    assert recursive.estimate() is not None
+    wrong = online(held)
+    wrong.update(ticks._replace(measured=ticks.measured[:, [1, 0, 2, 3, 4, 5]]))
+    assert wrong.estimate() is None
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_the_first_second_is_enough_for_a_start_whatever_is_held(seed):
+    rng = np.random.default_rng(seed)
+    body = BOX.grown(rng.uniform(8.0, 18.0))
+    motion = free_flyer.JointMotion.draw(rng)
+    flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), 1.3)
+    signals = recorded(flight, rng, ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
+    recursive = online(signals, doubt=DOUBT, links=[*(f"link_{k}" for k in range(1, 6)), "base"])
+    recursive.update(ticks_of(signals))
+    found = recursive.estimate()
+    assert found is not None
+    assert abs(found.body.mass_kg - body.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
+
+
+class Late:
+    """A motion that begins softly, after a while of none."""
+
+    def __init__(self, motion, begins_s):
+        self.motion, self.begins_s = motion, begins_s
+
+    def at(self, time_s):
+        u = np.maximum(time_s - self.begins_s, 0.0)
+        q, dq, ddq = self.motion.at(u - np.arctan(u))
+        rate = (u**2 / (1.0 + u**2))[:, None]
+        return q, dq * rate, ddq * rate**2 + dq * (2.0 * u / (1.0 + u**2) ** 2)[:, None]
+
+
+def test_while_the_arm_is_still_the_payload_is_not_known_and_no_alarm_comes_when_it_moves():
+    rng = np.random.default_rng(1)
+    late = Late(free_flyer.JointMotion.draw(rng), 7.3)
+    flight = free_flyer.fly(free_flyer.world(BOX), late, rng.uniform(-0.05, 0.05, 3), 13.0)
+    signals = recorded(flight, rng)
+    recursive, ticks = online(signals), ticks_of(signals)
+    recursive.update(ticks.part(slice(0, 720)))
+    unknown = recursive.estimate()
+    assert unknown is None or unknown.covariance[0, 0] ** 0.5 > 0.2 * 5.0
+    recursive.update(ticks.part(slice(720, None)))
+    assert recursive.changes == []
+    found = recursive.estimate()
+    assert found.body.mass_kg == pytest.approx(5.0, rel=0.03)
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
+
+
+def test_derivatives_of_the_prediction_are_finite_differences(held):
+    links = ["link_4", "base"]
+    recursive = online(held, doubt=DOUBT, links=links)
+    predictor, ticks = recursive.predictor, ticks_of(held).part(slice(300, 324))
+    motion = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
+    p = len(predictor.names)
+    assert p == 3 + 10 + 25 + 20
+    x = np.nan_to_num(predictor.sigma) * np.random.default_rng(1).normal(size=p) * 0.1
+    x[:13] = [0.1, -0.2, 0.3, 5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    found = predictor.predict(motion, x)
+    for k in range(p):
+        size = 1e-4 if k < 13 else 1e-2 * predictor.sigma[k]
+        step = size * np.eye(p)[k]
+        up, down = predictor.predict(motion, x + step), predictor.predict(motion, x - step)
+        slope = (up.values - down.values) / (2.0 * size)
+        assert np.abs(found.jacobian[:, :, k] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-9, predictor.names[k]
+        carried = (up.state - down.state) / (2.0 * size)
+        assert np.abs(found.transition[:, k] - carried).max() <= 2e-3 * np.abs(carried).max(), predictor.names[k]
+
+
+def test_the_noise_of_the_joints_is_what_their_errors_make_of_the_prediction(held):
+    predictor = online(held).predictor
+    q, still = np.repeat(held.q[300:301], 4, axis=0), np.zeros((4, 5))
+    x = np.zeros(len(predictor.names))
+    x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    rest = predictor.predict(link_motions(predictor.vehicle, q, still, still), x).values
+    small, variance = 1e-6, np.zeros((4, 6))
+    for kind, rows in enumerate([slice(0, 3), slice(3, 6)]):  # of a rate the gyro, of an acceleration the force
+        for joint in range(5):
+            sigma = np.zeros((4, 2, 5))
+            sigma[:, kind, joint] = small
+            moved = predictor.predict(link_motions(predictor.vehicle, q, sigma[:, 0], sigma[:, 1]), x).values - rest
+            alone = predictor.joint_noise(q, sigma, x)
+            np.testing.assert_allclose(alone[1:3, rows], np.abs(moved[:, rows]), rtol=1e-3, atol=1e-3 * small)
+            variance += alone**2
+    together = predictor.joint_noise(q, np.full((4, 2, 5), small), x)
+    np.testing.assert_allclose(together**2, variance, rtol=1e-9)
+    assert (together > 0.01 * small).all()
+
+
+def test_noise_of_the_joints_that_is_told_is_no_change(held):
+    rng = np.random.default_rng(4)
+    ticks, sigma = ticks_of(held), np.full((len(held.q), 2, 5), [[[2e-3], [0.05]]])
+    dq, ddq = np.moveaxis(sigma * rng.normal(size=sigma.shape), 1, 0)
+    noisy = ticks._replace(dq=ticks.dq + dq, ddq=ticks.ddq + ddq)
+    trusting, knowing = online(held), online(held)
+    trusting.update(noisy.part(slice(0, 100)))
+    knowing.update(noisy._replace(joint_sigma=sigma))
+    assert trusting.estimate() is None  # nothing explains its window
+    assert knowing.changes == []
+    found = knowing.estimate()
+    assert abs(found.body.mass_kg - 5.0) < 3.0 * np.sqrt(found.covariance[0, 0]) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("payload", "imu", "links", "message"),
+    [
+        (None, "imu_base", {}, "no payload link"),
+        ("payload", "imu_tip", {}, "imu_tip"),
+        ("payload", "imu_base", {"payload": np.eye(10)}, "other than the payload"),
+        ("payload", "imu_base", {"wheel": np.eye(10)}, "wheel"),
+    ],
+)
+def test_names_that_do_not_fit_are_refused(payload, imu, links, message):
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", payload))
+    with pytest.raises(UnknownFrameError, match=message):
+        ImuPredictor(vehicle, imu, 0.01, 5, links, CERTAIN)

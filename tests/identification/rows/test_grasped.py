@@ -1,0 +1,142 @@
+"""A tool in the gripper of a fixed arm, weighed by its wrist in MuJoCo; and data that do not determine it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import onboard
+from hil_sim.plants import fixed_arm
+from hil_sim.plants.free_flyer import Body, JointMotion
+from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.gates import GateReason
+from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
+from onboard.identification.rows.grasped import grasped
+from onboard.identification.rows.identifier import Identifier
+from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.rows import RowModel, standing
+from onboard.regressor.sensor_rows import wrist_cell_rows
+from onboard.regressor.signals import SignalNoise, Signals
+
+URDF = (Path(onboard.__file__).parent / "vehicles" / "workshop" / "workshop.urdf").read_text()
+TOOL = Body.box(0.30, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
+GRASP_S, END_S, WIDTH_S, ROW_S = 3.0, 12.0, 0.2, 0.02
+TRUTH = np.array([0.30, *TOOL.centre_of_mass_m, *TOOL.inertia_kg_m2[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+
+
+def identifier(payload="tool", cells=("wrist",)):
+    vehicle = VehicleModel(URDF, VehicleSpec(BaseKind.FIXED, "bench", payload))
+    model = RowModel(vehicle, [row for name in cells for row in wrist_cell_rows(name, "wrist", scale=True)])
+    links = dict.fromkeys(vehicle.links, 0.01)
+    extras = {f"{name}_tool": s for name, s in zip(STANDARD, (5, 1, 1, 1, *[0.2] * 6), strict=True) if payload}
+    extras |= {name: 5.0 if "force" in name else 0.5 for name in model.names if name.startswith("bias")}
+    extras |= {name: 0.0025 for name in model.names if name.startswith("scale")}
+    base = base_parameters(model, np.random.default_rng(0))
+    return Identifier(model, base, named_relative_sigma(model, links, extras), 5 * WIDTH_S)
+
+
+def signals(motion, rng, vehicle, tool=TOOL):
+    flown = fixed_arm.run(tool, motion, GRASP_S, END_S)
+    readings = fixed_arm.read(flown, fixed_arm.WristErrors(), rng)
+    at = np.arange(WIDTH_S, END_S - WIDTH_S, ROW_S)
+    at = at[np.abs(at - GRASP_S) > WIDTH_S]
+    window = SmoothingWindow(readings.time_s, at, WIDTH_S)
+    joints = [window.apply(readings.angle_rad, order) for order in range(3)]
+    wrist, inflation = window.apply(readings.wrench), correlation_inflation(WIDTH_S, ROW_S)
+    sigma = np.outer(wrist.noise_gain, readings.noise) * inflation
+    count = np.full(5, fixed_arm.COUNT_rad / np.sqrt(12.0))
+    noise = SignalNoise(*(np.outer(j.noise_gain, count) for j in joints), *np.zeros((3, len(at), 3)), inflation)
+    base = standing(vehicle, len(at))
+    return Signals(at, *(j.values for j in joints), base, wrist.values, sigma, noise=noise)
+
+
+def feed(who, given):
+    return who.update(given, given.time_s > GRASP_S, np.zeros(len(given.time_s), np.int64))
+
+
+@pytest.fixture(scope="module")
+def run():
+    rng = np.random.default_rng(20)
+    return signals(JointMotion.draw(rng, 0.5), rng, identifier().model.vehicle)
+
+
+def test_a_tool_is_weighed(run):
+    who = identifier()
+    feed(who, run)
+    found = grasped(who)
+    assert found.supported.all()
+    assert found.reason == ""
+    assert abs(found.body.mass_kg / TOOL.mass_kg - 1) < 0.005
+    assert np.linalg.norm(found.body.centre_of_mass_m - TOOL.centre_of_mass_m) < 5e-4
+    assert np.linalg.norm(found.body.inertia_kg_m2 - TOOL.inertia_kg_m2) < 0.05 * np.linalg.norm(TOOL.inertia_kg_m2)
+    assert ((found.low < TRUTH) & (found.high > TRUTH)).sum() >= 8
+    assert (found.sigma[:4] < [2e-3, 5e-4, 5e-4, 5e-4]).all()
+
+
+def test_scales_do_not_follow_the_noise():
+    """A column of readings, or noise counted on one side only, shifts every mass."""
+    errors = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        who = identifier()
+        feed(who, signals(JointMotion.draw(rng, 0.5), rng, who.model.vehicle))
+        errors.append(grasped(who).body.mass_kg / TOOL.mass_kg - 1)
+        scales = [k for k, name in enumerate(who.base.names) if name.startswith("scale")]
+        assert len(scales) == 6
+        assert np.abs(who.honest().mean[scales]).max() < 4 * 0.0025
+    assert abs(np.mean(errors)) < 3e-4
+
+
+def test_a_still_arm_says_mass_but_no_inertia(rng):
+    still = JointMotion(np.array([0, 0.6, 0, 0.8, 0]), *np.zeros((3, 5, 1)))
+    who = identifier()
+    feed(who, signals(still, rng, who.model.vehicle))
+    found = grasped(who)
+    assert not found.supported[4:].any()
+    assert np.isnan(found.value[4:]).all()
+    assert "does not determine" in found.reason
+    assert "ZZ" in found.reason
+
+
+def test_nothing_held_is_no_mass(run):
+    who = identifier()
+    who.update(run, np.zeros(len(run.time_s), bool), np.where(run.time_s > GRASP_S, int(GateReason.PHASE), 0))
+    found = grasped(who)
+    assert not found.supported.any()
+    assert np.isnan(found.value).all()
+    assert "do not determine a mass" in found.reason
+
+
+def test_readings_that_are_not_numbers_are_left_out_by_name(run):
+    measured = run.measured.copy()
+    measured[::7, 2] = np.nan
+    measured[100:120] = np.inf
+    who = identifier()
+    reasons = feed(who, run._replace(measured=measured))
+    assert (reasons[::7, 2] & GateReason.GAP).all()
+    assert who.refused[GateReason.GAP] == (~np.isfinite(measured)).sum()
+    assert abs(grasped(who).body.mass_kg / TOOL.mass_kg - 1) < 0.005
+
+
+def test_two_cells_that_contradict_each_other_give_no_mass(run):
+    """A second cell in the same place that reads a tenth more than the first, both calibrated to 0.25 %."""
+    who = identifier(cells=("wrist", "second"))
+    other = 1.1 * run.measured + 0.1
+    both = run._replace(measured=np.hstack([run.measured, other]), sigma=np.hstack([run.sigma, run.sigma]))
+    feed(who, both)
+    found = grasped(who)
+    assert np.isnan(found.value).all()
+    assert "contradict" in found.reason
+
+
+def test_a_vehicle_without_a_payload_has_nothing_to_tell(run):
+    who = identifier(payload=None)
+    feed(who, run)
+    with pytest.raises(UnknownFrameError, match="no payload link"):
+        grasped(who)
+    with pytest.raises(UnknownFrameError, match="'hand' is not in the URDF"):
+        VehicleModel(URDF, VehicleSpec(BaseKind.FIXED, "bench", "hand"))
+    with pytest.raises(UnknownFrameError, match="no link, joint or frame 'elbow'"):
+        RowModel(who.model.vehicle, [replace(who.model.rows[0], frame="elbow")])

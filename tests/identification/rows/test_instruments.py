@@ -1,0 +1,118 @@
+"""Predicted motion is true at the truth and shares no noise with the tick; rows made of it take the bias out."""
+
+import numpy as np
+import pytest
+
+from bench.identification.linear import feed, identifier, signals_of
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.identification.rows.instruments import MotionRows, whitening
+from onboard.identification.rows.predicted_motion import PredictedMotion
+from tests.dynamics.free_flyer_twin import PAYLOAD, URDF, twin
+
+WIDTH_S = 0.2
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return twin(7.0)
+
+
+def predicted(vehicle, chi, signals, rate, held=None):
+    motion = PredictedMotion(vehicle, WIDTH_S)
+    assert motion.set(chi)
+    flags = np.ones(len(signals.time_s), bool) if held is None else held
+    return motion.predict(signals.time_s, signals.q, signals.dq, signals.ddq, rate, flags)
+
+
+def test_at_the_truth_the_prediction_is_the_motion(flown, rng):
+    signals = signals_of(flown.vehicle, flown.samples(rng, noise=False), WIDTH_S)
+    found = predicted(flown.vehicle, flown.chi, signals, signals.motion.rate_rad_s)
+    for guess, truth in zip(found, signals.motion, strict=True):
+        assert np.abs(guess - truth).max() < 2e-3 * np.abs(truth).max()
+
+
+def test_a_tick_is_predicted_from_what_was_seen_a_lag_before(flown, rng):
+    signals = signals_of(flown.vehicle, flown.samples(rng, noise=False), WIDTH_S)
+    rate = signals.motion.rate_rad_s
+    spoilt = rate.copy()
+    spoilt[300:] += 0.1
+    one, two = (predicted(flown.vehicle, flown.chi, signals, w) for w in (rate, spoilt))
+    lag = round(WIDTH_S / 0.01)
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a[: 300 + lag], b[: 300 + lag])
+        assert np.abs(a[300 + lag + 1] - b[300 + lag + 1]).max() > 0.0
+
+
+def test_parameters_put_right_are_as_if_they_had_been_so(flown, rng):
+    """The last seconds are seen anew: a wrong payload before leaves nothing in the momentum."""
+    signals = signals_of(flown.vehicle, flown.samples(rng, noise=False), WIDTH_S)
+    parts = signals.time_s, signals.q, signals.dq, signals.ddq, signals.motion.rate_rad_s
+    held = np.ones(len(signals.time_s), bool)
+    motion = PredictedMotion(flown.vehicle, WIDTH_S)  # as drawn: without payload
+    motion.predict(*(x[:400] for x in parts), held[:400])
+    assert motion.set(flown.chi)
+    found = motion.predict(*(x[400:] for x in parts), held[400:])
+    np.testing.assert_allclose(found.rate_rad_s, signals.motion.rate_rad_s[400:], atol=2e-3)
+    motion.forget()
+    late = signals.time_s[400:] + 100.0
+    again = motion.predict(late, *(x[400:] for x in parts[1:]), held[400:])  # a hole: begins with the first tick
+    np.testing.assert_allclose(again.rate_rad_s[0], signals.motion.rate_rad_s[400], atol=1e-9)
+
+
+def test_a_vehicle_that_cannot_be_is_not_predicted_with(flown):
+    motion = PredictedMotion(flown.vehicle, WIDTH_S)
+    for change in (lambda chi: -chi, lambda chi: chi * np.tile([1.0, 50.0, *[1.0] * 8], len(chi) // 10)):
+        assert not motion.set(change(flown.chi))
+    with pytest.raises(SignalError, match="lag"):
+        PredictedMotion(flown.vehicle, 0.0)
+
+
+def test_without_the_payload_the_vehicle_without_it_is_predicted(flown, rng):
+    signals = signals_of(flown.vehicle, flown.samples(rng, noise=False), WIDTH_S)
+    rate, none = signals.motion.rate_rad_s, np.zeros(len(signals.time_s), bool)
+    found = predicted(flown.vehicle, flown.chi, signals, rate, none)
+    drawn = predicted(flown.vehicle, flown.vehicle.chi, signals, rate)
+    np.testing.assert_allclose(found.rate_rad_s, drawn.rate_rad_s, atol=1e-12)
+
+
+def test_instruments_take_the_bias_out_of_a_flight(flown, rng):
+    signals = signals_of(flown.vehicle, flown.samples(rng), WIDTH_S)
+    truth, errors = standard_of(PAYLOAD), []
+    for instruments in (False, True):
+        one = identifier(flown.vehicle, instruments, WIDTH_S)
+        feed(one, signals)
+        errors.append(np.abs((one.honest().mean if instruments else one.rls.solve().mean) / truth - 1.0)[0])
+        if instruments:
+            interval = one.honest().combination(np.eye(10))
+            assert np.mean((interval.low <= truth) & (truth <= interval.high)) >= 0.8
+    assert errors[0] > 0.03
+    assert errors[1] < 0.015
+
+
+def test_whitening_makes_the_errors_of_a_tick_independent(rng):
+    used = np.array([[True] * 3, [True, False, True], [False] * 3, [True] * 3])
+    r = int(used.sum())
+    noise, mean, sigma = rng.normal(size=(2, 3, 4, 3)), rng.normal(size=2), rng.uniform(0.5, 1.0, r)
+    none, held, group = np.zeros((4, 1)), np.ones(4, bool), np.array([0, 1, 1, 0])
+    Y = rng.normal(size=(r, 2))
+    rows = MotionRows(np.arange(4.0), *[none] * 4, held, used, Y, none, sigma, noise, group, None)
+    spread, parts = whitening(rows, mean)
+    effect = np.concatenate([noise[g, use] for g, use in zip(group, used, strict=True)]) @ [*mean, -1.0]
+    np.testing.assert_allclose(spread**2, sigma**2 + (effect**2).sum(axis=1))
+    seen = 0
+    for index, inverse in parts:
+        for mine, L in zip(index, inverse, strict=True):
+            S = effect[mine] @ effect[mine].T + np.diag(sigma[mine] ** 2)
+            own = L / spread[mine]
+            np.testing.assert_allclose(own @ S @ own.T, np.eye(len(mine)), atol=1e-6)
+            seen += len(mine)
+    assert seen == r
+    assert whitening(rows._replace(noise=None), mean)[1] == []
+
+
+def test_a_base_that_is_held_has_no_instruments():
+    spec = VehicleSpec(BaseKind.PRESCRIBED, "base", "payload")
+    with pytest.raises(SignalError, match="free ones only"):
+        identifier(VehicleModel(URDF.read_text(), spec), True)

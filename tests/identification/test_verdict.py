@@ -1,0 +1,198 @@
+"""The verdict's rules, one by one, and what they are made of: motion held out, the directions a motion shows."""
+
+import numpy as np
+import pytest
+
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.rls import SquareRootRls
+from onboard.identification.observability import subspace
+from onboard.identification.rows.held_out import HeldOut, Prediction, RowBlocks
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.standard import identified_links, link_estimate
+from onboard.identification.verdict import Evidence, Level, verdict
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
+from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
+
+NOISE_ALONE = 1.0  # residual sum a row
+FINE = Prediction(0.05, NOISE_ALONE)
+
+
+def evidence(**changed):
+    known = {
+        "rows_used": 1000,
+        "refused": {"gap": 10},
+        "asked": {"mass": True, "I_zz": True},
+        "held_out": HeldOut(FINE, FINE, FINE),
+    }
+    return Evidence(**{**known, **changed})
+
+
+def test_good_data_are_good():
+    found = verdict(evidence())
+    assert found == (Level.GOOD, (), ())
+    assert found.text == "good"
+
+
+def test_what_is_not_determined_is_named():
+    found = verdict(evidence(asked={"mass": True, "I_xx": False, "I_zz": False}))
+    assert found.level is Level.WEAK
+    assert found.text == "weak in these directions: I_xx, I_zz"
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"rows_used": 0, "refused": {"gap": 264, "phase": 4}}, "no row could be used (264 gap, 4 phase)"),
+        ({"rows_used": 0, "refused": {}}, "no row could be used (there was none)"),
+        ({"asked": {"mass": False, "I_zz": False}}, "the motion determines nothing that was asked"),
+        ({"refused": {"residual": 60}}, "6% of the rows contradict the others"),
+        ({"held_out": HeldOut(FINE, FINE, Prediction(0.4, 20.0))}, "40% of it is left over"),
+        ({"held_out": HeldOut(Prediction(1.2, 9.0), FINE, FINE)}, "from the other is off by 120%"),
+        ({"failure": "the fit gave up: not converged"}, "the fit gave up"),
+        ({"misfit": 2.5}, "2.5 times the noise is left over"),
+        ({"away": {"payload": 6.0}}, "found for payload cannot exist: 6 sigmas from any body"),
+        ({"away": {"payload": np.inf}}, "its mass is not positive"),
+    ],
+)
+def test_reasons_not_to_use_it(changed, said):
+    found = verdict(evidence(**changed))
+    assert found.level is Level.DO_NOT_USE
+    assert said in found.text
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"held_out": None}, "too short to be checked"),
+        ({"held_out": HeldOut(FINE, Prediction(0.6, 5.0), FINE)}, "off by 60%"),
+        ({"held_out": HeldOut(FINE, Prediction(0.6, 2.5), FINE), "correlation": 2.0}, "off by 60%"),
+    ],
+)
+def test_reasons_to_take_it_with_care(changed, said):
+    found = verdict(evidence(**changed))
+    assert found.level is Level.WEAK
+    assert said in found.text
+
+
+def test_what_noise_explains_is_no_reason():
+    noisy = Prediction(1.5, 1.2)
+    assert verdict(evidence(held_out=HeldOut(noisy, noisy, noisy))).level is Level.GOOD
+    assert verdict(evidence(refused={"residual": 40}, away={"payload": 2.0}, misfit=1.5)).level is Level.GOOD
+
+
+# --- what the evidence is made of -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def identifier(rng):
+    vehicle = VehicleModel(
+        to_urdf(random_vehicle(rng, ["revolute", "fixed"])), VehicleSpec(BaseKind.FREE, "base", "link_2")
+    )
+    model = RowModel(vehicle, [*base_force_rows(vehicle), *base_moment_rows(vehicle)])
+    base = base_parameters(model, np.random.default_rng(1))
+    return Identifier(model, base, np.full(len(model.names), 2.0), 0.5)
+
+
+def rows(rng, identifier, n, truth, noise):
+    Y = rng.normal(size=(n, truth.size))
+    return 0.01 * np.arange(n), rng.random(n) < 0.5, Y, Y @ truth + noise * rng.normal(size=n), np.full(n, 0.1)
+
+
+def test_the_halves_are_predicted_as_brute_force_predicts_them(rng, identifier):
+    truth = rng.normal(size=len(identifier.base.names))
+    t, held, Y, y, sigma = rows(rng, identifier, 20_000, truth, 0.3)  # 400 blocks, so that they have been merged
+    seen = RowBlocks(truth.size, 0.5)
+    for part in np.array_split(np.arange(t.size), 37):
+        seen(t[part], held[part], Y[part], y[part], sigma[part], None)
+        identifier.rls.update(Y[part], y[part], sigma[part])
+        identifier.blocks.add(t[part], Y[part], y[part], sigma[part])
+    found = seen.held_out(identifier)
+    first = t < t[t.size // 2]
+    information, right = identifier.rls.prior_equations()
+    for prediction, train in ((found.later, first), (found.earlier, ~first)):
+        weighted = Y[train].T / sigma[train] ** 2
+        chi = np.linalg.solve(weighted @ Y[train] + information, weighted @ y[train] + right)
+        left = y[~train] - Y[~train] @ chi
+        few_blocks = 0.05  # the halves are cut between blocks, not between rows
+        relative = np.linalg.norm(left) / np.linalg.norm(y[~train])
+        assert prediction.relative_error == pytest.approx(relative, rel=few_blocks)
+        assert prediction.misfit == pytest.approx(np.mean(left**2) / 0.01, rel=few_blocks)
+    assert found.fit.misfit == pytest.approx(np.mean((y - Y @ identifier.honest().mean) ** 2) / 0.01, rel=1e-9)
+    assert found.worst == max(found.later, found.earlier)
+
+
+def test_another_body_in_the_second_half_is_seen_there_and_only_there(rng, identifier):
+    truth = rng.normal(size=len(identifier.base.names))
+    t, held, Y, y, sigma = rows(rng, identifier, 2000, truth, 0.01)
+    y[1000:] += Y[1000:] @ rng.normal(size=truth.size)
+    seen = RowBlocks(truth.size, 0.5)
+    seen(t, held, Y, y, sigma, None)
+    identifier.rls.update(Y, y, sigma)
+    assert seen.held_out(identifier).worst.relative_error > 0.5
+
+
+def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
+    """Half of the information along each column is noise: without the correction each half predicts half of it."""
+    truth = np.ones(len(identifier.base.names))
+    t, held, Y, y, sigma = rows(rng, identifier, 8000, truth, 0.0)
+    noisy = Y + rng.normal(size=Y.shape)
+    doubt = np.repeat(np.eye(truth.size)[None], t.size, axis=0)
+    told = {}
+    for name, noise in (("corrected", doubt), ("plain", None)):
+        seen = RowBlocks(truth.size, 10.0)
+        seen(t, held, noisy, y, sigma, noise)
+        told[name] = seen.held_out(identifier).later.misfit
+    expected = truth.size / 0.01  # all of the noise, where the parameters are the true ones
+    assert told["corrected"] == pytest.approx(expected, rel=0.1)
+    assert told["plain"] == pytest.approx(0.5 * expected, rel=0.1)
+
+
+def test_one_block_cannot_be_halved(rng, identifier):
+    truth = rng.normal(size=len(identifier.base.names))
+    seen = RowBlocks(truth.size, 50.0)
+    assert seen.held_out(identifier) is None
+    seen(*rows(rng, identifier, 100, truth, 0.1), None)
+    assert seen.held_out(identifier) is None
+
+
+def test_directions_that_no_row_shows_are_named(rng):
+    rls = SquareRootRls(3)
+    rls.prior(np.zeros(3), np.array([1.0, 10.0, 0.1]))
+    Y = np.outer(rng.normal(size=200), [0.0, 0.1, 10.0])  # one combination of b and c, each in its prior's units
+    rls.update(Y, np.zeros(200), np.full(200, 0.01))
+    found = subspace(rls.observability(), ("a", "b", "c"))
+    assert (found.determined, found.of) == (1, 3)
+    assert found.condition == pytest.approx(1.0)
+    assert set(found.undetermined) == {"a", "0.71 b - 0.71 c"} or set(found.undetermined) == {"a", "0.71 c - 0.71 b"}
+
+
+def test_standard_parameters_are_the_posterior_of_the_prior_and_what_is_told(rng, identifier):
+    """With everything told, to the last digit: what base parameters are blind to stays as drawn, with its sigma."""
+    model, base = identifier.model, identifier.base
+    Y = rng.normal(size=(4000, len(base.names)))
+    chi = model.chi + 0.01 * rng.normal(size=model.chi.size)
+    identifier.rls.update(Y, Y @ base.value(chi), np.full(4000, 1e-6))
+    identifier.blocks.add(0.01 * np.arange(4000), Y, Y @ base.value(chi), np.full(4000, 1e-6))
+    links = identified_links(identifier)
+    assert {one.link for one in links} <= set(model.vehicle.links)
+    G, variance = base.grouping, 4.0
+    K = variance * G.T @ np.linalg.inv(variance * G @ G.T)
+    posterior = model.chi + K @ (base.value(chi) - base.value(model.chi))
+    left = variance * (np.eye(model.chi.size) - K @ G)
+    for one in links:
+        own = slice(10 * model.vehicle.links.index(one.link), 10 * model.vehicle.links.index(one.link) + 10)
+        np.testing.assert_allclose(one.mean, posterior[own], atol=1e-6)
+        np.testing.assert_allclose(one.covariance, left[own, own], atol=1e-6)
+
+
+def test_what_is_no_body_is_told_with_its_distance():
+    thin = RigidBody(2.0, np.zeros(3), np.diag([0.1, 0.1, -0.02]))
+    narrow, wide = (np.diag(np.r_[1e-4, [1e-4] * 3, [sigma] * 6] ** 2) for sigma in (1e-3, 1e-1))
+    assert link_estimate("payload", standard_of(thin), narrow).away > 10.0
+    assert link_estimate("payload", standard_of(thin), wide).away < 1.0
+    assert link_estimate("payload", -standard_of(thin), wide).body is None
+    whole = RigidBody(2.0, np.zeros(3), np.diag([0.1, 0.1, 0.02]))
+    assert link_estimate("payload", standard_of(whole), narrow).away == 0.0

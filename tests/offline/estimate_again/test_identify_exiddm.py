@@ -1,0 +1,146 @@
+"""``heft identify`` on a free-flyer's log: MuJoCo's flight, the payload by maximum likelihood, the verdict with it."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from drivers.records import IMU, SCALAR
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors
+from onboard import cli, config
+from onboard.identification.change import Change
+from onboard.identification.exiddm.window import Ticks
+from onboard.identification.verdict import Level
+from onboard.offline.estimate_again.exiddm_log import longest_held
+from onboard.offline.estimate_again.identify import identify
+from onboard.recording.writer import LogWriter
+from tests.dynamics.free_flyer_twin import BOX, PAYLOAD, Twin, twin
+
+VEHICLE = config.load(config.packaged("dymaflex_parabolic"))
+ERRORS = ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
+
+
+@pytest.fixture(scope="module")
+def flown() -> Twin:
+    return twin(6.0)
+
+
+def still(seconds: float) -> Twin:
+    """No joint moves."""
+    flown = twin(0.1)
+    motion = dataclasses.replace(flown.motion, amplitude_rad=np.zeros_like(flown.motion.amplitude_rad))
+    flight = free_flyer.fly(free_flyer.world(BOX), motion, (0.03, -0.02, 0.04), seconds)
+    return flown._replace(motion=motion, flight=flight)
+
+
+def write(path: Path, flown: Twin, rng: np.random.Generator, axes: tuple[int, int, int] = (0, 1, 2)) -> Path:
+    """A log of the flight, the gyro's axes in this order."""
+    samples = flown.samples(rng, ERRORS)
+    n = len(samples.time_s)
+    imu = np.zeros(n, IMU)
+    imu["sequence"] = np.arange(n)
+    imu["host_ns"] = np.rint(1e9 * samples.time_s)
+    imu["gyro_scale_rad_s"], imu["accel_scale_m_s2"] = 1e-4, 1e-3
+    imu["gyro_raw"] = np.rint(samples.rate_rad_s[:, axes] / 1e-4)
+    imu["accel_raw"] = np.rint(samples.specific_force_m_s2 / 1e-3)
+    with LogWriter.create(path, durable=False, overwrite=True) as writer:
+        writer.register("imu_base", IMU)
+        writer.write("imu_base", imu)
+        for joint in range(5):
+            rows = np.zeros(n, SCALAR)
+            rows["sequence"], rows["host_ns"] = imu["sequence"], imu["host_ns"]
+            rows["scale"], rows["unit"] = 2.0 * np.pi / COUNTS_PER_TURN, b"rad"
+            rows["value_raw"] = np.rint(samples.angle_rad[:, joint] * COUNTS_PER_TURN / (2.0 * np.pi))
+            writer.register(f"joint_{joint + 1}", SCALAR)
+            writer.write(f"joint_{joint + 1}", rows)
+    return path
+
+
+def test_the_payload_with_its_verdict_and_urdf(
+    flown: Twin, tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, report, urdf = write(tmp_path / "parabola.mcap", flown, rng), tmp_path / "r.json", tmp_path / "out.urdf"
+    arguments = ["--vehicle", "dymaflex_parabolic", str(log), "--json", str(report), "--urdf", str(urdf)]
+    assert cli.main(["identify", *arguments]) == cli.OK
+    assert "method exiddm" in " ".join(capsys.readouterr().out.split())
+    told = json.loads(report.read_text())["logs"][0]
+    assert told["verdict"]["level"] == "good"
+    assert told["misfit"] == pytest.approx(1.0, abs=0.1)
+    answers = {answer["name"]: answer for answer in told["quantities"]}
+    truth = {"m_payload": PAYLOAD.mass_kg, "I_zz_payload": PAYLOAD.inertia_kg_m2[2, 2]}
+    truth |= {f"c_{axis}_payload": value for axis, value in zip("xyz", PAYLOAD.centre_of_mass_m, strict=True)}
+    for name, value in truth.items():
+        assert answers[name]["low"] - answers[name]["sigma"] < value < answers[name]["high"] + answers[name]["sigma"]
+        assert answers[name]["bound"] <= answers[name]["sigma"]
+    assert told["held_out"]["later_from_earlier"]["relative_error"] < 0.1
+    assert told["observable"]["determined"] == 10
+    spec = mujoco.MjSpec.from_string(urdf.read_text())
+    spec.compiler.fusestatic = False
+    assert spec.compile().body("payload").mass[0] == pytest.approx(answers["m_payload"]["value"], rel=1e-12)
+
+
+def test_an_arm_that_stands_still_shows_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+    (found,) = identify(VEHICLE, [write(tmp_path / "still.mcap", still(3.0), rng)]).logs
+    assert found.verdict.level is Level.DO_NOT_USE
+    assert not found.usable
+    assert not any(answer.supported for answer in found.answers)
+
+
+def test_swapped_gyro_axes_are_no_body(tmp_path: Path, rng: np.random.Generator) -> None:
+    (found,) = identify(VEHICLE, [write(tmp_path / "swapped.mcap", twin(3.0), rng, (1, 0, 2))]).logs
+    assert found.verdict.level is Level.DO_NOT_USE
+
+
+def test_a_second_is_too_short(tmp_path: Path, rng: np.random.Generator) -> None:
+    (found,) = identify(VEHICLE, [write(tmp_path / "short.mcap", twin(1.0), rng)]).logs
+    assert found.verdict.level is Level.DO_NOT_USE
+    assert "no row could be used" in found.verdict.text
+
+
+def test_rows_need_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["identify", "--vehicle", "dymaflex_parabolic", "x.mcap", "--method", "rows"]
+    assert cli.main(arguments) == cli.BAD_INPUT
+    assert "there are no rows; give base_rows" in capsys.readouterr().err
+    assert cli.main(["identify", "--vehicle", "rocksat", "x.mcap", "--method", "exiddm"]) == cli.BAD_INPUT
+    assert 'method "exiddm" is for base = "free"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("held", "changes", "wanted"),
+    [
+        (True, [], (0.0, 9.99)),
+        (False, [Change("capture", 3.2, 3.0, 9.0)], (3.21, 9.99)),
+        (True, [Change("ejection", 6.2, 6.0, 9.0)], (0.0, 5.99)),
+        (True, [Change("contact", 6.2, 6.0, 9.0)], (0.0, 5.99)),
+        (False, [Change("capture", 1.0, 0.9, 9.0), Change("capture", 4.0, 3.9, 9.0)], (4.01, 9.99)),
+        (True, [Change("capture", 6.005, 6.005, np.nan)], (0.0, 6.0)),
+        (False, [], None),
+    ],
+)
+def test_the_longest_time_with_one_payload(
+    held: bool, changes: list[Change], wanted: tuple[float, float] | None
+) -> None:
+    time_s = 0.01 * np.arange(1000)
+    joints = np.zeros((1000, 5))
+    ticks = Ticks(time_s, joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)), np.zeros((1000, 2, 5)))
+    found = longest_held([ticks.part(slice(0, 400)), ticks.part(slice(400, None))], changes, held, 0.01)
+    if wanted is None:
+        assert len(found.time_s) == 0
+    else:
+        np.testing.assert_allclose([found.time_s[0], found.time_s[-1]], wanted, atol=1e-9)
+
+
+def test_ticks_without_joints_cut_the_time() -> None:
+    joints = np.zeros((1000, 5))
+    joints[300] = np.nan
+    ticks = Ticks(
+        0.01 * np.arange(1000), joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)), np.zeros((1000, 2, 5))
+    )
+    found = longest_held([ticks], [], True, 0.01)
+    assert (found.time_s[0], len(found.time_s)) == (pytest.approx(3.01), 699)
+    late = ticks._replace(time_s=ticks.time_s + 0.5 * (np.arange(1000) >= 800))
+    assert len(longest_held([late], [], True, 0.01).time_s) == 499

@@ -1,0 +1,153 @@
+"""What ``heft identify`` says of logs that are good, and of logs that no number should be taken from."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from drivers.records import Rows, SampleStatus
+from onboard import cli, config
+from onboard.identification.verdict import Level
+from onboard.offline.estimate_again.identified import Identified
+from onboard.offline.estimate_again.identify import identify
+from onboard.recording.reader import LogReader
+from onboard.recording.writer import LogWriter
+from tests.offline.estimate_again import throws
+from tests.offline.estimate_again.test_identify import LOAD, TUDELFT, TUMBLES, with_carrier
+
+WHOLE = with_carrier(LOAD)
+
+
+def throw(directory: Path, w0: list[float], rng: np.random.Generator) -> Path:
+    return throws.write(directory / "config_a.mcap", WHOLE.inertia_kg_m2, WHOLE.centre_of_mass_m, w0, rng)
+
+
+def altered(log: Path, change: Callable[[str, Rows], None]) -> Path:
+    """The log with its rows changed in place."""
+    reader = LogReader(log)
+    rows = {name: reader.read(name).copy() for name in reader.channels}
+    with LogWriter.create(log, durable=False, overwrite=True) as writer:
+        for name, dtype in reader.channels.items():
+            writer.register(name, dtype)
+            change(name, rows[name])
+            writer.write(name, rows[name])
+    return log
+
+
+def said(log: Path) -> Identified:
+    (found,) = identify(TUDELFT, [log]).logs
+    return found
+
+
+def test_a_tumbling_throw_is_good(tmp_path: Path, rng: np.random.Generator) -> None:
+    found = said(throw(tmp_path, TUMBLES[0], rng))
+    assert found.verdict.level is Level.GOOD
+    assert found.held_out is not None
+    assert found.held_out.worst.relative_error < 0.2
+    assert found.subspace is not None
+    assert found.subspace.determined == 9  # of the whole: first moments and inertia; its mass is weighed
+    assert all(0.0 < answer.bound <= 1.001 * answer.sigma for answer in found.answers)
+
+
+def test_a_throw_that_only_the_wheel_turns_is_weak_about_the_other_axes(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = throw(tmp_path, [0.0, 0.0, 0.0], rng)
+    assert cli.main(["identify", "--vehicle", "tudelft", str(log)]) == cli.FAILED
+    assert "weak in these directions:" in capsys.readouterr().out
+    found = said(log)
+    assert found.verdict.level is Level.WEAK
+    assert {"I_xx", "I_yy", "com_z"} <= set(found.verdict.weak)
+    assert "I_zz" not in found.verdict.weak
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_gyro_axis_of_the_wrong_sign_contradicts_the_wheel(
+    tmp_path: Path, rng: np.random.Generator, axis: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def flip(name: str, rows: Rows) -> None:
+        if name == "imu_base":
+            rows["gyro_raw"][:, axis] *= -1
+
+    log = altered(throw(tmp_path, TUMBLES[0], rng), flip)
+    report, urdf = tmp_path / "report.json", tmp_path / "out.urdf"
+    arguments = ["identify", "--vehicle", "tudelft", str(log), "--json", str(report), "--urdf", str(urdf)]
+    assert cli.main(arguments) == cli.FAILED
+    assert "do not use" in capsys.readouterr().out
+    told = json.loads(report.read_text())["logs"][0]["verdict"]
+    assert told["level"] == "do not use"
+    assert any("no body explains what was measured" in reason for reason in told["reasons"])
+    assert not urdf.exists()
+
+
+def test_a_wheel_of_the_wrong_sign_makes_a_body_that_cannot_exist(tmp_path: Path, rng: np.random.Generator) -> None:
+    """It fits to the last digit, with the inertia below zero."""
+
+    def flip(name: str, rows: Rows) -> None:
+        if name == "wheel_rate":
+            rows["value_raw"] *= -1
+
+    found = said(altered(throw(tmp_path, TUMBLES[0], rng), flip))
+    assert found.verdict.level is Level.DO_NOT_USE
+    assert "sigmas from any body" in found.verdict.text
+
+
+def test_samples_that_are_not_valid_leave_no_row(tmp_path: Path, rng: np.random.Generator) -> None:
+    def spoil(name: str, rows: Rows) -> None:
+        if name == "imu_base":
+            rows["status"] = SampleStatus.NOT_VALID
+
+    found = said(altered(throw(tmp_path, TUMBLES[0], rng), spoil))
+    assert found.verdict.level is Level.DO_NOT_USE
+    assert "no row could be used" in found.verdict.text
+    assert found.rows_used == 0
+    assert not any(answer.supported for answer in found.answers)
+
+
+def test_the_json_holds_all_of_it_and_the_urdf_the_same_body(tmp_path: Path, rng: np.random.Generator) -> None:
+    log = throw(tmp_path, TUMBLES[0], rng)
+    report, urdf = tmp_path / "report.json", tmp_path / "out.urdf"
+    arguments = ["identify", "--vehicle", "tudelft", str(log), "--json", str(report), "--urdf", str(urdf)]
+    assert cli.main(arguments) == cli.OK
+    told = json.loads(report.read_text())["logs"][0]
+    assert told["verdict"] == {"level": "good", "reasons": [], "weak": [], "text": "good"}
+    assert told["observable"]["condition"] > 1.0
+    assert set(told["held_out"]) == {"later_from_earlier", "earlier_from_later", "all_from_all"}
+    (link,) = told["links"]
+    covariance = np.array(link["covariance"])
+    assert covariance.shape == (10, 10)
+    assert np.linalg.eigvalsh(covariance)[0] > -1e-15
+    model = pin.buildModelFromXML(urdf.read_text(), pin.JointModelFreeFlyer())
+    data = model.createData()
+    whole = pin.centerOfMass(model, data, pin.neutral(model))
+    np.testing.assert_allclose(whole, link["body"]["centre_of_mass_m"], atol=1e-9)
+    pin.ccrba(model, data, pin.neutral(model), np.zeros(model.nv))
+    xx, xy, yy, xz, yz, zz = link["body"]["inertia_kg_m2"]
+    np.testing.assert_allclose(data.Ig.inertia, [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "old", "new", "remedy"),
+    [
+        ("rocksat", '<mass value="0.06627"/>', '<mass value="-0.06627"/>', "the mass not negative"),
+        ("rocksat", 'payload_link = "tip_mass"', 'payload_link = "tip_mas"', "is not in the URDF; it has plate"),
+        ("rocksat", "tip_mass = 1.0, plate", "tip_mass = -1.0, plate", "greater than"),
+        ("rocksat", 'frame = "joint_1"', 'frame = "joint_9"', "no link, joint or frame 'joint_9'; it has"),
+    ],
+)
+def test_a_vehicle_that_cannot_be_is_refused_with_the_remedy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], vehicle: str, old: str, new: str, remedy: str
+) -> None:
+    packaged = config.load(config.packaged(vehicle))
+    urdf = packaged.urdf_path.read_text()
+    assert packaged.text.count(old) + urdf.count(old) == 1
+    (tmp_path / packaged.urdf_path.name).write_text(urdf.replace(old, new))
+    (tmp_path / "vehicle.toml").write_text(packaged.text.replace(old, new))
+    arguments = ["identify", "--vehicle", str(tmp_path / "vehicle.toml"), "--parameters"]
+    assert cli.main(arguments) == cli.BAD_INPUT
+    error = capsys.readouterr().err
+    assert "vehicle.toml" in error
+    assert remedy in error

@@ -1,0 +1,103 @@
+"""Groupings: what is printed, read as an equation, is the base parameter; and it looks like what people write."""
+
+import re
+
+import numpy as np
+import pytest
+
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.groupings import groupings
+from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row, load_cell_row
+from tests.dynamics.free_flyer_twin import URDF
+from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
+
+X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+
+
+def arm(rng, axes, spacing, kind=BaseKind.FIXED, payload=None):
+    links = random_vehicle(rng, ["revolute"] * len(axes) + ["fixed"] * (payload is not None))
+    for link, axis, xyz in zip(links[1:], axes, spacing, strict=False):
+        link.axis, link.rpy, link.xyz = np.array(axis, float), np.zeros(3), np.array(xyz, float)
+    return VehicleModel(to_urdf(links), VehicleSpec(kind, "base", payload))
+
+
+def value(line, numbers):
+    """Reads ``(M4 + M5) L3^2`` as people do."""
+    text = re.sub(r"\^2", "**2", line)
+    text = re.sub(r" (/?)m(\*\*2)?(?= |$)", "", text)
+    text = re.sub(r"(?<=[\w)])\s+(?=[\w(])", " * ", text)
+    return eval(text, {"__builtins__": {}}, numbers)
+
+
+@pytest.mark.parametrize("kind", list(BaseKind))
+@pytest.mark.parametrize("odd", [False, True])
+def test_what_is_printed_is_the_base_parameter(rng, kind, odd):
+    vehicle = arm(rng, [Z, Y, Y, X], [(0, 0, 0.3), (0.2, 0.1, 0), (0.4, 0, 0), (0, 0, 0.1)], kind)
+    if odd:  # every frame turned by angles that nobody can name
+        vehicle = VehicleModel(to_urdf(random_vehicle(rng, ["revolute", "prismatic"])), VehicleSpec(kind, "base"))
+    rows = [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints]
+    rows += [load_cell_row("cell", vehicle.joints[-1].name, (1, 2, 3), "force")]
+    if kind is BaseKind.FREE:
+        rows += [*base_force_rows(vehicle), *base_moment_rows(vehicle)]
+    model = RowModel(vehicle, rows)
+    base = base_parameters(model, np.random.default_rng(1))
+    found = groupings(model, base)
+    chi = rng.normal(size=len(model.names))
+    tags = {link: tag if tag.isdigit() else f"_{tag}" for tag, link in found.links.items()}
+    tags |= {joint.name: str(k) for k, joint in enumerate(vehicle.joints, 1)}
+    numbers = {length.symbol: length.value_m for length in found.lengths}
+    for name, one in zip(model.names, chi, strict=True):
+        what, _, owner = name.partition("_")
+        numbers[what + tags[owner] if owner in tags else name] = one
+    told = [value(text, numbers) for text in found.sums]
+    four_digits = 1e-3 * np.abs(base.grouping).max() * np.abs(chi).max() if odd else 1e-6
+    np.testing.assert_allclose(told, base.value(chi), atol=four_digits)
+    assert (len(found.lengths) > 0) == (not odd or any("L" in text for text in found.sums))
+
+
+def test_a_puma_like_arm(rng):
+    """The first joint stands along gravity: what turns with it and only then is all in ZZ1."""
+    spacing = [(0, 0, 0.3), (0, 0, 0), (0.4, 0, 0), (0, 0, 0.35), (0, 0, 0), (0, 0, 0)]
+    vehicle = arm(rng, [Z, Y, Y, Z, Y, Z], spacing)
+    model = RowModel(vehicle, [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints])
+    found = groupings(model, base_parameters(model, np.random.default_rng(1)))
+    lines = dict(line.split(" = ") for line in found.lines if " = " in line)
+    assert lines["MX2R"] == "MX2 + (M3 + M4 + M5 + M6) L3"
+    assert lines["ZZ1R"] == "ZZ1 + XX2 + XX3 + YY4 + Ia1 + 2 L4 MZ4 + (M4 + M5 + M6) L4^2"
+    assert "ZZ6" in found.lines
+    assert {length.symbol: length.value_m for length in found.lengths} == {"L3": 0.4, "L4": 0.35}
+
+
+def test_the_free_flyer():
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    model = RowModel(vehicle, [*base_force_rows(vehicle), *base_moment_rows(vehicle)])
+    lines = groupings(model, base_parameters(model, np.random.default_rng(1))).lines
+    assert lines[0] == "M0R = M0 + M1 + M2 + M3 + M4 + M5"
+    assert "XX0R = XX0 + YY1 + 2 L1 MZ1 + M1 L1^2 + (M2 + M3 + M4 + M5) (L1 + L2)^2" in lines
+    assert "ZZ4R = ZZ4 - XX4 - YY5 - 2 L5 MZ5 - M5 L5^2" in lines
+    assert "M_payload" in lines
+
+
+def test_lengths_that_happen_to_be_equal_are_told_apart(datasets):
+    """Three of the LWR's are 0.2 m."""
+    vehicle = VehicleModel((datasets / "kuka_lwr4" / "kuka_lwr4.urdf").read_text(), VehicleSpec(BaseKind.FIXED, "box"))
+    model = RowModel(vehicle, [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints])
+    found = groupings(model, base_parameters(model, np.random.default_rng(1), released=False), released=False)
+    assert "ZZ1R = ZZ1 + XX2 + YY3 + Ia1 + 2 L3 MZ3 + M3 L3^2 + (M4 + M5 + M6 + M7) (L3 + L4)^2" in found.lines
+    assert "YZ5R = YZ5 - MY6 L6" in found.lines
+    assert [length.value_m for length in found.lengths] == pytest.approx([0.2, 0.2, 0.2, 0.19, 0.078])
+
+
+def test_the_tx40_table_is_written_alike(datasets):
+    """Its published names; the ``L4`` of the URDF points backwards and stands for their -0.225."""
+    urdf = datasets / "staubli_tx40" / "tx40_mdh_modified.urdf"
+    vehicle = VehicleModel(urdf.read_text(), VehicleSpec(BaseKind.FIXED, "base_link"))
+    model = RowModel(vehicle, [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints])
+    found = groupings(model, base_parameters(model, np.random.default_rng(1), released=False), released=False)
+    assert "ZZ1R = ZZ1 + YY2 + YY3 + Ia1 + 2 L3z MZ3 + (M3 + M4 + M5 + M6) (L3x^2 + L3z^2)" in found.lines
+    assert "XZ2R = XZ2 - L3x MZ3 - (M3 + M4 + M5 + M6) L3x L3z" in [
+        line.replace("MZ3 L3x", "L3x MZ3") for line in found.lines
+    ]
+    published = (datasets / "staubli_tx40" / "TX40_bp_5.csv").read_text().splitlines()
+    assert sum(" " in line.split(",")[0] for line in published) == sum("=" in line for line in found.lines)
