@@ -17,7 +17,7 @@ from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader
 
 VEHICLE_ATTACHMENT = "vehicle.toml"
-DEPENDENCIES = ("heft", "numpy", "scipy", "pin", "mcap", "smbus2", "python-can", "pyserial", "gpiod")
+DISTRIBUTIONS = ("heft-flight", "numpy", "scipy", "pin", "mcap", "smbus2", "python-can", "pyserial", "gpiod")
 STEP_NS = 50_000_000  # between two steps of the recorder, at most
 _MIB = 1 << 20
 
@@ -143,9 +143,10 @@ def clock_map(vehicle: config.Vehicle, started: Started | None) -> dict[str, str
 def versions() -> dict[str, str]:
     """Versions of what takes part in a flight, and the revision of the checkout if it runs from one."""
     found = {}
-    for name in DEPENDENCIES:
+    for distribution in DISTRIBUTIONS:
+        name = "heft" if distribution == "heft-flight" else distribution  # the name that earlier logs have
         try:
-            found[name] = importlib.metadata.version(name)
+            found[name] = importlib.metadata.version(distribution)
         except importlib.metadata.PackageNotFoundError:
             found[name] = "not installed"
     found["revision"] = _revision()

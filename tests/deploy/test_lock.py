@@ -61,7 +61,7 @@ def test_pyproject_is_met(lock: str, extras: list[str]) -> None:
     project = pyproject["project"]
     wanted = [*pyproject["build-system"]["requires"], *project["dependencies"]]
     wanted += [line for extra in extras for line in project["optional-dependencies"][extra]]
-    requirements = [Requirement(line) for line in wanted if not line.startswith("heft[")]
+    requirements = [Requirement(line) for line in wanted if not line.startswith("heft-flight[")]
     locked = pins(lock)
     unmet = [
         str(requirement)

@@ -36,7 +36,7 @@ def opener(kind: str) -> Callable[[Path | BinaryIO, Sequence[Column]], Table]:
             try:
                 from onboard.offline.export.parquet import ParquetTable
             except ImportError as error:
-                raise ValueError(f"--to parquet needs pyarrow ({error}): pip install 'heft[export]'") from error
+                raise ValueError(f"--to parquet needs pyarrow ({error}): pip install 'heft-flight[export]'") from error
             return ParquetTable
         case "npz":
             from onboard.offline.export.numpy import NpzTable
