@@ -133,6 +133,14 @@ class TickSource:
         else:
             self._late = 0
 
+    def _believed(self, mark: Mark) -> bool:
+        """Take in a mark; whether it was believed. One that locks the clock may be older than a jump of the ticks."""
+        was_trusted = self.clock.trusted
+        believed = self.clock.mark(mark)
+        if believed and not was_trusted and self._newest is not None:
+            self._plausible(*self._newest)
+        return believed
+
     def _is_told(self, edge: Edge | None, window_ns: float) -> TypeGuard[Edge]:
         """Whether the line has the edge of a mark; a clock whose marks find none time and again is no clock."""
         if edge is not None:
@@ -197,7 +205,7 @@ class FlaggingSource(TickSource):
             self._flagged.popleft()
             edge = edges.near(estimate)
             if self._is_told(edge, edges.window_ns):
-                believed |= self.clock.mark(Mark(tick - 1, tick, *edge))
+                believed |= self._believed(Mark(tick - 1, tick, *edge))
         return believed
 
 
@@ -248,7 +256,7 @@ class LatchingSource(TickSource):
             self._marks.popleft()
             edge = edges.near(estimate)
             if self._is_told(edge, edges.window_ns):
-                believed |= self.clock.mark(Mark(low, high, *edge))
+                believed |= self._believed(Mark(low, high, *edge))
         return believed
 
     def waited(self, ticks: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -298,7 +306,7 @@ class SyncSource(TickSource):
             tick = self._sync_of(edge, place)
             if tick is not None:
                 at = tick + place.dither_ns / self.period_ns
-                believed |= self.clock.mark(Mark(at, at, *edge))
+                believed |= self._believed(Mark(at, at, *edge))
         return believed if self.is_marked else moved
 
     def _sync_of(self, edge: Edge, place: PulsePlace) -> int | None:

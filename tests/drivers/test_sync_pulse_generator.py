@@ -156,6 +156,7 @@ def test_the_edges_name_themselves_and_bind_to_the_syncs(clock, line, bus):
     batches = generator.start(clock()) + fly(generator, clock, 60.0)
     pulses, syncs = whole(batches, "pulse_out"), whole(batches, "sync_sent")
     steps = np.round(np.diff(pulses["edge_ns"]) / (5 * MS)).astype(int)
+    assert len(steps) > 200
     for last in range(3, len(steps)):
         assert pulse_number(steps[last - 3 : last + 1].tolist()) == pulses["sequence"][last + 1]
     before = np.searchsorted(syncs["host_ns"], pulses["edge_ns"] + 20_000) - 1
@@ -171,6 +172,7 @@ def test_pulses_are_as_wide_as_asked(clock, line):
     generator.stop(clock())
     assert [level for _, level in line.levels] == [True, False] * (len(line.levels) // 2)
     widths = [fall - rise for (rise, _), (fall, _) in zip(line.levels[::2], line.levels[1::2], strict=True)]
+    assert len(widths) > 15
     assert all(400_000 <= width <= 410_000 for width in widths)
 
 

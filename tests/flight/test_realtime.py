@@ -23,6 +23,7 @@ def test_the_mission_in_real_time_gives_the_table(tmp_path: Path) -> None:
     code = cli.main(["hil", "rocksat", "--realtime", "--seed", "3", "--log", str(log), "--json", str(result)])
     table = json.loads(result.read_text())
     assert table["identified"]
+    assert len(table["masses"]) == 3
     for mass in table["masses"]:
         assert mass["low"] < mass["truth"] < mass["high"]
     for name in ("joint_1", "load_cell", "can_sync", "pulse", "arm_phase"):

@@ -68,6 +68,7 @@ def test_it_needs_nothing_but_itself(page: Path) -> None:
     found = Page(text)
     assert found.headings == SECTIONS
     assert found.figures >= 9
+    assert len(found.references) >= 5
     assert all(reference.startswith("#") for reference in found.references)
     assert {reference[1:] for reference in found.references} <= set(found.ids)
     assert len(set(found.ids)) == len(found.ids)
@@ -77,6 +78,7 @@ def test_it_needs_nothing_but_itself(page: Path) -> None:
 
 def test_it_says_what_was_said_in_flight_and_what_was_true(page: Path, mission: Result) -> None:
     text = page.read_text()
+    assert len(mission.table["masses"]) == 3
     for mass in mission.table["masses"]:
         assert f"<td>{mass['label']}</td>" in text
         assert f"{1e3 * mass['value']:.1f}" in text
@@ -125,7 +127,7 @@ def test_a_sweep_alone_is_the_prior_and_its_rows(rng: np.random.Generator) -> No
     phase = Phase(0, 8, 3, "sweep 1", True)
     found = {one.name: one for one in alone(Sweep(phase, 8, True, None, {}, before, states), fresh)}
     expected = again.rls.solve().mean
-    assert set(found) == {quantity.name for quantity in fresh.quantities}
+    assert set(found) == {quantity.name for quantity in fresh.quantities} > set()
     for quantity in fresh.quantities:
         spread = float(np.sqrt(quantity.weights**2 @ scale**2))
         assert found[quantity.name].value[-1] == pytest.approx(quantity.weights @ expected, abs=1e-7 * spread)

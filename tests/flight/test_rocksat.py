@@ -44,6 +44,7 @@ def test_nothing_is_said_before_the_data_support_it(mission: Result) -> None:
         rows = answers[answers["name"] == name]
         start_ns = mission.flown.truth["start_ns"]
         ejected = rows["vehicle_ns"] > start_ns + mission.flown.truth["ejection_s"] * 1e9
+        assert 0 < np.count_nonzero(ejected) < len(rows)
         if supported_after_ejection_only:
             assert not rows["supported"][~ejected].any()
             assert np.isnan(rows["value"][~ejected]).all()
@@ -61,6 +62,7 @@ def test_contamination_is_gated_by_name(mission: Result) -> None:
     assert len(pushes) == 4
     for push in pushes:
         during = (seconds > push["start_s"]) & (seconds < push["end_s"])
+        assert during.any()
         assert (gate[during] & GateReason.PHASE).all()
         assert (gate[during] & GateReason.CONTACT).any()
     cell = mission.log.read("load_cell")
@@ -68,6 +70,7 @@ def test_contamination_is_gated_by_name(mission: Result) -> None:
     assert len(full_scale) == 2
     for glitch_s in (full_scale["host_ns"] - start_ns) * 1e-9:
         near = abs(seconds - glitch_s) < 0.08
+        assert near.any()
         assert (gate[near] & GateReason.SATURATED).all()
     reentry = seconds > seconds[-1] - 5.0
     assert (gate[reentry] & GateReason.DRAG).any()

@@ -177,6 +177,7 @@ def test_standard_parameters_are_the_posterior_of_the_prior_and_what_is_told(rng
     identifier.rls.update(Y, Y @ base.value(chi), np.full(4000, 1e-6))
     identifier.blocks.add(0.01 * np.arange(4000), Y, Y @ base.value(chi), np.full(4000, 1e-6))
     links = identified_links(identifier)
+    assert len(links) > 0
     assert {one.link for one in links} <= set(model.vehicle.links)
     G, variance = base.grouping, 4.0
     K = variance * G.T @ np.linalg.inv(variance * G @ G.T)

@@ -118,6 +118,7 @@ def test_the_mission_flies_and_the_table_comes_out(
         console.print("clocks, rms:", *(f"{channel} {error:.1f} us" for channel, error in clocks_us.items()))
 
     assert result["identified"]
+    assert len(result["masses"]) == 3
     for row in result["masses"] + result["inertias"]:
         half_width = 0.5 * (row["high"] - row["low"])
         assert abs(row["value"] - row["truth"]) < 3.0 * half_width, row  # six sigma: one flight, any noise

@@ -119,6 +119,7 @@ def test_bytes_put_in_or_taken_out_cost_one_chunk(tmp_path, small, rng):
     data = small.read_bytes()
     places = chunk_places(data)
     path = tmp_path / "shifted.mcap"
+    assert len(places) > 3
     largest = max(len(chunk["reading"]) for chunk in rows_by_chunk(path, data, places))
     for start, end in places:
         at = int(rng.integers(start, end))

@@ -218,6 +218,7 @@ def test_summary_tells_what_is_there(tmp_path):
         ("end", {"reason": "done"}),
     ]
     for index in summary.chunk_indexes:
+        assert index.message_index_offsets
         assert data[index.chunk_start_offset] == 6
         for channel, offset in index.message_index_offsets.items():
             assert data[offset] == 7

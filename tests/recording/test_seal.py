@@ -56,7 +56,9 @@ def test_stock_tools_read_what_was_sealed(small, share):
     topics = {number: channel.topic for number, channel in summary.channels.items()}
     said = {topics[number]: count for number, count in summary.statistics.channel_message_counts.items()}
     assert said == expected
+    assert len(summary.chunk_indexes) > 1
     for index in summary.chunk_indexes:
+        assert index.message_index_offsets
         for channel, offset in index.message_index_offsets.items():
             record = small.read_bytes()[offset:]
             assert record[0] == 7

@@ -175,6 +175,7 @@ def test_its_own_clock_sets_the_rate_and_the_instants():
     for _ in range(100):
         bench.wait(10).fill()
     assert abs(bench.chip.produced - 1010) <= 1
+    assert len(bench.analog.times_s) == bench.chip.produced
     intervals = np.diff(bench.analog.times_s)
     np.testing.assert_allclose(intervals, 1e-3 / 1.01, rtol=0, atol=3e-9)
     assert all(0 < t <= 1.0 for t in bench.analog.times_s)

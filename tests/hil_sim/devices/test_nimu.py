@@ -29,6 +29,7 @@ def packets(data):
     """The whole packets of a stream; what comes before the first and after the last is left out."""
     first = data.index(b"\xff\xff\xff\xff\x26")
     whole = [data[k : k + 38] for k in range(first, len(data) - 37, 38)]
+    assert whole
     assert all(packet.startswith(b"\xff\xff\xff\xff\x26") for packet in whole)
     return whole
 
@@ -56,7 +57,9 @@ def test_a_packet_byte_for_byte():
 
 @pytest.mark.parametrize(("span", "first"), [("packet", 0), ("after_sync", 4), ("payload", 13)])
 def test_the_checksum_covers_what_it_is_told(span, first):
-    for packet in packets(Line(unit(checksum=span)).run(BOOT_MS + 40)):
+    found = packets(Line(unit(checksum=span)).run(BOOT_MS + 40))
+    assert len(found) == 6
+    for packet in found:
         assert packet[37] == sum(packet[first:37]) % 256
 
 
@@ -168,7 +171,9 @@ def test_a_stuck_and_a_saturated_element():
     held = {packet[13:25] for packet in packets(line.run(90))}
     assert len(held) == 1
     line.run(110)
-    for packet in packets(line.run(85)):
+    saturated = packets(line.run(85))
+    assert len(saturated) == 12
+    for packet in saturated:
         assert [word(packet, at) for at in range(13, 25, 2)] == [-32768] * 6
 
 

@@ -41,6 +41,7 @@ def payloads(data):
     """Payloads of the whole frames in a stream, their CRC checked."""
     *frames, _ = data.split(b"\0")
     decoded = [cobs.decode(stuffed) for stuffed in frames]
+    assert decoded
     assert all(binascii.crc_hqx(payload, 0xFFFF) == 0 for payload in decoded)
     return [payload[:-2] for payload in decoded]
 

@@ -182,9 +182,9 @@ def test_friction_and_rotor_stay_on_the_motor_side_of_the_cell() -> None:
 
 def test_sweeps_touch_nothing_and_follow_the_command() -> None:
     plant = flown()
-    for span in plant.program.spans:
-        if span.action != "sweep":
-            continue
+    sweeps = [span for span in plant.program.spans if span.action == "sweep"]
+    assert len(sweeps) == 4
+    for span in sweeps:
         rows = slice(round(span.start_s / STEP_S), round(span.end_s / STEP_S))
         angle = np.rad2deg(plant.history.angle_rad[rows])
         assert 11.3 < angle.max() < 12.0

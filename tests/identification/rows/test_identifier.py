@@ -162,6 +162,8 @@ def test_before_the_ejection_only_the_sum_is_told(rng):
 def test_before_any_row_nothing_is_told():
     estimate = identifier().estimate()
     assert not estimate.supported.any()
+    assert estimate.supported.size > 0
+    assert len(estimate.quantities) > 0
     assert not any(quantity.supported for quantity in estimate.quantities)
     assert estimate.rows_used == 0
 
@@ -227,6 +229,7 @@ def test_batches_of_any_size_agree(rng):
     one, two = identifier(), identifier()
     feed(one, signals, held, step=5)
     feed(two, signals, held, step=17)
+    assert len(one.estimate().quantities) > 0
     for a, b in zip(one.estimate().quantities, two.estimate().quantities, strict=True):
         assert a.mean == pytest.approx(b.mean, rel=1e-3)
 
