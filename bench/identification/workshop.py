@@ -1,12 +1,15 @@
 """Twenty workshop tools in the gripper of an arm on a fixed base, weighed by a wrist load cell; the truth is MuJoCo's.
 
 Ten seconds of the gripper alone give the cell's zero (a tare in many poses, not at one), then the tool is held for
-twenty. Motion, cell and noise of every run are its own.
+twenty. Motion, cell and noise of every run are its own. Every run becomes a log and is weighed as ``heft identify
+--vehicle workshop LOG`` weighs it.
 """
 
 import argparse
 import os
+import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -15,27 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.identification.free_flyer import as_built, tools
+from drivers.records import SCALAR, Rows
 from hil_sim.plants import fixed_arm
 from hil_sim.plants.free_flyer import Body, JointMotion
 from onboard import config
-from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
-from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
-from onboard.identification.rows.grasped import Grasped, grasped
-from onboard.identification.rows.identifier import Identifier
-from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
-from onboard.regressor.rows import RowModel, standing
-from onboard.regressor.sensor_rows import wrist_cell_rows
-from onboard.regressor.signals import SignalNoise, Signals
+from onboard.dynamics.inertia import elements, symmetric
+from onboard.identification.quantities import BODY
+from onboard.identification.verdict import Level
+from onboard.offline.estimate_again.identified import Identified
+from onboard.offline.estimate_again.identify import identify
+from onboard.recording.writer import LogWriter
 
 Floats = NDArray[np.float64]
 
-GRASP_s, END_s, SETTLE_s = 10.0, 30.0, 0.3
+GRASP_s, END_s = 10.0, 30.0
 SWING_rad = 0.5
-SMOOTHING_s, ROW_s = 0.2, 0.02
-PAYLOAD_SIGMA = (5.0, 1.0, 1.0, 1.0, *[0.2] * 6)  # kg, kg m, kg m^2
-BIAS_SIGMA = {"force": 5.0, "moment": 0.5}
 GRIPPER_SIGMA, GRIPPER_CENTRE_SIGMA_m = 0.01, 5e-4  # as it was weighed
 BARS = (1.0, 2.0)  # per cent, mm
+AXES = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
 
 
 class Outcome(NamedTuple):
@@ -44,72 +44,53 @@ class Outcome(NamedTuple):
     error: Floats  # (3,) mass relative, centre of mass m, inertia relative to its norm
     inside: NDArray[np.bool_]  # (10,) truths inside the 95 % interval
     refused: int
+    good: bool
 
 
-def identifier() -> Identifier:
-    """Of the workshop's arm: six rows, gripper and tool and the cell's biases and scales unknown."""
-    urdf = config.packaged("rocksat").parents[1] / "workshop" / "workshop.urdf"
-    vehicle = VehicleModel(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.FIXED, "bench", "tool"))
-    model = RowModel(vehicle, wrist_cell_rows("wrist", "wrist", scale=True))
-    base = base_parameters(model, np.random.default_rng(1))
-    extras = {f"{name}_tool": sigma for name, sigma in zip(STANDARD, PAYLOAD_SIGMA, strict=True)}
-    for row in model.rows:
-        extras[f"bias_{row.name}"] = BIAS_SIGMA["force" if "force" in row.name else "moment"]
-        extras[f"scale_{row.name}"] = fixed_arm.WristErrors().scale
-    links = dict.fromkeys(vehicle.links, GRIPPER_SIGMA)
-    prior = named_relative_sigma(model, links, extras)
-    return Identifier(model, base, prior, 5.0 * SMOOTHING_s)
+def _scalars(time_s: Floats, values: Floats, scale: float, unit: bytes) -> Rows:
+    made = np.zeros(len(time_s), SCALAR)
+    made["sequence"], made["host_ns"] = np.arange(len(time_s)), np.rint(1e9 * (10.0 + time_s))
+    made["value_raw"], made["scale"], made["unit"] = np.rint(values / scale), scale, unit
+    return made
 
 
-def rows(readings: fixed_arm.Readings, vehicle: VehicleModel) -> Signals:
-    """Encoders and cell through one kernel."""
-    t = readings.time_s
-    at = np.arange(t[0] + SMOOTHING_s, t[-1] - SMOOTHING_s, ROW_s)
-    at = at[np.abs(at - GRASP_s) > SETTLE_s]
-    window = SmoothingWindow(t, at, SMOOTHING_s)
-    q, dq, ddq = (window.apply(readings.angle_rad, order) for order in range(3))
-    wrist = window.apply(readings.wrench)
-    inflation = correlation_inflation(SMOOTHING_s, ROW_s)
-    count, still = np.full(5, fixed_arm.COUNT_rad / np.sqrt(12.0)), np.zeros((len(at), 3))
-    doubts = [np.outer(joint.noise_gain, count) for joint in (q, dq, ddq)]
-    return Signals(
-        at,
-        q.values,
-        dq.values,
-        ddq.values,
-        standing(vehicle, len(at)),
-        wrist.values,
-        np.outer(wrist.noise_gain, readings.noise) * inflation,
-        noise=SignalNoise(doubts[0], doubts[1], doubts[2], still, still, still, inflation),
-    )
+def write(path: Path, readings: fixed_arm.Readings, grasp_s: float) -> Path:
+    """A log of encoders, cell and phase, as the vehicle ``workshop`` names them."""
+    told_s = np.arange(0.0, readings.time_s[-1], 0.1)
+    channels = {f"joint_{k + 1}": _scalars(readings.time_s, readings.angle_rad[:, k], 1e-7, b"rad") for k in range(5)}
+    for k, name in enumerate(AXES):
+        channels[name] = _scalars(readings.time_s, readings.wrench[:, k], 1e-6, b"N" if k < 3 else b"N m")
+    channels["phase"] = _scalars(told_s, np.where(told_s < grasp_s, 1.0, 2.0), 1.0, b"1")
+    with LogWriter.create(path, durable=False, overwrite=True) as writer:
+        for name, batch in channels.items():
+            writer.register(name, SCALAR)
+            writer.write(name, batch)
+    return path
 
 
-def weigh(tool: Body, seed: int) -> tuple[Grasped, Identifier]:
+def weigh(tool: Body, seed: int) -> Identified:
     """One run from MuJoCo to the answer."""
     rng = np.random.default_rng(seed)
     gripper = as_built(fixed_arm.GRIPPER, (GRIPPER_SIGMA, GRIPPER_CENTRE_SIGMA_m, GRIPPER_SIGMA), rng)
     flown = fixed_arm.run(tool, JointMotion.draw(rng, SWING_rad), GRASP_s, END_s, gripper)
     readings = fixed_arm.read(flown, fixed_arm.WristErrors(), rng)
-    who = identifier()
-    signals = rows(readings, who.model.vehicle)
-    who.update(signals, signals.time_s > GRASP_s, np.zeros(len(signals.time_s), np.int64))
-    return grasped(who), who
+    with tempfile.TemporaryDirectory() as directory:
+        log = write(Path(directory) / "run.mcap", readings, GRASP_s)
+        return identify(config.load(config.packaged("workshop")), [log]).logs[0]
 
 
 def outcome(tool: Body, seed: int) -> Outcome:
     """One run against the truth."""
-    found, who = weigh(tool, seed)
-    body = found.body
-    inertia = tool.inertia_kg_m2
-    truth = np.concatenate([[tool.mass_kg], tool.centre_of_mass_m, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
-    error = np.array(
-        [
-            abs(body.mass_kg / tool.mass_kg - 1.0),
-            np.linalg.norm(body.centre_of_mass_m - tool.centre_of_mass_m),
-            np.linalg.norm(body.inertia_kg_m2 - inertia) / np.linalg.norm(inertia),
-        ]
-    )
-    return Outcome(error, (found.low <= truth) & (truth <= found.high), sum(who.refused.values()))
+    log = weigh(tool, seed)
+    answers = {answer.name: answer for answer in log.answers}
+    found = [answers[f"{name}_tool"] for name in BODY]
+    low, high, value = (np.array([getattr(one, field) for one in found]) for field in ("low", "high", "value"))
+    truth = np.array([tool.mass_kg, *tool.centre_of_mass_m, *elements(tool.inertia_kg_m2)])
+    off = value - truth
+    of_inertia = np.linalg.norm(symmetric(off[4:])) / np.linalg.norm(tool.inertia_kg_m2)
+    error = np.array([abs(off[0]) / tool.mass_kg, np.linalg.norm(off[1:4]), of_inertia])
+    inside = (low <= truth) & (truth <= high)
+    return Outcome(error, inside, log.refused.get("residual", 0), log.verdict.level is Level.GOOD)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -132,7 +113,7 @@ def run(arguments: argparse.Namespace) -> None:
     inside = np.array([one.inside for one in every])
     parts = (("mass", slice(0, 1)), ("centre of mass", slice(1, 4)), ("inertia", slice(4, 10)))
     print("covered: " + ", ".join(f"{name} {100 * inside[:, part].mean():.1f} %" for name, part in parts))
-    print(f"rows refused in all: {sum(one.refused for one in every)}")
+    print(f"rows refused in all: {sum(one.refused for one in every)}; verdict good: {sum(one.good for one in every)}")
 
 
 def _line(name: str, mass: str, runs: list[Outcome]) -> str:

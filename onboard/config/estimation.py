@@ -130,6 +130,8 @@ class Estimation(Section):
     ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal),
     or its smoother; see :mod:`onboard.estimation.kinematics`.
     ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
+    ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" widens intervals and nothing else;
+    "estimated" makes each a parameter, where several cells see the same load.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
     ``carried`` is for a flight that goes on where another one ended, with the same payload.
@@ -143,6 +145,7 @@ class Estimation(Section):
     smoothing_ms: Positive = 100
     smoothing: Literal["spline", "filter", "smoother"] = "spline"
     block_ms: Positive | None = None
+    scales: Literal["considered", "estimated"] = "considered"
     base_rows: list[Literal["force", "moment"]] = Field(default_factory=list)
     base_force_sigma_N: Positive = 0.1  # noqa: N815
     base_moment_sigma_N_m: Positive = 5e-4  # noqa: N815

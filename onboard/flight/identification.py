@@ -147,10 +147,14 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         _check_joints(roles, model)
         rows: list[WrenchRow] = []
         considered: list[Considered] = []
+        scales: dict[str, float] = {}
         for cell in roles.cells:
             keys = cell.keys
-            rows.append(load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m))
-            considered += _considered(cell)
+            scaled = settings.scales == "estimated" and _scale_sigma(cell) > 0.0
+            row = load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m, scale=scaled)
+            rows.append(row)
+            considered += _considered(cell, scaled)
+            scales |= {f"scale_{cell.name}": _scale_sigma(cell)} if scaled else {}
         if "force" in settings.base_rows:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
@@ -158,7 +162,8 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         zero_force = settings.zero_force_sigma_m_s2
         row_model = RowModel(model, rows, zero_force=zero_force is not None)
         offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
-        prior = named_relative_sigma(row_model, settings.prior.relative, {**settings.prior.absolute, **offsets})
+        absolute = {**settings.prior.absolute, **offsets, **scales}
+        prior = named_relative_sigma(row_model, settings.prior.relative, absolute)
         _check_prior(prior, settings.prior.relative, model)
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=prior == 0.0)
         quantities: tuple[Quantity, ...] = ()
@@ -212,11 +217,14 @@ def _check_joints(roles: Roles, model: VehicleModel) -> None:
         raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
 
 
-def _considered(cell: Cell) -> list[Considered]:
-    """A cell's calibration and its lever scale every reading alike; no flight can tell them from mass."""
-    name, keys = cell.name, cell.keys
-    lever = keys.lever_sigma_m / keys.lever_m if keys.measures == "moment" else 0.0
-    return [
-        Considered(f"scale of {name}", name, "scale", float(np.hypot(keys.scale_sigma, lever))),
-        Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3),
-    ]
+def _scale_sigma(cell: Cell) -> float:
+    """Relative sigma of a cell's readings: its calibration and its lever scale them alike."""
+    lever = cell.keys.lever_sigma_m / cell.keys.lever_m if cell.keys.measures == "moment" else 0.0
+    return float(np.hypot(cell.keys.scale_sigma, lever))
+
+
+def _considered(cell: Cell, scaled: bool) -> list[Considered]:
+    """What one cell alone can never tell from mass, and what its rows do not estimate."""
+    scale = Considered(f"scale of {cell.name}", cell.name, "scale", _scale_sigma(cell))
+    delay = Considered(f"delay of {cell.name}", cell.name, "delay", cell.keys.delay_sigma_ms * 1e-3)
+    return [delay] if scaled else [scale, delay]

@@ -11,6 +11,10 @@ from onboard.estimation.gates import GateReason
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 
+# A rigid body's ten numbers as people say them: mass, centre of mass, inertia about it, in one frame's axes.
+BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
+
 # A quantity is reported when the data determine it:
 SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
 SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information

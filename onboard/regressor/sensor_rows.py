@@ -1,4 +1,4 @@
-"""Sensors of more than one row, or at more than one place: wrist cells, motor currents, IMUs on any link."""
+"""Motor currents, and IMUs on any link."""
 
 from dataclasses import replace
 
@@ -9,23 +9,7 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.kinematics import cross, frame_motions, turned
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.regressor.rows import BaseMotion, WrenchRow, joint_torque_row, load_cell_row
-
-
-def wrist_cell_rows(name: str, frame: str, bias: bool = True, scale: bool = False) -> tuple[WrenchRow, ...]:
-    """Six rows of a six-axis load cell: force, then moment, along the frame's axes; ``<name>_force_x ...``, N, N m.
-
-    Args:
-        name: of the cell.
-        frame: the cut; what the near side exerts on the far side is positive.
-        bias: whether the readings at no load are parameters.
-        scale: whether the scales of the six axes are.
-    """
-    return tuple(
-        load_cell_row(f"{name}_{kind}_{axis}", frame, unit, kind, bias=bias, scale=scale)
-        for kind in ("force", "moment")
-        for axis, unit in zip("xyz", np.eye(3).tolist(), strict=True)
-    )
+from onboard.regressor.rows import BaseMotion, WrenchRow, joint_torque_row
 
 
 def motor_current_row(vehicle: VehicleModel, joint: str, friction: bool = True, bias: bool = False) -> WrenchRow:

@@ -17,7 +17,7 @@ from onboard.regressor.rows import (
     load_cell_row,
     standing,
 )
-from onboard.regressor.sensor_rows import base_motion_from_link, imu_on_link, motor_current_row, wrist_cell_rows
+from onboard.regressor.sensor_rows import base_motion_from_link, imu_on_link, motor_current_row
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
 
 KINDS = ["revolute", "prismatic", "revolute", "fixed"]
@@ -44,11 +44,18 @@ def on_a_bench(rng, links):
     return (q, dq, ddq), np.array([a[2] for a in answers]), np.array([a[3][-6:] for a in answers])
 
 
+def six_axes(bias=True, scale=False):
+    return [
+        load_cell_row(f"wrist_{kind}_{axis}", "joint_link_4", unit, kind, bias=bias, scale=scale)
+        for kind in ("force", "moment")
+        for axis, unit in zip("xyz", np.eye(3), strict=True)
+    ]
+
+
 def test_a_wrist_cell_in_gravity_reads_mujocos_force_and_torque(rng, links):
     vehicle = arm(links)
     joints, torques, wrist = on_a_bench(rng, links)
-    cells = wrist_cell_rows("wrist", "joint_link_4", bias=False)
-    assert [row.name for row in cells[2:4]] == ["wrist_force_z", "wrist_moment_x"]
+    cells = six_axes(bias=False)
     rows = RowModel(vehicle, [*cells, *(joint_torque_row(vehicle, j.name, friction=False) for j in vehicle.joints)])
     found = rows.regressor(*joints, standing(vehicle, TICKS)) @ rows.chi
     np.testing.assert_allclose(found[:, :6], wrist, rtol=1e-9, atol=1e-9)
@@ -58,7 +65,7 @@ def test_a_wrist_cell_in_gravity_reads_mujocos_force_and_torque(rng, links):
 def test_a_scale_is_a_column_of_what_the_cell_should_read(rng, links):
     vehicle = arm(links)
     joints, _, wrist = on_a_bench(rng, links)
-    rows = RowModel(vehicle, wrist_cell_rows("wrist", "joint_link_4", scale=True))
+    rows = RowModel(vehicle, six_axes(scale=True))
     assert rows.names[-12::6] == ("bias_wrist_force_x", "scale_wrist_force_x")
     bias, scale = rng.normal(size=6), rng.uniform(-0.1, 0.1, 6)
     Y = rows.regressor(*joints, standing(vehicle, TICKS), predicted=wrist + bias)

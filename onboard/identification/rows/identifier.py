@@ -27,6 +27,7 @@ from onboard.identification.quantities import (
     Quantity,
     QuantityEstimate,
 )
+from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
@@ -124,6 +125,7 @@ class Identifier:
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
         self.prior_sigma = prior_sigma
         self._prior_covariance = base.covariance(prior_sigma)
+        self._payload = grasped_payload(model, base, self._prior_covariance)
         self._instruments: Instruments | None = None
         if instruments_lag_s is None:
             self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
@@ -150,8 +152,8 @@ class Identifier:
 
     @property
     def quantity_names(self) -> tuple[str, ...]:
-        """Of what is reported besides."""
-        return tuple(quantity.name for quantity in self.quantities)
+        """Of what is reported besides: the quantities, then the payload where the rows can tell it."""
+        return (*(quantity.name for quantity in self.quantities), *(self._payload.names if self._payload else ()))
 
     def triangle(self) -> FloatArray:
         """Square-root information ``[R z]`` of all parameters, considered ones included, (s, s)."""
@@ -287,6 +289,13 @@ class Identifier:
         """The estimate of the base parameters with its honest covariance."""
         return self._recursion.honest([cause.sigma for cause in self.considered], level)
 
+    def bounds(self) -> FloatArray:
+        """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""
+        honest, eye = self.honest(), np.eye(len(self.base.names))
+        payload = [self._payload.weights(honest)] if self._payload else []
+        weights = np.vstack([eye, *(q.weights for q in self.quantities), *payload])
+        return np.asarray(np.sqrt(honest.formal_variance(weights)), np.float64)
+
     def estimate(self, level: float = 0.95) -> Estimate:
         """Base parameters and quantities with two-sided intervals.
 
@@ -313,6 +322,9 @@ class Identifier:
                     quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note
                 )
             )
+        if self._payload:
+            residual = self.refused[GateReason.RESIDUAL]
+            quantities += self._payload.quantities(honest, self.rows_used, residual)
         return Estimate(
             self.base.names,
             honest.mean,

@@ -75,7 +75,10 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
     """
     model, base, sigma = identifier.model, identifier.base, identifier.prior_sigma
     honest, estimate = identifier.honest(), identifier.estimate()
-    told = [*(estimate.supported & ~np.isin(base.names, list(nuisance))), *(q.supported for q in estimate.quantities)]
+    told = [
+        *(estimate.supported & ~np.isin(base.names, list(nuisance))),
+        *(q.supported for q in estimate.quantities[: len(identifier.quantities)]),
+    ]
     weights = np.vstack([np.eye(len(base.names)), *(q.weights for q in identifier.quantities)])[told]  # (k, p)
     F = weights @ base.grouping  # (k, P)
     K = sigma[:, None] * np.asarray(

@@ -32,7 +32,7 @@ from onboard.identification.exiddm.batch import ImuPrior, NonLinearExiddm, Paylo
 from onboard.identification.exiddm.window import Ticks, ticks_of
 from onboard.identification.observability import subspace
 from onboard.identification.online import ExiddmIdentifier
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.quantities import BODY_UNITS, SUPPORTED_SHRINKAGE
 from onboard.identification.rows.held_out import HeldOut, Prediction
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.verdict import Evidence, verdict
@@ -46,7 +46,6 @@ LONGEST_S = 60.0  # of flight that is fitted as a whole
 SHORTEST_S = 2.0
 NOTHING = RigidBody(1e-9, np.zeros(3), 1e-9 * np.eye(3))
 _PAYLOAD = slice(3, 13)
-_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 _LEVEL = 0.95
 
 
@@ -178,7 +177,7 @@ def body_answers(names: tuple[str, ...], body: RigidBody, covariance: FloatArray
         Answer(*told)
         for told in zip(
             names,
-            _UNITS,
+            BODY_UNITS,
             *(x.tolist() for x in (values, sigma, values - half, values + half, fine, bound)),
             strict=True,
         )

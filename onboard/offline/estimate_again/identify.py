@@ -148,7 +148,8 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     held_out = seen.held_out(who)
     links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
     asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
-    evidence = Evidence(who.rows_used, refused, asked, held_out, estimator.inflation**2, away=away)
+    failure = _no_payload(who, estimate)
+    evidence = Evidence(who.rows_used, refused, asked, held_out, estimator.inflation**2, failure, away)
     return Identified(
         log.path,
         method,
@@ -165,6 +166,12 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     )
 
 
+def _no_payload(who: Identifier, estimate: Estimate) -> str:
+    """Why rows that can tell a payload tell none; empty where they do."""
+    payload = estimate.quantities[len(who.quantities) :]
+    return "" if any(one.supported for one in payload) or not payload else payload[0].note
+
+
 def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
     """Of the base parameters that the data determine, those that differ from nothing."""
     told = np.flatnonzero(estimate.supported)
@@ -177,8 +184,8 @@ def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
 
 def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
     """What a vehicle was flown for: its quantities; where it has none, the payload's base parameters, or else all."""
-    if who.quantities:
-        return [quantity.name for quantity in who.quantities]
+    if who.quantity_names:
+        return list(who.quantity_names)
     names = [name for name in who.base.names if name not in vehicle.file.estimation.nuisance]
     payload = who.model.vehicle.spec.payload_link
     own = [name for name in names if payload is not None and name.removesuffix("_R").endswith(f"_{payload}")]
@@ -187,8 +194,6 @@ def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
 
 def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
     """The last QUANTITY rows, with the bound of each."""
-    weights = np.vstack([np.eye(len(who.base.names)), *(quantity.weights for quantity in who.quantities)])
-    bounds = np.sqrt(who.honest().formal_variance(weights))
     return tuple(
         Answer(
             row["name"].decode(),
@@ -200,7 +205,7 @@ def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
             bool(row["supported"]),
             float(bound),
         )
-        for row, bound in zip(rows, bounds, strict=True)
+        for row, bound in zip(rows, who.bounds(), strict=True)
     )
 
 

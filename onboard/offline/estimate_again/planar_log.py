@@ -26,8 +26,7 @@ from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.window import Ticks, ticks_of
 from onboard.identification.observability import subspace
-from onboard.identification.online import BODY
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.quantities import BODY, SUPPORTED_SHRINKAGE
 from onboard.identification.rows.held_out import HeldOut, Prediction
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.verdict import Evidence, verdict

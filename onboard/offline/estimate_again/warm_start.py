@@ -66,6 +66,7 @@ def _of_rows(identifier: Identifier, estimate: np.void, said: Rows, triangle: Fl
     formal = ((weights @ root) ** 2).sum(axis=1)
     considered = np.array([cause.sigma for cause in identifier.considered])
     common = ((weights @ root @ triangle[:p, p : p + k] * considered) ** 2).sum(axis=1)
+    said = said[: len(weights)]  # what is no combination of parameters follows from these
     half = 0.5 * (said["high"] - said["low"]) / ndtri(0.5 + 0.5 * _LEVEL)
     fine = said["supported"] != 0
     wider = np.max((half**2 - common)[fine] / formal[fine], initial=1.0)
