@@ -1,7 +1,10 @@
 """MCAP records as bytes (mcap.dev/spec), write and read side by side; no file, no state.
 
 A record is an opcode byte, a u64 length and that many bytes of body, all little-endian. The packers return whole
-records, the parsers take a body. Anything but ``LogFormatError`` out of a parser is our bug.
+records, by the ``mcap`` package's record classes but for the three that every chunk has: they would take 130 us a chunk
+of 150 messages there, where all of a chunk takes 70 us here, because NumPy packs a message index at once. The parsers
+take a body and are ours: those of the package check neither lengths nor the CRC of an attachment. Anything but
+``LogFormatError`` out of a parser is our bug.
 """
 
 import struct
@@ -10,6 +13,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from mcap import records
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
@@ -24,24 +29,22 @@ DATA_END_BYTES = RECORD_HEAD.size + 4
 
 _CHUNK_HEAD = struct.Struct("<QQQI")  # start, end, uncompressed size, uncompressed CRC
 CHUNK_HEAD_BYTES = _CHUNK_HEAD.size + 12  # with the empty name of the compression, and the length of the records
+_NO_COMPRESSION = bytes(4)  # an empty name
+_UNKNOWN_TIME = 0
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 _FOOTER_HEAD = RECORD_HEAD.pack(Opcode.FOOTER, 20)
-_STATISTICS = struct.Struct("<QHIIIIQQ")
 
 
-def record(opcode: int, *parts: bytes) -> bytes:
-    """A record of ``opcode`` with ``parts`` as its body."""
+def pack(record: records.McapRecord) -> bytes:
+    """``record`` as bytes."""
+    builder = RecordBuilder()
+    record.write(builder)
+    packed: bytes = builder.end()  # type: ignore[no-untyped-call]  # the package annotates only in part
+    return packed
+
+
+def _record(opcode: int, *parts: bytes) -> bytes:
     return b"".join((RECORD_HEAD.pack(opcode, sum(map(len, parts))), *parts))
-
-
-def _string(text: str) -> bytes:
-    data = text.encode()
-    return struct.pack("<I", len(data)) + data
-
-
-def _map(items: Mapping[str, str]) -> bytes:
-    data = b"".join(_string(part) for item in items.items() for part in item)
-    return struct.pack("<I", len(data)) + data
 
 
 class _Body:
@@ -90,9 +93,7 @@ class Schema(NamedTuple):
 
     def pack(self) -> bytes:
         """The whole record."""
-        data = self.text.encode()
-        head = struct.pack("<H", self.number) + _string(self.name) + _string("ros2msg")
-        return record(Opcode.SCHEMA, head, struct.pack("<I", len(data)), data)
+        return pack(records.Schema(self.number, self.text.encode(), "ros2msg", self.name))
 
     @classmethod
     def parse(cls, data: bytes) -> "Schema":
@@ -114,8 +115,7 @@ class Channel(NamedTuple):
 
     def pack(self) -> bytes:
         """The whole record."""
-        head = struct.pack("<HH", self.number, self.schema)
-        return record(Opcode.CHANNEL, head, _string(self.topic), _string("cdr"), _map({}))
+        return pack(records.Channel(self.number, self.topic, "cdr", {}, self.schema))
 
     @classmethod
     def parse(cls, data: bytes) -> "Channel":
@@ -136,7 +136,7 @@ class Header(NamedTuple):
 
     def pack(self) -> bytes:
         """The whole record."""
-        return record(Opcode.HEADER, _string(self.profile), _string(self.library))
+        return pack(records.Header(self.profile, self.library))
 
     @classmethod
     def parse(cls, data: bytes) -> "Header":
@@ -157,9 +157,7 @@ class Attachment(NamedTuple):
 
     def pack(self) -> bytes:
         """The whole record, with its CRC."""
-        times = struct.pack("<QQ", self.log_time_ns, 0)  # creation time 0: not known
-        body = times + _string(self.name) + _string(self.media_type) + struct.pack("<Q", len(self.data)) + self.data
-        return record(Opcode.ATTACHMENT, body, struct.pack("<I", zlib.crc32(body)))
+        return pack(records.Attachment(_UNKNOWN_TIME, self.log_time_ns, self.name, self.media_type, self.data))
 
     @classmethod
     def parse(cls, data: bytes) -> "Attachment":
@@ -174,8 +172,8 @@ class Attachment(NamedTuple):
 
     def pack_index(self, offset: int, length: int) -> bytes:
         """The index record of this attachment, whose record is at ``offset`` and ``length`` long."""
-        times = struct.pack("<QQQQQ", offset, length, self.log_time_ns, 0, len(self.data))
-        return record(Opcode.ATTACHMENT_INDEX, times, _string(self.name), _string(self.media_type))
+        size, times = len(self.data), (self.log_time_ns, _UNKNOWN_TIME)
+        return pack(records.AttachmentIndex(offset, length, *times, size, self.name, self.media_type))
 
 
 class Metadata(NamedTuple):
@@ -186,7 +184,7 @@ class Metadata(NamedTuple):
 
     def pack(self) -> bytes:
         """The whole record."""
-        return record(Opcode.METADATA, _string(self.name), _map(self.items))
+        return pack(records.Metadata(self.name, self.items))
 
     @classmethod
     def parse(cls, data: bytes) -> "Metadata":
@@ -198,7 +196,7 @@ class Metadata(NamedTuple):
 
     def pack_index(self, offset: int, length: int) -> bytes:
         """The index record of this metadata, whose record is at ``offset`` and ``length`` long."""
-        return record(Opcode.METADATA_INDEX, struct.pack("<QQ", offset, length), _string(self.name))
+        return pack(records.MetadataIndex(offset, length, self.name))
 
 
 class Chunk(NamedTuple):
@@ -212,7 +210,7 @@ class Chunk(NamedTuple):
         """The whole record, with its CRC."""
         size = len(self.records)
         head = _CHUNK_HEAD.pack(self.start_ns, self.end_ns, size, zlib.crc32(self.records))
-        return record(Opcode.CHUNK, head, _string(""), struct.pack("<Q", size), self.records)
+        return _record(Opcode.CHUNK, head, _NO_COMPRESSION, struct.pack("<Q", size), self.records)
 
     @staticmethod
     def plausible(head: bytes, length: int) -> bool:
@@ -243,7 +241,7 @@ def pack_message_index(channel: int, log_times: NDArray[np.uint64], offsets: NDA
     entries = np.empty(len(offsets), _INDEX_ENTRY)
     entries["log_time"], entries["offset"] = log_times, offsets
     data = entries.tobytes()
-    return record(Opcode.MESSAGE_INDEX, struct.pack("<HI", channel, len(data)), data)
+    return _record(Opcode.MESSAGE_INDEX, struct.pack("<HI", channel, len(data)), data)
 
 
 class MessageIndex(NamedTuple):
@@ -264,36 +262,8 @@ def pack_chunk_index(chunk: Chunk, offset: int, length: int, indexes: Mapping[in
     positions = b"".join(struct.pack("<HQ", *item) for item in indexes.items())
     head = struct.pack("<QQQQI", chunk.start_ns, chunk.end_ns, offset, length, len(positions))
     size = len(chunk.records)
-    tail = struct.pack("<Q", indexes_length) + _string("") + struct.pack("<QQ", size, size)
-    return record(Opcode.CHUNK_INDEX, head, positions, tail)
-
-
-class Statistics(NamedTuple):
-    """Statistics record: what the log holds."""
-
-    schemas: int
-    channels: int
-    attachments: int
-    metadata: int
-    chunks: int
-    start_ns: int
-    end_ns: int
-    messages: dict[int, int]
-
-    def pack(self) -> bytes:
-        """The whole record."""
-        head = _STATISTICS.pack(
-            sum(self.messages.values()),
-            self.schemas,
-            self.channels,
-            self.attachments,
-            self.metadata,
-            self.chunks,
-            self.start_ns,
-            self.end_ns,
-        )
-        counts = b"".join(struct.pack("<HQ", *item) for item in self.messages.items())
-        return record(Opcode.STATISTICS, head, struct.pack("<I", len(counts)), counts)
+    tail = struct.pack("<Q", indexes_length) + _NO_COMPRESSION + struct.pack("<QQ", size, size)
+    return _record(Opcode.CHUNK_INDEX, head, positions, tail)
 
 
 def pack_end(data_end_offset: int, data_crc: int, groups: Mapping[int, bytes]) -> bytes:
@@ -304,17 +274,16 @@ def pack_end(data_end_offset: int, data_crc: int, groups: Mapping[int, bytes]) -
         data_crc: CRC-32 of all bytes before it.
         groups: summary section: opcode to the packed records of that opcode, in the order they are to stand.
     """
-    data_end = record(Opcode.DATA_END, struct.pack("<I", data_crc))
+    data_end = pack(records.DataEnd(data_crc))
     summary_start = data_end_offset + len(data_end)
     summary, offsets = b"", b""
     for opcode, packed in groups.items():
         if packed:
-            place = struct.pack("<BQQ", opcode, summary_start + len(summary), len(packed))
-            offsets += record(Opcode.SUMMARY_OFFSET, place)
+            offsets += pack(records.SummaryOffset(opcode, summary_start + len(summary), len(packed)))
             summary += packed
-    places = struct.pack("<QQ", summary_start, summary_start + len(summary))
-    crc = zlib.crc32(summary + offsets + _FOOTER_HEAD + places)
-    return data_end + summary + offsets + record(Opcode.FOOTER, places, struct.pack("<I", crc)) + MAGIC
+    places = (summary_start, summary_start + len(summary))
+    crc = zlib.crc32(summary + offsets + pack(records.Footer(*places, 0))[:-4])
+    return data_end + summary + offsets + pack(records.Footer(*places, crc)) + MAGIC
 
 
 class Footer(NamedTuple):

@@ -1,6 +1,7 @@
 """What a log's end tells of the rest: collected while it is written, or from a log whose writer died."""
 
 from mcap.opcode import Opcode
+from mcap.records import Statistics
 
 from onboard.recording import mcap_format
 from onboard.recording.mcap_format import Attachment, Chunk, Metadata
@@ -45,20 +46,21 @@ class SummarySection:
     def pack_end(self, offset: int, data_crc: int) -> bytes:
         """From the data end record, which will stand at ``offset``, to the last magic."""
         start_ns, end_ns = self._span or (0, 0)
-        statistics = mcap_format.Statistics(
-            schemas=len(self._schemas),
-            channels=len(self._channels),
-            attachments=len(self._attachments),
-            metadata=len(self._metadata),
-            chunks=len(self._chunks),
-            start_ns=start_ns,
-            end_ns=end_ns,
-            messages=self.counts,
+        statistics = Statistics(
+            schema_count=len(self._schemas),
+            channel_count=len(self._channels),
+            attachment_count=len(self._attachments),
+            metadata_count=len(self._metadata),
+            chunk_count=len(self._chunks),
+            message_count=sum(self.counts.values()),
+            channel_message_counts=self.counts,
+            message_start_time=start_ns,
+            message_end_time=end_ns,
         )
         groups: dict[int, bytes] = {
             Opcode.SCHEMA: b"".join(self._schemas),
             Opcode.CHANNEL: b"".join(self._channels),
-            Opcode.STATISTICS: statistics.pack(),
+            Opcode.STATISTICS: mcap_format.pack(statistics),
             Opcode.CHUNK_INDEX: b"".join(self._chunks),
             Opcode.ATTACHMENT_INDEX: b"".join(self._attachments),
             Opcode.METADATA_INDEX: b"".join(self._metadata),
