@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed_base_count
+from onboard.dynamics.mechanics.chain import chain_of
+from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.regressor.base_parameters import (
     BaseParameters,
@@ -65,8 +68,12 @@ def test_counts_of_arms_at_random(rng, joints, upright):
         while len(axes) < joints:
             axes.append((X, Y, Z)[rng.integers(3)])
         first = next((k for k, axis in enumerate(axes) if axis != axes[0]), joints)
-        model = torque_rows(chain(rng, axes, spacing=rng.uniform(0.1, 0.4, 3)))
-        assert len(base_parameters(model, rng, released=False).names) == 7 * joints - 4 * first - 2 * upright
+        vehicle = chain(rng, axes, spacing=rng.uniform(0.1, 0.4, 3))
+        found = len(base_parameters(torque_rows(vehicle), rng, released=False).names)
+        assert found == 7 * joints - 4 * first - 2 * upright
+        serial = chain_of(FloatingArm(vehicle, vehicle.links[-1]))
+        assert first_cluster(serial) == first
+        assert fixed_base_count(serial, np.array([0.0, 0.0, -9.81])).parameters == found
 
 
 @pytest.mark.parametrize("joints", range(1, 7))

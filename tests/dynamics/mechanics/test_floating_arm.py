@@ -1,0 +1,136 @@
+"""The generalized Jacobian and what follows from it, against MuJoCo's motion of the same vehicle."""
+
+import numpy as np
+import pytest
+
+from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.mechanics.inverse_kinematics import follow, straight_line
+from onboard.dynamics.mechanics.reaction import reaction
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from tests.dynamics import mujoco_twin
+from tests.dynamics.mechanics.mujoco_flights import START, URDF, arm, fly, spline
+
+ONE_MILLIMETRE = 1e-3
+
+
+def swing(t):
+    rate, size = np.array([1.1, 1.7, 2.3, 1.3, 1.9]), 0.4
+    return START + size * np.sin(rate * t), size * rate * np.cos(rate * t), -size * rate**2 * np.sin(rate * t)
+
+
+def test_tip_velocity_at_zero_momentum_is_mujocos():
+    floating = arm()
+    q, dq, _ = swing(0.0)
+    start = floating.base_motion(q, dq)
+    flown = fly(swing, 0.01, 1e-3, start[3:])  # MuJoCo's base has no velocity at the start, so momentum is m v: removed
+    R = flown.R_WB[0]
+    expected = R @ (floating.generalized_jacobian(q) @ dq)[:3]
+    np.testing.assert_allclose(flown.tip_velocity[0] + R @ start[:3], expected, atol=1e-12)
+
+
+def test_a_momentum_moves_the_tip_of_an_arm_at_rest(rng):
+    floating, momentum = arm(), rng.normal(size=6)
+    twist = floating.base_motion(START, np.zeros(5), momentum)
+    R, p = floating.tip_pose(START)
+    assert R.shape == (3, 3)
+    expected = twist[:3] + np.cross(twist[3:], p), twist[3:]
+    np.testing.assert_allclose(floating.tip_drift(START, momentum), np.concatenate(expected), atol=1e-13)
+
+
+@pytest.mark.parametrize("with_rate", [False, True])
+def test_the_tip_follows_a_straight_line_to_a_millimetre_while_the_base_floats(with_rate):
+    floating = arm()
+    momentum = np.zeros(6)
+    if with_rate:
+        momentum[3:] = [0.02, -0.04, 0.03]
+    line = straight_line(floating, START, np.array([-0.06, 0.08, -0.05]), 4.0)
+    planned = follow(floating, START, line, 4.0, momentum=momentum)
+    assert np.linalg.norm(planned.q[-1] - planned.q[0]) > 0.2
+    motion = spline(planned.time_s, planned.q)
+    twist = floating.base_motion(START, motion(0.0)[1], momentum)
+    flown = fly(motion, 4.0, 2e-3, twist[3:])
+    time_s = 2e-3 * np.arange(len(flown.tip))
+    wanted = np.array([line(t)[1] for t in time_s])
+    wanted -= np.outer(time_s, twist[:3])  # MuJoCo's base starts without velocity, so its centre of mass has one
+    assert np.linalg.norm(wanted[-1] - wanted[0]) > 0.1
+    assert np.linalg.norm(flown.tip - wanted, axis=1).max() < ONE_MILLIMETRE
+    turned = np.arccos(np.clip((np.trace(flown.R_WB[-1]) - 1.0) / 2.0, -1.0, 1.0))
+    assert turned > 0.005  # the base did float
+
+
+def test_near_a_singularity_rates_stay_bounded_and_limits_are_kept():
+    floating = arm()
+    far = straight_line(floating, START, np.array([0.4, 0.4, 0.4]), 4.0)  # out of reach
+    planned = follow(floating, START, far, 4.0)
+    assert np.linalg.norm(planned.error[-1, :3]) > 0.05
+    assert np.abs(planned.dq).max() < 10.0
+    assert (np.abs(planned.q) <= 3.1).all()
+
+
+def test_wheels_that_take_the_reaction_moment_keep_the_attitude():
+    floating = arm()
+
+    def gentle(t):
+        s, ds, dds = 0.5 - 0.5 * np.cos(t), 0.5 * np.sin(t), 0.5 * np.cos(t)
+        size = np.array([0.8, -0.5, 0.6, 0.7, 0.4])
+        return START + size * s, size * ds, size * dds
+
+    free = fly(gentle, 3.0)
+    held = fly(gentle, 3.0, base_moment=lambda t: reaction(floating, *gentle(t)).wheel_moment)
+    angles = [np.arccos(np.clip((np.trace(f.R_WB[-1]) - 1.0) / 2.0, -1.0, 1.0)) for f in (free, held)]
+    assert angles[0] > np.deg2rad(1.0)
+    assert np.linalg.norm(held.R_WB[-1] - np.eye(3)) < 1e-6
+
+
+def test_the_wheels_momentum_is_the_integral_of_their_moment(rng):
+    floating = arm()
+    q, dq, ddq = rng.uniform(-1, 1, (3, 5))
+    h = 1e-5
+
+    def momentum(t):
+        return floating.attitude_hold_momentum(q + t * dq + 0.5 * t * t * ddq, dq + t * ddq)
+
+    slope = (momentum(h) - momentum(-h)) / (2 * h)
+    np.testing.assert_allclose(reaction(floating, q, dq, ddq).wheel_moment, -slope, atol=1e-8)
+    np.testing.assert_allclose(
+        floating.attitude_hold_jacobian(q)[3:] @ dq, (floating.tip_jacobian(q)[:, 6:] @ dq)[3:], atol=1e-13
+    )
+
+
+def test_the_force_on_the_arm_is_the_sum_over_its_bodies(rng):
+    """(2.20), each body's acceleration by differences of its position."""
+    floating = arm()
+    q, dq, ddq = rng.uniform(-1, 1, (3, 5))
+    model, h = floating.model, 1e-4
+
+    def first_moment(t):
+        floating.centre_of_mass(q + t * dq + 0.5 * t * t * ddq)
+        base = model.inertias[1]
+        return floating.mass_kg * floating.centre_of_mass(q + t * dq + 0.5 * t * t * ddq) - base.mass * base.lever
+
+    sum_m_rho = (first_moment(h) - 2 * first_moment(0.0) + first_moment(-h)) / h**2
+    expected = model.inertias[1].mass / floating.mass_kg * sum_m_rho
+    np.testing.assert_allclose(reaction(floating, q, dq, ddq).arm_force, expected, atol=1e-6)
+
+
+def test_adopted_parameters_change_the_mechanics():
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    chi = vehicle.chi.copy()
+    chi[vehicle.payload_columns()] = [5.0, 0.1, -0.1, 0.4, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    heavy = FloatingArm(vehicle, "payload", chi)
+    assert heavy.mass_kg == pytest.approx(arm().mass_kg + 5.0)
+    assert not np.allclose(heavy.generalized_jacobian(START), arm("payload").generalized_jacobian(START), atol=1e-3)
+
+
+def test_bad_input_is_refused(rng):
+    with pytest.raises(UnknownFrameError, match="fixed in the base"):
+        arm("imu_base")
+    with pytest.raises(SignalError, match="5 joints"):
+        arm().generalized_jacobian(np.zeros(4))
+    with pytest.raises(SignalError, match="must be positive"):
+        follow(arm(), START, lambda t: (np.eye(3), np.zeros(3)), 1.0, 0.0)
+    links = mujoco_twin.random_vehicle(rng, ["revolute"])
+    vehicle = VehicleModel(mujoco_twin.to_urdf(links), VehicleSpec(BaseKind.FREE, "base"))
+    with pytest.raises(SignalError, match="have 20 parameters"):
+        FloatingArm(vehicle, "link_1", np.zeros(10))

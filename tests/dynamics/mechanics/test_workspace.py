@@ -1,0 +1,189 @@
+"""Singularities, workspaces and attitude drift: closed forms, the generalized Jacobian, MuJoCo."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.mechanics import barycentric as bary
+from onboard.dynamics.mechanics import nonholonomic, workspace
+from onboard.dynamics.mechanics import virtual_manipulator as virtual
+from onboard.dynamics.mechanics.block_system import BlockState, BlockSystem
+from onboard.dynamics.mechanics.chain import chain_of, rotations
+from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.errors import ConvergenceError
+from tests.dynamics.mechanics.mujoco_flights import START, arm, fly
+
+# Base 40 kg, links 4 and 3 kg, 1 and 1 m long, joints about z, the first half a metre from the base's centre.
+PLANAR = """<robot name="planar">
+<link name="base"><inertial><mass value="40"/><inertia ixx="7" iyy="7" izz="6.667" ixy="0" ixz="0"
+ iyz="0"/></inertial></link>
+<link name="a"><inertial><origin xyz="0.5 0 0"/><mass value="4"/><inertia ixx="0.01" iyy="0.333" izz="0.333"
+ ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="b"><inertial><origin xyz="0.5 0 0"/><mass value="3"/><inertia ixx="0.01" iyy="0.25" izz="0.25"
+ ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="tip"/>
+<joint name="one" type="continuous"><parent link="base"/><child link="a"/><origin xyz="0.5 0 0"/>
+ <axis xyz="0 0 1"/></joint>
+<joint name="two" type="continuous"><parent link="a"/><child link="b"/><origin xyz="1 0 0"/><axis xyz="0 0 1"/></joint>
+<joint name="end" type="fixed"><parent link="b"/><child link="tip"/><origin xyz="1 0 0"/></joint>
+</robot>"""
+
+
+def planar():
+    return FloatingArm(VehicleModel(PLANAR, VehicleSpec(BaseKind.FREE, "base")), "tip")
+
+
+def test_the_planar_determinant_is_that_of_the_barycentric_form(rng):
+    """Papadopoulos: det S* of the tip relative to the centre of mass, from vectors and reduced inertia alone."""
+    floating, chain = planar(), chain_of(planar())
+    for _ in range(20):
+        q = rng.uniform(-np.pi, np.pi, 2)
+        R, v = rotations(chain, q), virtual.virtual_links(chain, q)
+        arms = np.einsum("iab,ib->ia", R, v)  # (3, 3)
+        D, D_q, _ = bary.reduced_inertia(chain, q)
+        base = -D_q[2] / D[2, 2]
+        rates = base + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])  # (3 bodies, 2 joints)
+        J = np.einsum("ik,ia->ak", rates, np.column_stack([-arms[:, 1], arms[:, 0]]))
+        assert workspace.pair_measure(floating, q, (0, 1)) == pytest.approx(np.linalg.det(J), abs=1e-12)
+
+
+def test_workspaces_of_a_planar_arm():
+    floating = planar()
+    found = workspace.singularity_map(floating, np.zeros(2), (0, 1), 91)
+    chain = chain_of(floating)
+    v = [virtual.virtual_links(chain, np.zeros(2))[i, 0] for i in range(3)]
+    assert found.reachable[1] == pytest.approx(sum(v), rel=1e-3)  # all in line
+    assert found.reachable[0] == pytest.approx(max(0.0, 2 * max(v) - sum(v)), abs=np.deg2rad(4.0))  # a step of the grid
+    assert found.dependent
+    for low, high in found.dependent:
+        assert found.reachable[0] <= low <= high <= found.reachable[1]
+    inside = np.concatenate([found.distance[:-1][found.measure[:-1] * found.measure[1:] < 0.0]])
+    assert inside.size > 10
+    for low, high in found.independent:  # no singular cell lies well inside a path-independent span
+        assert not ((inside > low + 0.05) & (inside < high - 0.05)).any()
+    assert found.independent
+
+
+def test_the_outer_edge_is_singular_and_dymaflex_has_a_map():
+    assert abs(workspace.pair_measure(planar(), np.zeros(2), (0, 1))) < 1e-12
+    assert workspace.least_singular_value(arm(), START) > 0.01
+    found = workspace.singularity_map(arm(), START, (1, 3), 41)
+    assert found.dependent
+    assert np.isfinite(found.measure).all()
+    with pytest.raises(SignalError, match="name two joints"):
+        workspace.singularity_map(arm(), START, (1, 1))
+
+
+def closed(size):
+    coefficients = np.zeros((2, 1, 5))
+    coefficients[0, 0, 1], coefficients[1, 0, 3], coefficients[0, 0, 0] = size, size, 0.5 * size
+    return nonholonomic.fourier_path(START, coefficients)
+
+
+def flown_by(path, cycles, cycle_s=4.0):
+    """MuJoCo's attitude after cycles at rest at both ends."""
+
+    def motion(t):
+        u = min(t / cycle_s, cycles - 1e-12) % 1.0
+        s = 10 * u**3 - 15 * u**4 + 6 * u**5
+        ds = (30 * u**2 - 60 * u**3 + 30 * u**4) / cycle_s
+        dds = (60 * u - 180 * u**2 + 120 * u**3) / cycle_s**2
+        q, slope = path(s)
+        h = 1e-5
+        curvature = (path(s + h)[1] - path(s - h)[1]) / (2 * h)
+        return q, slope * ds, slope * dds + curvature * ds**2
+
+    return fly(motion, cycles * cycle_s).R_WB[-1]
+
+
+def angle(R):
+    return float(np.linalg.norm(pin.log3(R)))
+
+
+def test_attitude_after_a_closed_path_is_mujocos_to_a_percent():
+    path = closed(0.6)
+    predicted = nonholonomic.attitude_after(arm(), path)
+    assert angle(predicted) > np.deg2rad(0.5)
+    assert angle(predicted.T @ flown_by(path, 1)) < 0.01 * angle(predicted)
+
+
+def test_the_pace_does_not_matter_and_the_way_back_undoes_it():
+    floating, path = arm(), closed(0.6)
+    there = nonholonomic.attitude_after(floating, path, 400)
+
+    def back(s):
+        q, slope = path(1.0 - s)
+        return q, -slope
+
+    np.testing.assert_allclose(there @ nonholonomic.attitude_after(floating, back, 400), np.eye(3), atol=1e-9)
+
+
+def test_the_base_is_turned_by_arm_cycles_alone():
+    wanted = np.deg2rad([3.0, -4.0, 6.0])
+    found = nonholonomic.reorient(arm(), START, wanted)
+    assert found.error_rad < np.deg2rad(0.01)
+    np.testing.assert_allclose(found.path(0.0)[0], found.path(1.0)[0], atol=1e-12)
+    flown = flown_by(found.path, found.cycles)
+    assert angle(flown.T @ pin.exp3(wanted)) < np.deg2rad(0.1)
+
+
+def test_a_turn_that_is_too_large_for_the_cycles_is_refused():
+    with pytest.raises(ConvergenceError, match="ask for a smaller turn"):
+        nonholonomic.reorient(arm(), START, np.array([3.0, 0.0, 0.0]), most_cycles=1, harmonics=1)
+    with pytest.raises(SignalError, match="shorter than pi"):
+        nonholonomic.reorient(arm(), START, np.array([4.0, 0.0, 0.0]))
+
+
+def ball_jointed(chain):
+    """The same chain in MJCF, its joints spherical."""
+
+    def numbers(values):
+        return " ".join(repr(float(v)) for v in np.ravel(values))
+
+    def body(i):
+        I = chain.inertia[i]  # noqa: E741
+        full = numbers([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
+        inertial = f'<inertial pos="{numbers(chain.centre[i])}" mass="{float(chain.mass[i])!r}" fullinertia="{full}"/>'
+        w = pin.Quaternion(chain.next_axes[i - 1]).coeffs() if i else None
+        place = f'pos="{numbers(chain.next_origin[i - 1])}" quat="{numbers([w[3], *w[:3]])}"' if i else ""
+        joint = '<joint type="ball"/>' if i else "<freejoint/>"
+        inner = body(i + 1) if i + 1 < len(chain.mass) else ""
+        return f'<body name="b{i}" {place}>{joint}{inertial}{inner}</body>'
+
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><compiler boundmass="0" boundinertia="0"/><option gravity="0 0 0" integrator="RK4" timestep="0.002">'
+        f'<flag contact="disable"/></option><worldbody>{body(0)}</worldbody></mujoco>'
+    )
+
+
+def test_the_block_system_moves_as_mujoco_does(rng):
+    chain = chain_of(arm())
+    n = len(chain.mass)
+    model = ball_jointed(chain)
+    data = mujoco.MjData(model)
+    relative = rng.normal(0.0, 0.1, (n, 3))  # of each body in the one before, its axes
+    data.qvel[3:6] = relative[0]
+    data.qvel[6:] = relative[1:].ravel()
+    mujoco.mj_forward(model, data)
+    R = np.array([data.body(f"b{i}").xmat.reshape(3, 3) for i in range(n)])
+    rate = np.empty((n, 3))
+    for i in range(n):
+        rate[i] = relative[i] + (R[i].T @ R[i - 1] @ rate[i - 1] if i else 0.0)
+    state = BlockState(R, rate, np.array(data.body("b0").xipos), R[0] @ np.cross(rate[0], chain.centre[0]))
+    system = BlockSystem(chain)
+    assert system.order == 6 * n + 3 * (n - 1)
+    for _ in range(500):
+        state = system.step(state, 0.002)
+        mujoco.mj_step(model, data)
+    mujoco.mj_forward(model, data)
+    theirs = np.empty((n, 3))
+    for i in range(n):
+        twist = np.zeros(6)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, data.body(f"b{i}").id, twist, 1)
+        theirs[i] = twist[:3]
+    assert np.linalg.norm(theirs - rate) > 0.01  # it did change
+    np.testing.assert_allclose(state.rate, theirs, rtol=0, atol=1e-6 * np.abs(theirs).max())
+    np.testing.assert_allclose(state.position, data.body("b0").xipos, atol=1e-6)
