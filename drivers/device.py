@@ -1,6 +1,7 @@
 """What a runner needs to know of a device: its name, when to call it, and that it never raises for a bus fault."""
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 from drivers.records import Batch
 
@@ -32,3 +33,28 @@ class Device(Protocol):
 
     def stop(self, now_ns: int) -> list[Batch]:
         """Silence the device and take what is left, so that what it made is recorded or named as a gap."""
+
+
+class SelfTestResult(Protocol):
+    """How a device's own test came out."""
+
+    @property
+    def worst(self) -> float:
+        """Largest deviation from what the factory measured, relative."""
+
+
+@runtime_checkable
+class SelfTesting(Protocol):
+    """A device that can test itself before it is started, at rest."""
+
+    @property
+    def name(self) -> str:
+        """As of :class:`Device`."""
+
+    def self_test(self, wait: Callable[[float], object]) -> SelfTestResult:
+        """Test it; ``wait`` lets that many seconds pass.
+
+        Raises:
+            ConfigurationError: this one cannot be tested.
+            DriverError: it failed, or could not be reached.
+        """

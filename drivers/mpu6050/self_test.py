@@ -45,6 +45,11 @@ class SelfTest(NamedTuple):
     gyro_deviation: tuple[float, float, float]
     accel_deviation: tuple[float, float, float]
 
+    @property
+    def worst(self) -> float:
+        """Largest of them."""
+        return max(map(abs, (*self.gyro_deviation, *self.accel_deviation)))
+
 
 def factory_trim(codes: bytes) -> NDArray[np.float64]:
     """What the outputs changed by in the factory.

@@ -1,41 +1,18 @@
 """What no single table can tell: names that must point at something, and devices that must go together."""
 
 import re
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NoReturn
 
-from drivers import transports
 from drivers.errors import DriverError
 from drivers.transports import url
-from onboard.config.devices import (
-    AccelChannel,
-    BusDevice,
-    BusType,
-    CanopenNode,
-    CanopenObjectDevice,
-    CanopenSyncDevice,
-    GyroChannel,
-    ImuDevice,
-    NodeFrameDevice,
-    PpsDevice,
-    PulseGeneratorDevice,
-    SyncPulseDevice,
-)
 from onboard.config.errors import ConfigError, line_of
 from onboard.config.vehicle import Vehicle
+from onboard.devices.base import BusDevice
 
 Fail = Callable[[list[str], str], NoReturn]
 
-URLS: dict[BusType, Mapping[str, tuple[str, ...]]] = {
-    BusType.I2C: transports.I2C_URLS,
-    BusType.CAN: transports.CAN_URLS,
-    BusType.SERIAL: transports.SERIAL_URLS,
-    BusType.PULSE: transports.PULSE_URLS,
-    BusType.PULSE_OUTPUT: transports.PULSE_OUTPUT_URLS,
-}
 COMPULSORY = {"serial": "baud", "gpio": "line", "gpio-out": "line"}  # option of a URL, by its scheme
-SHARED = {BusType.I2C, BusType.CAN}  # buses that carry several devices
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LONGEST_NAME = 32  # bytes of it in an event or a gap
 RESERVED = {"event", "gap", "clock", "row", "estimate", "quantity", "tick"}
@@ -53,8 +30,8 @@ def check(vehicle: Vehicle) -> None:
     for bus in vehicle.file.bus:
         _check_bus(vehicle, bus, fail)
     for name, device in vehicle.file.device.items():
-        if isinstance(device, PulseGeneratorDevice) and device.sync_bus is not None:
-            _check_sync_bus(vehicle, name, device.sync_bus, device.sync_period_ms, fail)
+        for where, why in device.problems(name, vehicle):
+            fail(where, why)
     _check_channels(vehicle, fail)
     _check_roles(vehicle, fail)
     _check_rest(vehicle, fail)
@@ -62,43 +39,21 @@ def check(vehicle: Vehicle) -> None:
 
 def _check_bus(vehicle: Vehicle, bus: str, fail: Fail) -> None:
     on_bus = vehicle.devices_on(bus)
-    kinds = {device.bus_type for device in on_bus.values()}
-    if len(kinds) > 1:
-        fail(["bus", bus], f"bus {bus!r} has devices of {' and '.join(sorted(kinds))}; give each its own bus")
-    for kind in kinds:
+    types = {device.bus_type: type(device) for device in on_bus.values()}
+    if len(types) > 1:
+        fail(["bus", bus], f"bus {bus!r} has devices of {' and '.join(sorted(types))}; give each its own bus")
+    for bus_type, one in types.items():
         try:
-            parts = url.parse(vehicle.file.bus[bus].url, URLS[kind])
+            parts = url.parse(vehicle.file.bus[bus].url, one.urls)
             if parts.kind in COMPULSORY:
                 parts.integer(COMPULSORY[parts.kind])
         except DriverError as error:
-            fail(["bus", bus, "url"], f"its devices are on {kind}: {error}")
-        if kind not in SHARED and len(on_bus) > 1:
-            fail(["bus", bus], f"bus {bus!r} has {', '.join(on_bus)}; {kind} has one device: give each its own bus")
-    if kinds == {BusType.CAN}:
-        _check_can(vehicle, bus, fail)
-    addresses = Counter(getattr(device, "address", None) for device in on_bus.values())
-    for name, device in on_bus.items():
-        if device.bus_type is BusType.I2C and addresses[getattr(device, "address", None)] > 1:
-            fail(["device", name], f"{name!r} shares its I2C address; set AD0 of one and give it the other address")
-
-
-def _check_can(vehicle: Vehicle, bus: str, fail: Fail) -> None:
-    on_bus = vehicle.devices_on(bus)
-    syncs = [name for name, device in on_bus.items() if isinstance(device, CanopenSyncDevice)]
-    if len(syncs) != 1:
-        first = next(iter(on_bus))
-        fail(["device", first], f"bus {bus!r} has {len(syncs)} canopen_sync devices; it needs one")
-    by_node: dict[int, tuple[str, CanopenNode]] = {}
-    profiles: dict[int, str] = {}
-    for name, device in on_bus.items():
-        if not isinstance(device, CanopenNode):
-            continue
-        other, first_of_node = by_node.setdefault(device.node, (name, device))
-        if device.guard != first_of_node.guard:
-            fail(["device", name], f"{name!r} and {other!r} are one node; give both the same supervision")
-        if not isinstance(device, CanopenObjectDevice) and profiles.setdefault(device.node, name) != name:
-            text = f"{name!r} and {profiles[device.node]!r} are both node {device.node}; a node has one profile"
-            fail(["device", name, "node"], f"{text}: give each its number, or take a canopen_object")
+            fail(["bus", bus, "url"], f"its devices are on {bus_type}: {error}")
+        if not one.shares_bus and len(on_bus) > 1:
+            text = f"bus {bus!r} has {', '.join(on_bus)}; {bus_type} has one device: give each its own bus"
+            fail(["bus", bus], text)
+        for where, why in one.bus_problems(bus, on_bus):
+            fail(where, why)
 
 
 def _check_device(vehicle: Vehicle, name: str, device: BusDevice, fail: Fail) -> None:
@@ -106,25 +61,9 @@ def _check_device(vehicle: Vehicle, name: str, device: BusDevice, fail: Fail) ->
     if device.bus not in buses:
         fail(["device", name, "bus"], f"no bus {device.bus!r}; there are: {', '.join(buses)}")
     try:
-        device.settings(name)
-        if isinstance(device, CanopenNode):
-            device.guard  # noqa: B018 - it refuses what guarding does not have
+        device.verify(name)
     except DriverError as error:
         fail(["device", name], f"{name!r}: {error}")
-
-
-def _check_sync_bus(vehicle: Vehicle, name: str, sync_bus: str, sync_period_ms: float, fail: Fail) -> None:
-    buses = vehicle.file.bus
-    where = ["device", name, "sync_bus"]
-    cans = [bus for bus in buses if any(d.bus_type is BusType.CAN for d in vehicle.devices_on(bus).values())]
-    if sync_bus not in cans:
-        fail(where, f"no CAN bus {sync_bus!r} with devices; there are: {', '.join(cans) or 'none'}")
-    period_ms = vehicle.sync_on(sync_bus)[1].period_ms
-    if period_ms != sync_period_ms:
-        fail(["device", name, "sync_period_ms"], f"bus {sync_bus!r} has period_ms = {period_ms:g}; give the same here")
-    if buses[sync_bus].url.startswith("can+slcan:"):
-        text = f"the adapter of bus {sync_bus!r} can be opened once, and its nodes are read through it"
-        fail(where, f"{text}; use can+socketcan")
 
 
 def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
@@ -143,25 +82,14 @@ def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
 
 def _check_roles(vehicle: Vehicle, fail: Fail) -> None:
     devices = vehicle.file.device
-    imus = [name for name, device in devices.items() if isinstance(device, ImuDevice)]
-    for name, device in devices.items():
-        if not isinstance(device, NodeFrameDevice):
-            continue
-        axes = Counter((c.role, c.axis) for c in device.channel if isinstance(c, GyroChannel | AccelChannel))
-        if axes:
-            imus.append(name)
-            if len(axes) != 6 or max(axes.values()) > 1:
-                fail(["device", name], f"{name!r} is an IMU by parts; give gyro x, y, z and accel x, y, z, each once")
-            if device.frame is None:
-                fail(["device", name], f"{name!r} has gyro and accel channels; give the frame that they measure in")
-        elif device.frame is not None:
-            fail(["device", name, "frame"], f"{name!r} has no gyro or accel channels; leave frame out")
+    imus = [name for name, device in devices.items() if device.roles(name, 1.0).imus]
     if not imus and vehicle.file.vehicle.base != "fixed":
         fail(["device"], "no device is an IMU; the base's motion has to be measured: add one")
-    for kind in (SyncPulseDevice, PpsDevice):
-        lines = [name for name, device in devices.items() if isinstance(device, kind)]
-        if len(lines) > 1:
-            fail(["device", lines[1]], f"{lines[1]!r} and {lines[0]!r} are of one kind; a vehicle has one sync line")
+    lines: dict[str, str] = {}  # first of each kind
+    for name, device in devices.items():
+        if device.sync_line(name) is not None and lines.setdefault(device.kind, name) != name:
+            text = f"{name!r} and {lines[device.kind]!r} are of one kind; a vehicle has one sync line"
+            fail(["device", name], text)
 
 
 def _check_rest(vehicle: Vehicle, fail: Fail) -> None:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from onboard.config.types import NotNegative, Positive, Section
+from onboard.section import NotNegative, Positive, Section
 
 
 class Phases(Section):

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from onboard.config.types import NotNegative, Positive, Section, Sigma3, Sigma6, Vector3, Vector6
+from onboard.section import NotNegative, Positive, Section, Sigma3, Sigma6, Vector3, Vector6
 
 
 class Carrier(Section):

@@ -3,17 +3,17 @@
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from onboard.config.checks import check
-from onboard.config.devices import CHANNELS, DEVICES
 from onboard.config.errors import ConfigError, line_of
-from onboard.config.estimation import Carried, Estimation, Gates, Masses, Memory, Phases, Prior, Zero
-from onboard.config.free_body import Carrier, FreeBody, Load
-from onboard.config.planar import Planar, Puck
-from onboard.config.vehicle import Bus, Recording, Vehicle, VehicleFile, VehicleSection
+from onboard.config.vehicle import Vehicle, VehicleFile
+from onboard.devices.registry import BROKEN
+
+UNIONS = (Union, UnionType)
 
 
 def packaged(name: str) -> Path:
@@ -40,6 +40,7 @@ def parse(text: str, path: Path) -> Vehicle:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not TOML: {error}") from error
+    _refuse_broken(path, text, tree)
     try:
         file = VehicleFile.model_validate(tree)
     except ValidationError as error:
@@ -49,17 +50,22 @@ def parse(text: str, path: Path) -> Vehicle:
     return vehicle
 
 
+def _refuse_broken(path: Path, text: str, tree: dict[str, Any]) -> None:
+    """A device of a kind that another package claims, and that cannot be used, is refused with the reason."""
+    devices = tree.get("device")
+    for name, table in devices.items() if isinstance(devices, dict) else ():
+        kind = table.get("kind") if isinstance(table, dict) else None
+        if kind in BROKEN:
+            line = line_of(text, ["device", name, "kind"])
+            raise ConfigError(f"{path}:{line}: 'device.{name}': kind {kind!r}: {BROKEN[kind]}")
+
+
 def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any]) -> str:
-    where = [str(part) for part in error["loc"]]
-    # a discriminated union puts the kind into the location: of a device, of a node's channel
-    if where[:1] == ["device"] and len(where) > 2:
-        del where[2]
-        if where[2:3] == ["channel"] and len(where) > 4:
-            del where[4]
+    where = _place([str(part) for part in error["loc"]], tree)
     line = line_of(text, where)
     name = ".".join(where)
     if error["type"] == "extra_forbidden":
-        known = _known_keys(where[:-1], tree)
+        known = list(_model_at(where[:-1], tree).model_fields)
         near = difflib.get_close_matches(where[-1], known, 1, 0.5)
         remedy = f"did you mean {near[0]!r}? Units stand in the key" if near else f"known here: {', '.join(known)}"
         return f"{path}:{line}: unknown key {name!r}; {remedy}"
@@ -68,32 +74,56 @@ def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any])
     return f"{path}:{line}: {name!r}: {error['msg']} (found {error['input']!r})"
 
 
-def _known_keys(where: list[str], tree: dict[str, Any]) -> list[str]:
-    if not where:
-        return list(VehicleFile.model_fields)
-    if where[0] == "device":
-        table = tree["device"][where[1]]
-        if len(where) == 2:
-            return list(DEVICES[table["kind"]].model_fields)
-        return list(CHANNELS[table["channel"][int(where[3])]["role"]].model_fields)
-    models: dict[str, type[BaseModel]] = {
-        "vehicle": VehicleSection,
-        "bus": Bus,
-        "estimation": Estimation,
-        "phases": Phases,
-        "gates": Gates,
-        "zero": Zero,
-        "prior": Prior,
-        "masses": Masses,
-        "memory": Memory,
-        "carried": Carried,
-        "free_body": FreeBody,
-        "carrier": Carrier,
-        "load": Load,
-        "planar": Planar,
-        "puck": Puck,
-        "recording": Recording,
-    }
-    tables = [part for part in where if not part.isdigit()]  # an array of tables counts them
-    section = models.get(tables[-1]) or models.get(tables[0])
-    return list(section.model_fields) if section else []
+def _place(loc: list[str], tree: dict[str, Any]) -> list[str]:
+    """The path of a key as the file has it: pydantic puts the kind of a table that has several into ``loc``."""
+    where: list[str] = []
+    node: Any = tree
+    for part in loc[:-1]:
+        if isinstance(node, dict) and part in node:
+            node = node[part]
+        elif isinstance(node, list) and part.isdigit():
+            node = node[int(part)]
+        else:
+            continue
+        where.append(part)
+    return [*where, *loc[-1:]]
+
+
+def _model_at(where: list[str], tree: dict[str, Any]) -> type[BaseModel]:
+    """The class that reads the table at ``where``."""
+    model: type[BaseModel] = VehicleFile
+    said: Any = VehicleFile  # of the value that is looked at
+    node: Any = tree
+    for part in where:
+        said = model.model_fields[part].annotation if said is model else _of_items(said)
+        node = node[int(part)] if isinstance(node, list) else node[part]
+        found = _model_of(said, node)
+        if found is not None:
+            said = model = found
+    return model
+
+
+def _of_items(annotation: Any) -> Any:
+    """What an annotation says of the values of a dict, the items of a tuple."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    for one in get_args(annotation) if get_origin(annotation) in UNIONS else [annotation]:
+        if get_origin(one) is dict:
+            return get_args(one)[1]
+        if get_origin(one) in (tuple, list):
+            return get_args(one)[0]
+    return Any
+
+
+def _model_of(annotation: Any, value: Any) -> type[BaseModel] | None:
+    """The class in an annotation that reads a table: of several, the one whose literals (a kind) the table has."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        literals = {
+            k: get_args(f.annotation) for k, f in annotation.model_fields.items() if get_origin(f.annotation) is Literal
+        }
+        fits = isinstance(value, dict) and all(value[k] in said for k, said in literals.items() if k in value)
+        return annotation if fits else None
+    if get_origin(annotation) is Annotated or get_origin(annotation) in UNIONS:
+        found = (_model_of(one, value) for one in get_args(annotation))
+        return next((model for model in found if model is not None), None)
+    return None

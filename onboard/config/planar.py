@@ -2,7 +2,7 @@
 
 from pydantic import Field, model_validator
 
-from onboard.config.types import NotNegative, Positive, Section
+from onboard.section import NotNegative, Positive, Section
 
 
 class Puck(Section):

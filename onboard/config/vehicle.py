@@ -1,17 +1,26 @@
 """A whole vehicle file: its sections, and the file as it was read."""
 
+import tomllib
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Union
+from urllib.parse import parse_qs, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from onboard.config.devices import BusDevice, CanopenSyncDevice, Channels, Device
-from onboard.config.devices.base import STANDARD_GRAVITY_M_S2
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
 from onboard.config.planar import Planar
-from onboard.config.types import NotNegative, Positive, Section, Vector3
+from onboard.devices.base import BusDevice, Channels, DeviceSection
+from onboard.devices.registry import DEVICES
+from onboard.devices.roles import STANDARD_GRAVITY_M_S2
+from onboard.section import NotNegative, Positive, Section, Vector3
+
+UNTOLD_BAUD = 1e9  # of a line whose URL tells none: nothing is taken off for it
+if TYPE_CHECKING:
+    AnyDevice = DeviceSection
+else:  # the kinds that the registry has found
+    AnyDevice = Annotated[Union[tuple(DEVICES.values())], Field(discriminator="kind")]  # noqa: UP007
 
 
 class VehicleSection(Section):
@@ -28,7 +37,7 @@ class VehicleSection(Section):
     gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)
 
 
-class Bus(Section):
+class BusSection(Section):
     """A bus by URL; ``drivers.transports`` says which there are."""
 
     url: str
@@ -54,8 +63,8 @@ class VehicleFile(Section):
     """A whole vehicle.toml."""
 
     vehicle: VehicleSection
-    bus: dict[str, Bus] = Field(default_factory=dict)
-    device: dict[str, Device]
+    bus: dict[str, BusSection] = Field(default_factory=dict)
+    device: dict[str, AnyDevice]
     estimation: Estimation = Estimation()
     free_body: FreeBody | None = None
     planar: Planar | None = None
@@ -86,19 +95,26 @@ class Vehicle(BaseModel):
         devices = self.file.device.items()
         return {name: device for name, device in devices if isinstance(device, BusDevice) and device.bus == bus}
 
-    def sync_on(self, bus: str) -> tuple[str, CanopenSyncDevice]:
-        """Name and device of a CAN bus's SYNC; there is one."""
-        on_bus = self.devices_on(bus).items()
-        return next((name, device) for name, device in on_bus if isinstance(device, CanopenSyncDevice))
+    @property
+    def buses(self) -> list[str]:
+        """Names of all buses."""
+        return list(self.file.bus)
+
+    def url(self, bus: str) -> str:
+        """URL of a bus."""
+        return self.file.bus[bus].url
+
+    def baud(self, bus: str) -> float:
+        """Of a serial line, by the file as it was written: a replay has no other, wherever the bus flew."""
+        url = tomllib.loads(self.text)["bus"][bus]["url"]
+        told = parse_qs(urlsplit(url).query).get("baud")
+        return float(told[0]) if told else UNTOLD_BAUD
 
     def rate_hz(self, device: str) -> float:
         """Nominal rate of a device's samples."""
-        section = self.file.device[device]
-        if section.nominal_hz is None:
-            return self.sync_on(section.bus)[1].nominal_hz
-        return section.nominal_hz
+        return self.file.device[device].rate_on(self)
 
     def with_urls(self, urls: dict[str, str]) -> "Vehicle":
         """The same vehicle with other bus URLs."""
-        buses = {name: Bus(url=urls.get(name, bus.url)) for name, bus in self.file.bus.items()}
+        buses = {name: BusSection(url=urls.get(name, bus.url)) for name, bus in self.file.bus.items()}
         return self.model_copy(update={"file": self.file.model_copy(update={"bus": buses})})

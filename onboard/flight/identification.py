@@ -6,13 +6,14 @@ import numpy as np
 
 from onboard import config
 from onboard.config.errors import line_of
+from onboard.devices.roles import LoadCellRole, Roles
 from onboard.dynamics.errors import ModelError, UrdfError
 from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import Memory
-from onboard.flight.roles import Cell, Roles, roles_of
+from onboard.flight.roles import roles_of
 from onboard.identification.exiddm.batch import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.recursive import RecursiveExiddm
@@ -217,13 +218,13 @@ def _check_joints(roles: Roles, model: VehicleModel) -> None:
         raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
 
 
-def _scale_sigma(cell: Cell) -> float:
+def _scale_sigma(cell: LoadCellRole) -> float:
     """Relative sigma of a cell's readings: its calibration and its lever scale them alike."""
     lever = cell.keys.lever_sigma_m / cell.keys.lever_m if cell.keys.measures == "moment" else 0.0
     return float(np.hypot(cell.keys.scale_sigma, lever))
 
 
-def _considered(cell: Cell, scaled: bool) -> list[Considered]:
+def _considered(cell: LoadCellRole, scaled: bool) -> list[Considered]:
     """What one cell alone can never tell from mass, and what its rows do not estimate."""
     scale = Considered(f"scale of {cell.name}", cell.name, "scale", _scale_sigma(cell))
     delay = Considered(f"delay of {cell.name}", cell.name, "delay", cell.keys.delay_sigma_ms * 1e-3)

@@ -6,7 +6,7 @@ have said. Nothing is recorded. The IMUs test themselves first, for which the ve
 
 import os
 import shutil
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -18,18 +18,18 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from drivers.device import Device
+from drivers.device import Device, SelfTesting
 from drivers.errors import ConfigurationError, DriverError
-from drivers.mpu6050.device import Mpu6050
 from drivers.records import EVENT, PULSE, Batch, Rows, Severity
 from onboard import config
+from onboard.devices.base import BusDevice
 from onboard.flight.devices import OpenDevices, open_devices
 
 SECONDS = 4.0
 LONGEST_SECONDS = 30.0
 PUMP_S = 1e-3
 FEWEST_ROWS = 5
-RATE_TOLERANCE, PULSE_TOLERANCE = 0.1, 0.5  # pulses come by a code, 150 to 305 ms apart
+TICK_TOLERANCE = 0.1
 LOSS_TOLERANCE = 0.05  # a QSB loses 2 % while it tells of pulses
 SILENT_S = 1.0
 FLIGHT_S = 3600.0
@@ -132,8 +132,8 @@ def preflight(
     return Preflight(checks, (*dict.fromkeys(problems), *room), free_bytes, bytes_per_s)
 
 
-def _on_buses(vehicle: config.Vehicle) -> list[tuple[str, config.BusDevice]]:
-    return [(name, device) for name, device in vehicle.file.device.items() if isinstance(device, config.BusDevice)]
+def _on_buses(vehicle: config.Vehicle) -> list[tuple[str, BusDevice]]:
+    return [(name, device) for name, device in vehicle.file.device.items() if isinstance(device, BusDevice)]
 
 
 def _self_tests(vehicle: config.Vehicle, clock: Clock, wait: Wait) -> dict[str, tuple[str, str]]:
@@ -143,20 +143,19 @@ def _self_tests(vehicle: config.Vehicle, clock: Clock, wait: Wait) -> dict[str, 
     """
     opened = open_devices(vehicle, clock)
     try:
-        return {device.name: _self_test(device, wait) for device in opened.devices if isinstance(device, Mpu6050)}
+        return {device.name: _self_test(device, wait) for device in opened.devices if isinstance(device, SelfTesting)}
     finally:
         opened.close()
 
 
-def _self_test(device: Mpu6050, wait: Wait) -> tuple[str, str]:
+def _self_test(device: SelfTesting, wait: Wait) -> tuple[str, str]:
     try:
         result = device.self_test(wait)
     except ConfigurationError as error:  # a clone, whose factory trim nobody knows
         return f"not made: {error}", ""
     except DriverError as error:
         return "failed", str(error)
-    worst = max(map(abs, (*result.gyro_deviation, *result.accel_deviation)))
-    return f"passed, {100 * worst:.0f} % off", ""
+    return f"passed, {100 * result.worst:.0f} % off", ""
 
 
 def _run_in_turn(devices: Iterable[Device], clock: Clock, wait: Wait, seconds: float) -> list[Batch]:
@@ -186,7 +185,7 @@ def _rows(batches: Iterable[Batch]) -> dict[str, Rows]:
 def _check(
     vehicle: config.Vehicle,
     name: str,
-    device: config.BusDevice,
+    device: BusDevice,
     rows: dict[str, Rows],
     said: Rows,
     self_test: tuple[str, str],
@@ -194,7 +193,7 @@ def _check(
     end_ns: int,
 ) -> Check:
     mine = said[said["source"] == name.encode()]
-    nominal_hz = None if _on_change(device) else vehicle.rate_hz(name)
+    nominal_hz = None if device.tells_changes else vehicle.rate_hz(name)
     channel = next(iter(device.channels(name)))
     stamps = _stamps(rows.get(channel))
     span_s = float(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) > 1 else 0.0
@@ -209,20 +208,20 @@ def _check(
         problems += [] if problems else ["it said nothing: check its power and wiring"]
     elif nominal_hz is not None:
         problems += _rate_problems(device, rate_hz, nominal_hz, (end_ns - int(stamps[-1])) * 1e-9)
-    if isinstance(device, config.NodeFrameDevice) and span_s > 0.0:
+    if device.tick_rate_hz is not None and span_s > 0.0:
         ticks = rows[channel]["tick"]
-        problems += _clock_problems(device, (float(ticks[-1]) - float(ticks[0])) / span_s)
+        problems += _clock_problems(device.tick_rate_hz, (float(ticks[-1]) - float(ticks[0])) / span_s)
     warnings = list(dict.fromkeys(_text(e) for e in mine[mine["severity"] == Severity.WARNING]))
     if lost > LOSS_TOLERANCE * made:
         warnings.append(f"{lost} of {made} samples were lost: look whether this computer is busy, or the link too slow")
     marks = _marks(vehicle, name, device, rows) if len(stamps) else None
     if marks == 0:
-        if isinstance(device, config.QsbDevice):
+        if device.marks_at_rest:
+            problems.append("no sync pulse in its samples: check the sync line to it")
+        else:
             warnings.append(
                 "no sync pulse in its stream: it tells of few while the joint rests; turn it and look again"
             )
-        else:
-            problems.append("no sync pulse in its samples: check the sync line to it")
     return Check(
         *(name, device.kind, device.bus, _identity(mine), len(stamps), nominal_hz, rate_hz, marks, outcome),
         *(tuple(problems), tuple(warnings)),
@@ -244,38 +243,26 @@ def _stamps(rows: Rows | None) -> NDArray[np.int64]:
     return stamps
 
 
-def _on_change(device: config.BusDevice) -> bool:
-    return isinstance(device, config.CanopenObjectDevice) and not device.synchronous
-
-
-def _rate_problems(device: config.BusDevice, rate_hz: float | None, nominal_hz: float, silent_s: float) -> list[str]:
+def _rate_problems(device: BusDevice, rate_hz: float | None, nominal_hz: float, silent_s: float) -> list[str]:
     if rate_hz is None:
         return ["one row only: look again for longer"]
-    pulses = device.bus_type in (config.BusType.PULSE, config.BusType.PULSE_OUTPUT)
-    tolerance = PULSE_TOLERANCE if pulses else RATE_TOLERANCE
     if silent_s > max(SILENT_S, 5.0 / nominal_hz):
         return [f"it fell silent {silent_s:.1f} s before the end: check its power and wiring"]
-    if abs(rate_hz / nominal_hz - 1.0) > tolerance:
+    if abs(rate_hz / nominal_hz - 1.0) > device.rate_tolerance:
         return [f"{rate_hz:.4g} Hz where the vehicle file has {nominal_hz:.4g} Hz: mend the file, or the device"]
     return []
 
 
-def _clock_problems(device: config.NodeFrameDevice, tick_hz: float) -> list[str]:
-    if abs(tick_hz / device.tick_hz - 1.0) <= RATE_TOLERANCE:
+def _clock_problems(nominal_hz: float, tick_hz: float) -> list[str]:
+    if abs(tick_hz / nominal_hz - 1.0) <= TICK_TOLERANCE:
         return []
-    return [f"its clock makes {tick_hz:.4g} ticks/s, tick_hz is {device.tick_hz:.4g}: mend the file, or the node"]
+    return [f"its clock makes {tick_hz:.4g} ticks/s, tick_hz is {nominal_hz:.4g}: mend the file, or the node"]
 
 
-def _marks(vehicle: config.Vehicle, name: str, device: config.BusDevice, rows: dict[str, Rows]) -> int | None:
-    """Sync pulses in its own stream; None where it has no input for them, or where there is no sync line."""
-    kinds = Counter(each.kind for _, each in _on_buses(vehicle))
-    if not kinds["sync_pulse"]:
-        return None
-    if isinstance(device, config.Mpu6050Device):
-        return int(np.count_nonzero(rows[name]["sync"]))
-    marks = f"{name}_mark"
-    wired = not isinstance(device, config.QsbDevice) or device.sync_edge != "none"
-    return len(rows.get(marks, ())) if marks in device.channels(name) and wired else None
+def _marks(vehicle: config.Vehicle, name: str, device: BusDevice, rows: dict[str, Rows]) -> int | None:
+    """Sync pulses in its own stream; None where it has no input for them, or where there is no coded sync line."""
+    lines = [each.sync_line(other) for other, each in _on_buses(vehicle)]
+    return device.marks(name, rows) if any(line is not None and line.coded for line in lines) else None
 
 
 def _identity(mine: Rows) -> str:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from drivers.records import Rows, SampleStatus
 from onboard import config
+from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
 from onboard.flight.history import History
-from onboard.flight.roles import Signal, roles_of
+from onboard.flight.roles import roles_of
 from onboard.timebase.timebase import Timebase
 
 UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
@@ -264,7 +265,7 @@ def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
     return np.nan_to_num(rate)
 
 
-def _values(signal: Signal, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _values(signal: SmoothedChannel, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
     """SI values, (n, columns), gyro and accelerometer in sensor axes or one scalar; and which may be used, (n,)."""
     usable = (rows["status"] & UNUSABLE) == 0
     if not signal.si:

@@ -6,13 +6,10 @@ Arrival stamps serve to say which pulse a mark belongs to, as the clock of devic
 where the line is silent. What was asked for was so at some time between question and answer.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
-from drivers.sync_pulse.code import SHORTEST_INTERVAL
 from onboard.channels import CLOCK
 from onboard.timebase.arrival import ArrivalClock
 from onboard.timebase.clock import ClockSolution, ClockState, DeviceClock
@@ -27,85 +24,22 @@ from onboard.timebase.marking import (
     TickSource,
 )
 from onboard.timebase.pulse_train import PulseTrain
+from onboard.timebase.specs import (
+    ChannelClock,
+    FollowerChannel,
+    FreeChannel,
+    MarkedChannel,
+    PolledChannel,
+    ProducerChannel,
+    RecordedChannel,
+    SampledChannel,
+    SyncLine,
+)
 
 RECORD_EVERY_NS = 1_000_000_000  # of a clock that nothing new is known of
 WIDEST_WINDOW_NS = 60e6
 UNTOLD_DELAY_NS = 1e6  # of a serial line: a frame's time on it
 _NO_ROWS: Rows = np.zeros(0, CLOCK)
-
-
-class SampledChannel(NamedTuple):
-    """A channel with a sample clock of its own that flags sync pulses (an IMU)."""
-
-    period_ns: float
-
-
-class MarkedChannel(NamedTuple):
-    """A channel with a clock of its own that stamps sync pulses, in channel ``marks``.
-
-    ``latches_counts``: its ticks are coarse, and the count that it latches on the edge says more.
-    """
-
-    period_ns: float
-    marks: str
-    latches_counts: bool = False
-
-
-class FreeChannel(NamedTuple):
-    """A channel with a timer of its own and no marks; ``delay_ns``: from sample to arrival, at the least."""
-
-    period_ns: float
-    delay_ns: float = 0.0
-    delay_sigma_ns: float = 0.0
-
-
-class PolledChannel(NamedTuple):
-    """A channel that is asked: ``tick`` is when, ``host_ns`` when the answer was in hand; their time on the wire."""
-
-    question_ns: float = 0.0
-    answer_ns: float = 0.0
-
-
-class SyncChannel(NamedTuple):
-    """SYNC messages; each pulse of the line rises in the period of one."""
-
-    period_ns: float
-    delay_ns: float  # a SYNC frame on the wire: nodes sample at its end
-
-
-class FollowerChannel(NamedTuple):
-    """A channel whose ticks are those of channel ``sync``: the SYNCs of its bus, another channel of its device."""
-
-    sync: str
-
-
-class RecordedChannel(NamedTuple):
-    """A channel of somebody else's recording: its host stamps are its times."""
-
-    sigma_ns: float
-
-
-ChannelClock = (
-    SampledChannel | MarkedChannel | FreeChannel | PolledChannel | SyncChannel | FollowerChannel | RecordedChannel
-)
-
-
-class PulseLine(NamedTuple):
-    """The channel of the line's edges.
-
-    ``coded``: by the published code, and ``period_ns`` is that of SYNC; else the pulses' own. ``late_ns``: an edge is
-    stamped when the kernel's interrupt handler runs, seldom later than this after it.
-    """
-
-    channel: str
-    period_ns: float = 5e6
-    coded: bool = True
-    late_ns: int = 25_000
-
-    @property
-    def shortest_interval_ns(self) -> float:
-        """Between two pulses."""
-        return self.period_ns * (SHORTEST_INTERVAL - 1 if self.coded else 1)
 
 
 class Timebase:
@@ -116,7 +50,7 @@ class Timebase:
         line: the sync line, if there is one.
     """
 
-    def __init__(self, channels: dict[str, ChannelClock], line: PulseLine | None) -> None:
+    def __init__(self, channels: dict[str, ChannelClock], line: SyncLine | None) -> None:
         self._specs = channels
         self._line = line
         self._train = PulseTrain(line.period_ns) if line is not None and line.coded else None
@@ -201,7 +135,7 @@ class Timebase:
             case _:
                 return self._sources[channel].main.trusted
 
-    def _pulses(self, line: PulseLine, rows: Rows) -> None:
+    def _pulses(self, line: SyncLine, rows: Rows) -> None:
         for edge_ns in rows["edge_ns"].tolist():
             edge = Edge(edge_ns - line.late_ns, edge_ns)
             self._edges.append(edge)
@@ -258,7 +192,7 @@ class Timebase:
         return rows
 
 
-def _source(spec: ChannelClock, line: PulseLine | None) -> TickSource | None:
+def _source(spec: ChannelClock, line: SyncLine | None) -> TickSource | None:
     match spec:
         case SampledChannel(period_ns):
             return FlaggingSource(period_ns) if line else FreeSource(period_ns, 0.0, period_ns)
@@ -266,7 +200,7 @@ def _source(spec: ChannelClock, line: PulseLine | None) -> TickSource | None:
             return LatchingSource(period_ns, latches_counts) if line else FreeSource(period_ns, 0.0, UNTOLD_DELAY_NS)
         case FreeChannel(period_ns, delay_ns, delay_sigma_ns):
             return FreeSource(period_ns, delay_ns, delay_sigma_ns)
-        case SyncChannel(period_ns, delay_ns):
+        case ProducerChannel(period_ns, delay_ns):
             return SyncSource(period_ns, delay_ns, line is not None and line.coded)
         case _:
             return None

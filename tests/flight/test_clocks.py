@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from onboard import config
-from onboard.flight.clocks import known_delays, pulse_line, timebase_of
-from onboard.timebase.timebase import PulseLine, Timebase
+from onboard.flight.clocks import known_delays, sync_line, timebase_of
+from onboard.timebase.specs import SyncLine
+from onboard.timebase.timebase import Timebase
 from tests.flight.mixed import DEVICES, vehicle
 
 
@@ -24,13 +25,13 @@ def test_every_channel_that_is_estimated_with_has_a_clock(tmp_path: Path) -> Non
 
 
 def test_the_coded_line_is_the_one_and_a_pps_where_there_is_none(tmp_path: Path) -> None:
-    assert pulse_line(mixed(tmp_path)) == PulseLine("pulse", 5e6)
+    assert sync_line(mixed(tmp_path)) == SyncLine("pulse", 5e6)
     uncoded = DEVICES.replace(
         'kind = "sync_pulse"\nbus = "sync_line"\nsync_period_ms = 5', 'kind = "pps"\nbus = "sync_line"'
     )
     uncoded = uncoded.replace('[device.second]\nkind = "pps"\nbus = "loop_in"\nperiod_ms = 227', "")
     uncoded = uncoded.replace('[bus.loop_in]\nurl = "pps:///dev/pps0"\n', "")
-    assert pulse_line(mixed(tmp_path, uncoded)) == PulseLine("pulse", 1e9, coded=False)
+    assert sync_line(mixed(tmp_path, uncoded)) == SyncLine("pulse", 1e9, coded=False)
     assert isinstance(timebase_of(mixed(tmp_path, uncoded)), Timebase)
 
 

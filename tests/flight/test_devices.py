@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from drivers.records import EVENT, GAP, Severity
-from onboard import config
+from onboard.devices.base import BusDevice
+from onboard.devices.buses import PulseDevice, PulseOutputDevice
+from onboard.devices.registry import DEVICES as DEVICES_BY_KIND
 from onboard.flight import rings
 from onboard.flight.clocks import timebase_of
 from onboard.flight.roles import roles_of
@@ -31,7 +33,7 @@ def flight(tmp_path_factory):
 
 
 def test_the_mixed_vehicle_has_every_kind_that_has_a_bus():
-    kinds = {kind for kind, model in config.DEVICES.items() if issubclass(model, config.BusDevice)}
+    kinds = {kind for kind, model in DEVICES_BY_KIND.items() if issubclass(model, BusDevice)}
     assert {line.split('"')[1] for line in DEVICES.splitlines() if line.startswith("kind =")} == kinds
 
 
@@ -79,7 +81,7 @@ def test_the_rate_in_the_vehicle_file_is_the_rate_seen(flight):
         channel = next(iter(device.channels(name)))
         stamps = rows[channel]["host_ns"]
         seen_hz = 1e9 * (len(stamps) - 1) / float(stamps[-1] - stamps[0])
-        pulses = device.bus_type in (config.BusType.PULSE, config.BusType.PULSE_OUTPUT)
+        pulses = isinstance(device, PulseDevice | PulseOutputDevice)
         # intervals of the code are 30 to 61 SYNC periods, and its beginning has the short ones
         assert seen_hz == pytest.approx(flying.rate_hz(name), rel=0.5 if pulses else 0.05), name
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from drivers import records
 from drivers.records import Batch, Severity, event
 from onboard import config
+from onboard.devices.cia406 import Cia406Device
 from onboard.estimation.gates import GateReason
 from onboard.flight.history import History
 from onboard.flight.phases import PhaseTrack
@@ -18,7 +19,8 @@ from onboard.flight.roles import roles_of
 from onboard.flight.signals import SignalSmoother
 from onboard.flight.zeroing import Zeroing
 from onboard.ring import RingReader, RingWriter
-from onboard.timebase.timebase import FollowerChannel, RecordedChannel, SyncChannel, Timebase
+from onboard.timebase.specs import FollowerChannel, ProducerChannel, RecordedChannel
+from onboard.timebase.timebase import Timebase
 
 ROCKSAT = config.load(config.packaged("rocksat"))
 
@@ -180,7 +182,7 @@ def test_a_time_that_is_not_known_well_makes_what_changes_uncertain(tmp_path: Pa
 def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_rad_s: float) -> None:
     vehicle = config.load(config.packaged("dymaflex"))
     device, signals = vehicle.file.device["joint_1"], SignalSmoother(vehicle)
-    assert isinstance(device, config.Cia406Device)
+    assert isinstance(device, Cia406Device)
     seconds = np.arange(0.0, 2.0, 2e-3)
     motor = device.gear_ratio * rate_rad_s * seconds
     ripple = device.eccentricity_rad * np.sin(motor + 1.0) + device.transmission_error_rad * np.sin(2.0 * motor)
@@ -219,7 +221,7 @@ def test_a_clock_that_is_not_known_yet_refuses_everything() -> None:
 
 
 def _unlocked() -> Timebase:
-    return Timebase({"can_sync": SyncChannel(5e6, 0.0), "joint_1": FollowerChannel("can_sync")}, None)
+    return Timebase({"can_sync": ProducerChannel(5e6, 0.0), "joint_1": FollowerChannel("can_sync")}, None)
 
 
 def mixed_vehicle(tmp_path: Path) -> config.Vehicle:

@@ -13,23 +13,13 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from drivers.canopen_pdo.cia402 import Cia402Config
-from drivers.canopen_pdo.cia404 import Cia404Config
-from drivers.canopen_pdo.cia406 import Cia406Config
-from drivers.canopen_pdo.guarding import GuardConfig
-from drivers.canopen_pdo.mapped_object import CanopenObjectConfig
-from drivers.dsc_load_cell.message import DscLoadCellConfig
 from drivers.marks import MARK
-from drivers.modbus_load_cell.registers import ModbusLoadCellConfig
-from drivers.mpu6050.registers import Mpu6050Config
-from drivers.nimu.packet import NimuConfig
-from drivers.node_frame.frame import NodeFrameConfig
-from drivers.qsb.registers import QsbConfig
 from drivers.records import CAN_SYNC, IMU, PULSE, SCALAR
-from drivers.sync_pulse.device import SyncPulseConfig
-from drivers.sync_pulse.generator import PulseGeneratorConfig
-from onboard import config
-from onboard.config.devices import CHANNELS
+from onboard.devices.base import BusDevice, DeviceSection
+from onboard.devices.canopen import CanopenNodeDevice
+from onboard.devices.node_channels import CHANNELS
+from onboard.devices.registry import DEVICES
+from onboard.devices.roles import LoadCellKeys
 
 MIXED = Path(__file__).parents[1] / "flight" / "mixed.toml"
 RECORDS: list[tuple[np.dtype[np.void], str]] = [
@@ -39,20 +29,6 @@ RECORDS: list[tuple[np.dtype[np.void], str]] = [
     (PULSE, "PULSE"),
     (MARK, "MARK"),
 ]
-DRIVERS: dict[str, tuple[type, ...]] = {
-    "mpu6050": (Mpu6050Config,),
-    "nimu": (NimuConfig,),
-    "qsb": (QsbConfig,),
-    "cia406": (Cia406Config, GuardConfig),
-    "cia402": (Cia402Config, GuardConfig),
-    "cia404": (Cia404Config, GuardConfig),
-    "canopen_object": (CanopenObjectConfig, GuardConfig),
-    "modbus_load_cell": (ModbusLoadCellConfig,),
-    "dsc_load_cell": (DscLoadCellConfig,),
-    "node_frame": (NodeFrameConfig,),
-    "sync_pulse": (SyncPulseConfig,),
-    "pulse_generator": (PulseGeneratorConfig,),
-}
 MEANING = {  # of keys that belong to no one driver
     "bus": "Name of its `[bus.NAME]`.",
     "frame": "Link, joint or frame of the URDF that it measures in.",
@@ -64,7 +40,6 @@ MEANING = {  # of keys that belong to no one driver
     "joint": "Joint of the URDF whose angle it measures; each moving joint by one device.",
     "zero_count": "What it reads at joint angle zero, counts.",
     "counts_per_revolution": "Counts in a turn of the joint, quadrature and gear included.",
-    "qsb.counts_per_revolution": "Counts in a turn of the joint, gear included; negative: it counts the other way.",
     "noise_rad": "Standard deviation of one sample, quantisation included.",
     "gear_ratio": "Turns of the motor in one of the joint, where it is the motor's angle that is measured.",
     "eccentricity_rad": "Cyclic error once in a turn of the motor, rms, of the joint's angle.",
@@ -94,80 +69,10 @@ MEANING = {  # of keys that belong to no one driver
     "name": "Name in the node's descriptor.",
     "role": "What the estimator takes it for.",
     "absolute": "After a reset of the node it still counts from `zero_count`; where not, its rows are refused then.",
-    **{
-        f"{kind}.poll_period_ms": "How often the port is read."
-        for kind in ("nimu", "qsb", "modbus_load_cell", "dsc_load_cell", "node_frame")
-    },
-    **{
-        f"{kind}.sample_period_ms": "Time between two questions; shorter than the link allows: back to back."
-        for kind in ("modbus_load_cell", "dsc_load_cell")
-    },
-    "cia402.velocity": "Record 606Ch too, as `NAME_velocity`.",
-    "cia402.torque": "Record 6077h too, as `NAME_torque`.",
-    "cia402.velocity_scale_rad_s": "Unit of velocity of the drive, of the joint; counts a second where not given.",
-    "cia402.rated_torque_N_m": "Rated torque of the motor; read from the drive (6076h) where not given.",
-    "modbus_load_cell.scale": "`unit` per count; where not given, the transmitter's own division and unit.",
-    "canopen_object.counter_subindex": "Of an object of the same index in the same TPDO that counts the changes.",
-    "qsb.sync_edge": "Edge of the sync line that latches its count.",
-    "node_frame.frame": "Link, joint or frame of the URDF that its gyro and accel channels measure in.",
-    "canopen_sync.delay_ms": "Time of a SYNC frame on the wire: nodes sample at its end.",
-    "GyroChannel.axis": "Axis of `frame` of the device.",
-    "AccelChannel.axis": "Axis of `frame` of the device.",
-    "nimu.latency_ms": "From sample to first bit of its packet, as measured; half a sample period where not given.",
-    "nimu.latency_sigma_ms": "How well that is known.",
-    "recorded_angle.zero_count": "Raw value at angle zero.",
-    "recorded_rate.noise_rad_s": "Standard deviation of one sample of the rate.",
-}
-ROLE = {
-    "mpu6050": "IMU",
-    "nimu": "IMU",
-    "recorded_imu": "IMU",
-    "cia406": "joint angle",
-    "cia402": "joint angle",
-    "qsb": "joint angle",
-    "recorded_angle": "joint angle",
-    "recorded_rate": "joint rate",
-    "recorded_load_cell": "load cell",
-    "recorded_value": "none, or the phases",
-    "cia404": "load cell",
-    "modbus_load_cell": "load cell",
-    "dsc_load_cell": "load cell",
-    "node_frame": "by channel",
-    "canopen_object": "none, or the phases",
-    "canopen_sync": "clock of its bus",
-    "sync_pulse": "clock of all",
-    "pps": "clock of all, where there is no `sync_pulse`",
-    "pulse_generator": "none",
-}
-CLOCK = {
-    "mpu6050": "The sample number, fitted to the sync pulses that FSYNC marks in its samples. Wire the sync line to"
-    " FSYNC.",
-    "nimu": "Its packet timer, fitted to arrival: it has no sync input. Its times are late by what the line is.",
-    "qsb": "The adapter's timestamp, fitted to the sync edges that it latches its count on. Wire the sync line to its"
-    " digital I/O 0. It holds no zero over a loss of power, and counts modulo 500 until it is set up: give its"
-    " `zero_count` after that, joint at zero. After a reset in flight its rows are refused.",
-    "cia406": "The number of the SYNC that it answers.",
-    "cia402": "The number of the SYNC that it answers.",
-    "cia404": "The number of the SYNC that it answers.",
-    "modbus_load_cell": "The middle between question and answer, by the host's clock; half their distance is its"
-    " uncertainty.",
-    "dsc_load_cell": "As a `modbus_load_cell`.",
-    "node_frame": "The node's own, fitted to the sync edges that it stamps.",
-    "canopen_object": "The number of the SYNC that it answers where `synchronous`, else none: a phase counts from its"
-    " arrival.",
-    "canopen_sync": "SYNC numbers, fitted to the sync pulses by counter and code.",
-    "sync_pulse": "It is the kernel's, CLOCK_MONOTONIC; all others are fitted to it.",
-    "pps": "It is the kernel's; edges are told apart by arrival, for they carry no code. SYNC needs the code.",
-    "pulse_generator": "None: what it records is when it meant to send. Read the line back by a `sync_pulse`.",
-    "recorded_imu": "The recording's own times.",
-    "recorded_angle": "The recording's own times.",
-    "recorded_rate": "The recording's own times.",
-    "recorded_load_cell": "The recording's own times.",
-    "recorded_value": "The recording's own times.",
 }
 SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, their heading, a kind that has them
-    (config.LoadCellKeys, "A load cell", "cia404"),
-    (config.CanopenNode, "A CANopen node", "cia404"),
+    (LoadCellKeys, "A load cell", "cia404"),
+    (CanopenNodeDevice, "A CANopen node", "cia404"),
 ]
 HEAD = """# Devices
 
@@ -201,17 +106,17 @@ the URDF, one device that measures it. `[estimation.phases] channel` names any S
 def page() -> str:
     """The document."""
     shared = "".join(f"\n## {heading}\n{_prose(model)}\n\n{_keys(model, kind)}" for model, heading, kind in SHARED)
-    return HEAD + shared + "".join(_section(kind, model) for kind, model in config.DEVICES.items())
+    return HEAD + shared + "".join(_section(kind, model) for kind, model in DEVICES.items())
 
 
-def _section(kind: str, model: type[config.DeviceSection]) -> str:
+def _section(kind: str, model: type[DeviceSection]) -> str:
     name, block = example(kind)
     channels = model.model_validate(_device(name)).channels(name) if block else {name: model.records}
     listed = ", ".join(f"`{channel}` {_record(records)}" for channel, records in channels.items())
     parts = [f"\n## {kind}", _prose(model)]
     if block:
         parts.append(f"```toml\n{block}```")
-    parts += [f"- **role**: {ROLE[kind]}", f"- **channels**: {listed}", f"- **clock**: {CLOCK[kind]}"]
+    parts += [f"- **role**: {model.about_role}", f"- **channels**: {listed}", f"- **clock**: {model.about_clock}"]
     text = "\n".join([parts[0], parts[1], "", *parts[2:], ""])
     text += "\n" + _keys(model, kind)
     if kind == "node_frame":
@@ -251,21 +156,20 @@ def _keys(model: type[BaseModel], kind: str) -> str:
             continue
         name = f"**`{key}`**" if field.is_required() else f"`{key}`"
         default = "" if field.is_required() or field.default is None else f"`{_toml(field.default)}`"
-        lines.append(f"| {name} | {_type(schema['properties'][key])} | {default} | {meaning(model, kind, key)} |")
+        lines.append(f"| {name} | {_type(schema['properties'][key])} | {default} | {meaning(model, key)} |")
     links = [f"[{heading}](#{heading.lower().replace(' ', '-')})" for _, heading in elsewhere]
     return "\n".join(lines) + "\n" + (f"\nand those of {' and '.join(links)}.\n" if links else "")
 
 
-def meaning(model: type[BaseModel], kind: str, key: str) -> str:
-    """What a key is: by its place, by its driver, by its name.
+def meaning(model: type[BaseModel], key: str) -> str:
+    """What a key is: as its own class says, or the driver, or the name that many have.
 
     Raises:
         KeyError: Nobody says.
     """
-    if model in CHANNELS.values():
-        return MEANING.get(f"{model.__name__}.{key}") or MEANING[key]
-    of_driver = {k: v for driver in reversed(DRIVERS.get(kind, ())) for k, v in _attributes(driver).items()}
-    return MEANING.get(f"{kind}.{key}") or of_driver.get(key) or MEANING[key]
+    drivers = model.driver_configs if issubclass(model, BusDevice) else ()
+    of_driver = {k: v for driver in reversed(drivers) for k, v in _attributes(driver).items()}
+    return model.model_fields[key].description or of_driver.get(key) or MEANING[key]
 
 
 def _attributes(driver: type) -> dict[str, str]:

@@ -9,15 +9,15 @@ from drivers import records
 from drivers.marks import MARK
 from drivers.sync_pulse import code
 from onboard.timebase.clock import ClockState
-from onboard.timebase.timebase import (
+from onboard.timebase.specs import (
     ChannelClock,
     FreeChannel,
     MarkedChannel,
-    PulseLine,
+    ProducerChannel,
     SampledChannel,
-    SyncChannel,
-    Timebase,
+    SyncLine,
 )
+from onboard.timebase.timebase import Timebase
 
 SYNC_NS = 5_000_000
 STEP_NS = 50_000_000
@@ -96,10 +96,10 @@ class Fleet:
             "imu": SampledChannel(1e6),
             "node": MarkedChannel(1e3, "node_mark"),
             "qsb": MarkedChannel(1.925e6, "qsb_mark", latches_counts=True),
-            "sync": SyncChannel(sync_ns, 110_000.0),
+            "sync": ProducerChannel(sync_ns, 110_000.0),
             "free": FreeChannel(2170.1, 3e6, 1e6),
         }
-        self.timebase = Timebase(self.channels, PulseLine("pulse", sync_ns))
+        self.timebase = Timebase(self.channels, SyncLine("pulse", sync_ns))
         self.states: dict[str, ClockState] = {}  # as recorded
         self.newest: dict[str, tuple[int, float]] = {}  # tick told, and when it was
         self._marked = dict.fromkeys(self.streams, -1)

@@ -6,7 +6,8 @@ import pytest
 from drivers import records
 from drivers.sync_pulse import code
 from onboard.timebase.clock import ClockState
-from onboard.timebase.timebase import FollowerChannel, PulseLine, SampledChannel, SyncChannel, Timebase
+from onboard.timebase.specs import FollowerChannel, ProducerChannel, SampledChannel, SyncLine
+from onboard.timebase.timebase import Timebase
 from tests.timebase.streams import Fleet
 
 SYNC_NS = 5_000_000
@@ -33,8 +34,8 @@ class Bench:
         numbers = code.sync_numbers()[:2000]
         self.edges = self.start_ns + numbers * SYNC_NS + code.dither_ns()[:2000]
         self.timebase = Timebase(
-            {"imu": SampledChannel(1e6), "sync": SyncChannel(SYNC_NS, 110_000.0), "joint": FollowerChannel("sync")},
-            PulseLine("pulse", SYNC_NS),
+            {"imu": SampledChannel(1e6), "sync": ProducerChannel(SYNC_NS, 110_000.0), "joint": FollowerChannel("sync")},
+            SyncLine("pulse", SYNC_NS),
         )
         self.clocks: list[np.ndarray] = []
 
@@ -143,7 +144,7 @@ def test_a_line_first_heard_hours_after_its_start_gives_the_same_clock(cycle: in
 def test_a_pps_of_somebody_else_marks_what_needs_no_code(rng: np.random.Generator) -> None:
     fleet = Fleet(12)
     fleet.edges = fleet.start_ns + 123_456_789 + np.arange(40) * 1_000_000_000
-    fleet.timebase = Timebase(fleet.channels, PulseLine("pulse", 1e9, coded=False))
+    fleet.timebase = Timebase(fleet.channels, SyncLine("pulse", 1e9, coded=False))
     fleet.run(500, lambda _: None)
     for name, bar_ns in (("imu", 500e3), ("node", 20e3), ("qsb", 60e3), ("sync", 400e3)):
         assert fleet.states[name] is ClockState.LOCKED, name

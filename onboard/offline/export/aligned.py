@@ -15,8 +15,9 @@ from rich.progress import Progress
 
 from drivers.records import IMU, Rows
 from onboard import config
+from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.roles import Signal, roles_of
+from onboard.flight.roles import roles_of
 from onboard.offline.export import opener
 from onboard.offline.export.dump import DumpResult
 from onboard.offline.tables import si
@@ -149,7 +150,7 @@ def _blocks(
 class _Track:
     """The newest samples of one channel."""
 
-    def __init__(self, signal: Signal, is_imu: bool) -> None:
+    def __init__(self, signal: SmoothedChannel, is_imu: bool) -> None:
         self._signal, self._is_imu = signal, is_imu
         self._columns = 6 if is_imu else 1
         self._time_ns = np.zeros(0, np.int64)

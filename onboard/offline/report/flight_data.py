@@ -10,11 +10,12 @@ from rich.progress import Progress
 
 from drivers.records import EVENT, GAP, IMU, SCALAR, Batch, Rows, Severity
 from onboard import channels, config
+from onboard.devices.roles import Roles
 from onboard.dynamics.errors import ModelError
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.identification import KERNELS_PER_BLOCK, build_online
-from onboard.flight.roles import Roles, roles_of
+from onboard.flight.roles import roles_of
 from onboard.identification.rows.identifier import Identifier
 from onboard.offline.tables import si
 from onboard.offline.tables import truth as true

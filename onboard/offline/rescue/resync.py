@@ -16,11 +16,12 @@ from rich.table import Table
 
 from drivers.records import IMU, SCALAR
 from onboard import config
+from onboard.devices.roles import ANGLE, RATE
 from onboard.dynamics.payload import BodyEstimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleSpec
 from onboard.dynamics.vehicle import VehicleModel as Model
-from onboard.flight.roles import ANGLE, RATE, roles_of
+from onboard.flight.roles import roles_of
 from onboard.identification.exiddm.batch import ImuPrior, NonLinearExiddm
 from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.offline.tables import si

@@ -1,0 +1,244 @@
+"""What every kind of device has, and the shared bases of those that measure for the estimator.
+
+A kind is a :class:`DeviceSection` with ``kind: Literal["..."]``. Whatever it does not say has the answer given here.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from drivers.device import Device
+from drivers.records import Rows
+from onboard.devices import roles
+from onboard.devices.roles import ImuRole, JointRole, LoadCellKeys, LoadCellRole, Roles, SmoothedChannel
+from onboard.section import NotNegative, Positive, Section
+from onboard.timebase.delays import Delay
+from onboard.timebase.specs import ChannelClock, FollowerChannel, SyncLine
+
+Channels = dict[str, np.dtype[np.void]]
+Clock = Callable[[], int]
+Problem = tuple[list[str], str]
+"""The key that is wrong, as a path from the top of the file, and a sentence with the remedy."""
+
+
+class Surroundings(Protocol):
+    """What a device may ask of the vehicle that it is on."""
+
+    def url(self, bus: str) -> str:
+        """URL of a bus that is there, as it is opened."""
+
+    def baud(self, bus: str) -> float:
+        """Bit rate in a serial bus's URL, as the vehicle file has it: a replay has no other."""
+
+    def devices_on(self, bus: str) -> "Mapping[str, BusDevice]":
+        """Devices by name on one bus."""
+
+    @property
+    def buses(self) -> list[str]:
+        """Names of all buses."""
+
+
+class DeviceSection(Section):
+    """A ``[device.NAME]`` table. ``kind`` says which."""
+
+    records: ClassVar[np.dtype[np.void]]
+    about_role: ClassVar[str] = "none"  # for docs/devices.md: what it is to the estimator,
+    about_clock: ClassVar[str]  # and what its samples' times are made of
+    kind: str
+
+    @property
+    def nominal_hz(self) -> float:
+        """Nominal rate of its samples, where it is its own."""
+        raise NotImplementedError
+
+    def rate_on(self, around: Surroundings) -> float:
+        """Nominal rate of its samples."""
+        return self.nominal_hz
+
+    def channels(self, name: str) -> Channels:
+        """Its channels and their records, in a fixed order."""
+        return {name: self.records}
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """The clock of each channel whose samples are put on vehicle time."""
+        return {}
+
+    def sync_line(self, name: str) -> SyncLine | None:
+        """The sync line, if that is what it reads."""
+        return None
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """Everything that is taken off its samples' times; zeros may be among them."""
+        return []
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """What it is to the estimator; ``period_s`` is the nominal time between samples."""
+        return Roles.none()
+
+    def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
+        """What is wrong with this table that no single key shows."""
+        return iter(())
+
+
+def first_leads(channels: Channels, clock: ChannelClock) -> dict[str, ChannelClock]:
+    """The clock of the first channel, which the others are sampled by."""
+    first, *others = channels
+    return {first: clock, **dict.fromkeys(others, FollowerChannel(first))}
+
+
+class Closable(Protocol):
+    """What every port has."""
+
+    def close(self) -> None:
+        """Give the bus back."""
+
+
+P = TypeVar("P", bound=Closable)
+C = TypeVar("C")
+
+
+class OpeningBus(NamedTuple):
+    """A bus to be opened: what is on it (kinds of one bus type), and who takes its ports."""
+
+    name: str
+    devices: Mapping[str, Any]
+    around: Surroundings
+    clock: Clock
+    ports: list[Closable]
+
+    @property
+    def url(self) -> str:
+        """Of the bus."""
+        return self.around.url(self.name)
+
+    def own(self, port: P) -> P:
+        """Have a port closed with the bus."""
+        self.ports.append(port)
+        return port
+
+
+class BusDevice(DeviceSection):
+    """A device on a bus of the file; ``onboard.devices.buses`` has a base for each type of bus."""
+
+    bus_type: ClassVar[str]
+    urls: ClassVar[Mapping[str, tuple[str, ...]]]  # of its buses: options by scheme
+    shares_bus: ClassVar[bool] = False
+    driver_configs: ClassVar[tuple[type, ...]] = ()  # what its driver is configured by; the keys are explained there
+    rate_tolerance: ClassVar[float] = 0.1  # of nominal_hz, before a preflight finds fault
+    marks_at_rest: ClassVar[bool] = True  # no sync pulse in its stream means that the line does not reach it
+    bus: str
+
+    @classmethod
+    def open_on(cls, bus: OpeningBus) -> list[Device]:
+        """Open a bus of this type and make the drivers on it.
+
+        Raises:
+            DriverError: a URL or a configuration that cannot be.
+            OSError: the bus cannot be opened.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def bus_problems(cls, bus: str, devices: "Mapping[str, BusDevice]") -> Iterator[Problem]:
+        """What is wrong with the devices of one bus together."""
+        return iter(())
+
+    def settings(self, name: str) -> Any:
+        """The configuration of its driver: keys of the same name, by default.
+
+        Raises:
+            ConfigurationError: values that do not go together.
+        """
+        return self._settings(self.driver_configs[0]) if self.driver_configs else None
+
+    def verify(self, name: str) -> None:
+        """Raise ConfigurationError for values that do not go together."""
+        self.settings(name)
+
+    @property
+    def tells_changes(self) -> bool:
+        """It says something when it changes, and has no rate."""
+        return False
+
+    @property
+    def tick_rate_hz(self) -> float | None:
+        """Nominal rate of its rows' ``tick``, where a preflight can hold the device to it."""
+        return None
+
+    def marks(self, name: str, rows: Mapping[str, Rows]) -> int | None:
+        """Sync pulses in its own stream; None: it has no input for them."""
+        return None
+
+    def _settings(self, kind: type[C], **others: Any) -> C:
+        """A driver's configuration: the keys that have the same name here, and ``others``."""
+        same = {field.name for field in fields(kind) if field.name in type(self).model_fields}  # type: ignore[arg-type]
+        return kind(**{name: getattr(self, name) for name in same} | others)
+
+
+class ImuDevice(DeviceSection):
+    """It measures specific force and angular rate in the axes of the URDF's ``frame``; noise is that of one sample."""
+
+    about_role = "IMU"
+    frame: str
+    accel_noise_m_s2: Positive
+    gyro_noise_rad_s: Positive
+
+    @property
+    def filter_delays_s(self) -> tuple[float, float]:
+        """Delays of the gyro's and of the accelerometer's own filters."""
+        return 0.0, 0.0
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        gyro_delay_s, accel_delay_s = self.filter_delays_s
+        noise = (self.gyro_noise_rad_s,) * 3 + (self.accel_noise_m_s2,) * 3
+        signal = SmoothedChannel((gyro_delay_s,) * 3 + (accel_delay_s,) * 3, noise, period_s, {})
+        return Roles([ImuRole((name,), self.frame)], [], [], {name: signal})
+
+
+class JointDevice(BusDevice):
+    """It measures the angle of ``joint``: ``zero_count`` is what it reads at angle zero.
+
+    On the motor's side of a gear it errs with the motor's turns: ``eccentricity_rad`` once, ``transmission_error_rad``
+    twice in each.
+    """
+
+    about_role = "joint angle"
+    keeps_zero: ClassVar[bool] = True  # over a reset of the device
+    joint: str
+    counts_per_revolution: int
+    zero_count: int = 0
+    noise_rad: Positive
+    gear_ratio: Positive = 1.0
+    eccentricity_rad: NotNegative = 0.0
+    transmission_error_rad: NotNegative = 0.0
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        turns = self.gear_ratio
+        ripple = (turns, self.eccentricity_rad), (2.0 * turns, self.transmission_error_rad)
+        signal = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(
+            zero_count=self.zero_count, absolute=self.keeps_zero, ripple=tuple(tone for tone in ripple if tone[1])
+        )
+        return Roles([], [JointRole(self.joint, name)], [], {name: signal})
+
+
+class LoadCellDevice(BusDevice, LoadCellKeys):
+    """A load cell that is a device of its own: its first channel is the force that is estimated with.
+
+    ``gravity_m_s2``: what one of its kilograms weighs, where it tells kilograms.
+    """
+
+    about_role = "load cell"
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        channel = next(iter(self.channels(name)))
+        return Roles([], [], [LoadCellRole(name, channel, self)], {channel: roles.force(self, period_s)})
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """See ``DeviceSection``."""
+        channel, cause = next(iter(self.channels(name))), "filter of the load cell's amplifier"
+        return [Delay(channel, "", self.delay_ms * 1e-3, self.delay_sigma_ms * 1e-3, cause)]

@@ -1,0 +1,76 @@
+"""MPU-6050 family IMU on I2C."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from drivers.mpu6050.device import Mpu6050
+from drivers.mpu6050.registers import Mpu6050Config
+from drivers.ports import I2cPort
+from drivers.records import IMU, Rows
+from onboard.devices.base import ImuDevice, Surroundings
+from onboard.devices.buses import I2cDevice
+from onboard.section import Positive
+from onboard.timebase.delays import Delay
+from onboard.timebase.specs import ChannelClock, SampledChannel
+
+# DLPF_CFG 0..6: delay of the accelerometer's and of the gyroscope's low-pass filter, s (register map, register 26)
+FILTER_DELAY_S = (
+    (0.0, 0.98e-3),
+    (2.0e-3, 1.9e-3),
+    (3.0e-3, 2.8e-3),
+    (4.9e-3, 4.8e-3),
+    (8.5e-3, 8.3e-3),
+    (13.8e-3, 13.4e-3),
+    (19.0e-3, 18.6e-3),
+)
+
+
+class Mpu6050Device(I2cDevice, ImuDevice):
+    """MPU-6050 family IMU: drained from its FIFO, or read sample by sample (``mode = "burst"``)."""
+
+    about_clock = (
+        "The sample number, fitted to the sync pulses that FSYNC marks in its samples. Wire the sync line to FSYNC."
+    )
+    records = IMU
+    driver_configs = (Mpu6050Config,)
+    kind: Literal["mpu6050"]
+    address: Annotated[int, Field(ge=0x68, le=0x69)] = Mpu6050Config.address
+    sample_rate_hz: Annotated[int, Field(ge=4, le=1000)] = Mpu6050Config.sample_rate_hz
+    accel_range_g: Literal[2, 4, 8, 16] = 4
+    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = 250
+    filter_code: Annotated[int, Field(ge=0, le=6)] = Mpu6050Config.filter_code
+    poll_period_ms: Positive = Mpu6050Config.poll_period_ms
+    max_transfer_bytes: int = Mpu6050Config.max_transfer_bytes
+    mode: Literal["fifo", "burst"] = "fifo"
+
+    @property
+    def nominal_hz(self) -> float:
+        """Nominal."""
+        return float(self.sample_rate_hz)
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``."""
+        return {name: SampledChannel(1e9 / self.sample_rate_hz)}
+
+    @property
+    def filter_delays_s(self) -> tuple[float, float]:
+        """See ``ImuDevice``."""
+        accel_s, gyro_s = FILTER_DELAY_S[self.filter_code]
+        return gyro_s, accel_s
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """See ``DeviceSection``."""
+        gyro_s, accel_s = self.filter_delays_s
+        why = f"low-pass filter, DLPF_CFG {self.filter_code}"
+        return [Delay(name, "gyro", gyro_s, 0.0, why), Delay(name, "accel", accel_s, 0.0, why)]
+
+    def marks(self, name: str, rows: Mapping[str, Rows]) -> int:
+        """See ``BusDevice``."""
+        return int(np.count_nonzero(rows[name]["sync"]))
+
+    def driver(self, name: str, port: I2cPort) -> Mpu6050:
+        """See ``I2cDevice``."""
+        return Mpu6050(name, port, self.settings(name))

@@ -1,0 +1,31 @@
+"""Pulses of somebody else's clock."""
+
+from typing import Literal
+
+from drivers.ports import PulsePort
+from drivers.sync_pulse.device import SyncPulse
+from onboard.devices.buses import PulseDevice
+from onboard.section import Positive
+from onboard.timebase.specs import SyncLine
+
+
+class PpsDevice(PulseDevice):
+    """Pulses of somebody else's clock, every ``period_ms``, without a code."""
+
+    about_role = "clock of all, where there is no `sync_pulse`"
+    about_clock = "It is the kernel's; edges are told apart by arrival, for they carry no code. SYNC needs the code."
+    kind: Literal["pps"]
+    period_ms: Positive = 1000.0
+
+    @property
+    def nominal_hz(self) -> float:
+        """Nominal."""
+        return 1e3 / self.period_ms
+
+    def sync_line(self, name: str) -> SyncLine:
+        """See ``DeviceSection``."""
+        return SyncLine(name, self.period_ms * 1e6, coded=False)
+
+    def driver(self, name: str, port: PulsePort) -> SyncPulse:
+        """See ``PulseDevice``."""
+        return SyncPulse(name, port)

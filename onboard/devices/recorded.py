@@ -1,0 +1,86 @@
+"""Channels of a recording from elsewhere (``heft import``): no bus, and host stamps that are the times of samples."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.records import IMU, SCALAR
+from onboard.devices import roles
+from onboard.devices.base import DeviceSection, ImuDevice, Surroundings
+from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles
+from onboard.section import Positive
+from onboard.timebase.specs import ChannelClock, RecordedChannel
+
+
+class RecordedDevice(DeviceSection):
+    """A recorded channel."""
+
+    about_clock = "The recording's own times."
+    period_ms: Positive
+
+    @property
+    def nominal_hz(self) -> float:
+        """Nominal."""
+        return 1e3 / self.period_ms
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``."""
+        return {name: RecordedChannel(0.0)}
+
+
+class RecordedImu(RecordedDevice, ImuDevice):
+    """An IMU."""
+
+    records = IMU
+    kind: Literal["recorded_imu"]
+
+
+class RecordedAngle(RecordedDevice):
+    """A joint angle; ``zero_count``: the raw value at angle zero."""
+
+    about_role = "joint angle"
+    records = SCALAR
+    kind: Literal["recorded_angle"]
+    joint: str
+    zero_count: Annotated[int, Field(description="Raw value at angle zero.")] = 0
+    noise_rad: Positive
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        angle = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(zero_count=self.zero_count)
+        return Roles([], [JointRole(self.joint, name)], [], {name: angle})
+
+
+class RecordedRate(RecordedDevice):
+    """A joint rate; the joint turns a body of revolution, its angle is of no account."""
+
+    about_role = "joint rate"
+    records = SCALAR
+    kind: Literal["recorded_rate"]
+    joint: str
+    noise_rad_s: Positive
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        rate = roles.scalar(0.0, self.noise_rad_s, period_s, roles.RATE)
+        return Roles([], [JointRole(self.joint, name, is_rate=True)], [], {name: rate})
+
+
+class RecordedLoadCell(RecordedDevice, LoadCellKeys):
+    """A load cell, or one axis of a six-axis one: a moment is in N m, where ``lever_m`` is not given."""
+
+    about_role = "load cell"
+    records = SCALAR
+    kind: Literal["recorded_load_cell"]
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        return Roles([], [], [LoadCellRole(name, name, self)], {name: roles.force(self, period_s)})
+
+
+class RecordedValue(RecordedDevice):
+    """A value of no role of its own: a phase, say."""
+
+    about_role = "none, or the phases"
+    records = SCALAR
+    kind: Literal["recorded_value"]

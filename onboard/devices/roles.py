@@ -1,0 +1,117 @@
+"""What a device can be to the estimator: an IMU, the angle or rate of a joint, a load cell; and how its rows read."""
+
+import math
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+from onboard.section import NotNegative, Positive, Section, Vector3
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+ANGLE = {b"rad": 1.0, b"deg": math.pi / 180.0}
+RATE = {b"rad/s": 1.0, b"deg/s": math.pi / 180.0}
+SPECIFIC_FORCE = {b"m/s^2": 1.0, b"g": STANDARD_GRAVITY_M_S2}
+
+
+class LoadCellKeys(Section):
+    """A force along an axis, or a moment about one.
+
+    ``measures = "moment"``: the cell's force times ``lever_m`` is the moment about ``axis`` of ``frame`` that the
+    actuator exerts on everything beyond that frame. ``measures = "force"``: its force along ``axis``.
+    """
+
+    frame: str
+    axis: Vector3
+    measures: Literal["moment", "force"]
+    lever_m: Positive = 1.0
+    lever_sigma_m: NotNegative = 0.0
+    capacity_N: Positive  # noqa: N815  (the newton's own letter)
+    scale_sigma: NotNegative = 0.0
+    noise_N: Positive  # noqa: N815
+    delay_ms: NotNegative = 0.0
+    delay_sigma_ms: NotNegative = 0.0
+    gravity_m_s2: Positive = STANDARD_GRAVITY_M_S2
+
+
+class SmoothedChannel(NamedTuple):
+    """A channel that is smoothed, and what that needs to know of it.
+
+    Attributes:
+        delays_s: of the filter of each of its columns.
+        noise: standard deviation of a sample of each column, SI.
+        period_s: nominal.
+        si: SI units in each unit that its rows may carry; empty for IMU rows, whose units are fixed.
+        zero_count: raw value at zero.
+        limit: values as large as this are saturated, SI.
+        absolute: it still measures from the same zero after its device was reset.
+        ripple: its cyclic errors: periods of each in a radian of what it measures, times 2 pi, and its rms, SI.
+    """
+
+    delays_s: tuple[float, ...]
+    noise: tuple[float, ...]
+    period_s: float
+    si: Mapping[bytes, float]
+    zero_count: int = 0
+    limit: float = math.inf
+    absolute: bool = True
+    ripple: tuple[tuple[float, float], ...] = ()
+
+
+class ImuRole(NamedTuple):
+    """Channels of gyro x, y, z, accel x, y, z in this order, in one or one by one; the URDF's frame they measure in."""
+
+    channels: tuple[str, ...]
+    frame: str
+
+
+class JointRole(NamedTuple):
+    """The channel of a joint's angle, or of its rate where ``is_rate``."""
+
+    joint: str
+    channel: str
+    is_rate: bool = False
+
+
+class LoadCellRole(NamedTuple):
+    """A load cell: the name of its row, its channel, what it measures."""
+
+    name: str
+    channel: str
+    keys: LoadCellKeys
+
+
+class Roles(NamedTuple):
+    """The roles of a device or of a whole vehicle, and the signals by channel that fill them."""
+
+    imus: list[ImuRole]
+    joints: list[JointRole]
+    cells: list[LoadCellRole]
+    signals: dict[str, SmoothedChannel]
+
+    @classmethod
+    def none(cls) -> "Roles":
+        """Of what is recorded only."""
+        return cls([], [], [], {})
+
+    def add(self, other: "Roles") -> None:
+        """Take in those of another device."""
+        self.imus.extend(other.imus)
+        self.joints.extend(other.joints)
+        self.cells.extend(other.cells)
+        self.signals.update(other.signals)
+
+    @property
+    def imu(self) -> ImuRole:
+        """The one that measures the base."""
+        return self.imus[0]
+
+
+def scalar(delay_ms: float, noise: float, period_s: float, si: Mapping[bytes, float]) -> SmoothedChannel:
+    """A channel of one value a row: delay of its filter, ms; noise of a sample, SI; its units."""
+    return SmoothedChannel((delay_ms * 1e-3,), (noise,), period_s, si)
+
+
+def force(keys: LoadCellKeys, period_s: float) -> SmoothedChannel:
+    """The channel of a load cell: N or kg, or N m where its lever is 1 m."""
+    direct = keys.measures == "moment" and keys.lever_m == 1.0
+    si = {b"N m": 1.0} if direct else {b"N": 1.0, b"kg": keys.gravity_m_s2}
+    return scalar(keys.delay_ms, keys.noise_N, period_s, si)._replace(limit=keys.capacity_N)
