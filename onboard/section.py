@@ -15,4 +15,4 @@ Sigma6 = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, 
 class Section(BaseModel):
     """A table of the file: unknown keys are refused, values do not change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)  # bases need no validator

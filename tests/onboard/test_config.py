@@ -212,6 +212,31 @@ def test_a_share_of_nothing_is_not_taken_for_exact(payload: str, refused: bool) 
         assert all(name.removesuffix("_R").endswith("_base") for name in names)
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "header", "key", "named", "meant"),
+    [
+        ("dymaflex", "[estimation.exiddm]", "false_alarms_per_h", "estimation.exiddm", "false_alarms_per_hour"),
+        ("dymaflex", "[estimation.doubt]", "gyro_bias_deg_s", "estimation.doubt", "gyro_bias_rad_s"),
+        ("dymaflex", "[estimation.prior.link.base]", "mass_relativ", "estimation.prior.link.base", "mass_relative"),
+        ("dymaflex_air_bearing", "[planar]", "tilt_sigma_m_s", "planar", "tilt_sigma_m_s2"),
+        ("dymaflex_air_bearing", "[[planar.puck]]", "coulomb_N", "planar.puck.0", "coulomb_sigma_N"),
+        ("tudelft", "[free_body]", "rotor", "free_body", "rotor_sigma"),
+        ("tudelft", "[free_body.carrier]", "inertia_sigma", "free_body.carrier", "inertia_sigma_kg_m2"),
+        ("tudelft", "[[free_body.load]]", "bars_percnt", "free_body.load.0", "bars_percent"),
+    ],
+)
+def test_the_key_meant_is_found_in_every_table(vehicle: str, header: str, key: str, named: str, meant: str) -> None:
+    path = config.packaged(vehicle)
+    text = path.read_text()
+    lines = text.splitlines()
+    place = next(n for n, line in enumerate(lines) if line.startswith(header))
+    lines.insert(place + 1, f"{key} = 1")
+    with pytest.raises(config.ConfigError) as caught:
+        config.parse("\n".join(lines), path)
+    said = str(caught.value)
+    assert f"vehicle.toml:{place + 2}: unknown key '{named}.{key}'; did you mean {meant!r}? Units stand in" in said
+
+
 def test_a_missing_file_says_so(tmp_path: Path) -> None:
     with pytest.raises(config.ConfigError, match=r"No such file.*give the path of a vehicle\.toml"):
         config.load(tmp_path / "nowhere.toml")
