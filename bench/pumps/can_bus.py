@@ -6,8 +6,10 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable
+from unittest import mock
 
 import can
+from can.interfaces.socketcan import SocketcanBus, socketcan
 
 from bench import peers
 from bench.pumps.case import MS, Case, Rings, Sample, nothing
@@ -177,6 +179,8 @@ def socket_case(rings: Rings, rounds: int) -> Case:
 
     ours, theirs = pair()
     loop_in, loop_out = pair()
+    with mock.patch.multiple(socketcan, create_socket=lambda: ours, bind_socket=lambda sock, channel: None):
+        bus = SocketcanBus("can0")
     traffic = CanTraffic(rounds)
     samples: deque[Sample] = deque()
 
@@ -203,7 +207,7 @@ def socket_case(rings: Rings, rounds: int) -> Case:
         "our socketcan port, datagram pair",
         rings,
         rounds,
-        SocketcanPort(ours, time.monotonic_ns),
+        SocketcanPort(bus, time.monotonic_ns, 4 << 20),
         time.monotonic_ns,
         lambda frames: put(theirs, frames),
         receive,

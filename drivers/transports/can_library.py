@@ -17,6 +17,14 @@ from drivers.transports.clock import realtime_minus_monotonic
 from drivers.transports.url import BusUrl
 
 
+def queue(bus: can.BusABC, message: can.Message) -> None:
+    """Send ``message``; what python-can raises becomes an OSError, without a code ENOBUFS: the bus takes no more."""
+    try:
+        bus.send(message)
+    except can.CanError as error:
+        raise OSError(error.error_code or errno.ENOBUFS, f"CAN send failed: {error}") from error
+
+
 class LibraryCanPort:
     """A ``CanPort`` on a python-can bus that stamps its messages.
 
@@ -50,18 +58,12 @@ class LibraryCanPort:
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame, stamped with our clock. Raises OSError."""
         stamp_s = self._clock() * 1e-9
-        self._queue(can.Message(stamp_s, identifier, is_extended_id=False, data=data))
+        queue(self._bus, can.Message(stamp_s, identifier, is_extended_id=False, data=data))
 
     def request(self, identifier: int, size: int) -> None:
         """Send a remote frame that asks for ``size`` bytes. Raises OSError."""
         stamp_s = self._clock() * 1e-9
-        self._queue(can.Message(stamp_s, identifier, is_extended_id=False, is_remote_frame=True, dlc=size))
-
-    def _queue(self, message: can.Message) -> None:
-        try:
-            self._bus.send(message)
-        except can.CanError as error:
-            raise OSError(error.error_code or errno.EIO, f"CAN send failed: {error}") from error
+        queue(self._bus, can.Message(stamp_s, identifier, is_extended_id=False, is_remote_frame=True, dlc=size))
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """All frames waiting; waits up to ``timeout_s`` for the first. Raises OSError."""

@@ -1,23 +1,33 @@
-"""CAN through the kernel's raw sockets.
+"""CAN through the kernel's raw sockets: python-can opens, sends and filters; frames are received here.
 
-Plain ``socket`` and not python-can: its receive asserts that a frame carries one ancillary message, so SO_RXQ_OVFL
-(frames the kernel dropped for want of buffer) cannot be switched on beside its time stamp, and it passes the stamp
-through a float that resolves 238 ns.
+python-can's receive asserts that a frame carries one ancillary message, so SO_RXQ_OVFL (frames the kernel dropped for
+want of buffer) cannot be switched on beside its time stamp, and it passes the stamp through a float that resolves
+238 ns.
 """
 
 import contextlib
+import logging
 import select
 import socket
 import struct
 from collections.abc import Callable
 from typing import Self
 
+import can
+from can.interfaces.socketcan import SocketcanBus
+from can.typechecking import CanFilter
+
 from drivers.ports import CanFrame
+from drivers.transports.can_library import queue
 from drivers.transports.clock import realtime_minus_monotonic
+
+logging.getLogger("can").addHandler(logging.NullHandler())  # what it would print to stderr is in the OSError we raise
 
 SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 SO_RXQ_OVFL = 40
 CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h
+# The opposite (CAN_INV_FILTER) of a filter that lets all frames through; an empty list is "all" for python-can
+_NOTHING: CanFilter = {"can_id": 0x2000_0000, "can_mask": 0}
 _FRAME = struct.Struct("=IB3x8s")  # linux/can.h, struct can_frame
 _TIMESPEC = struct.Struct("@ll")
 _DROPS = struct.Struct("=I")
@@ -25,6 +35,18 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_DROPS.
 _EXTENDED, _REMOTE, _ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _ALL_ERRORS = 0x1FFF_FFFF
 _MOST_FRAMES = 4096
+
+
+class _Bus(SocketcanBus):
+    """python-can leaves the socket open of an interface that it cannot use: closed here."""
+
+    def __init__(self, channel: str) -> None:
+        try:
+            super().__init__(channel)
+        except OSError:
+            with contextlib.suppress(AttributeError):  # a kernel without CAN has made no socket
+                self.shutdown()
+            raise
 
 
 class SocketcanPort:
@@ -40,40 +62,34 @@ class SocketcanPort:
         receive_buffer: Bytes the kernel really granted; ``net.core.rmem_max`` limits them.
     """
 
-    def __init__(self, sock: socket.socket, clock: Callable[[], int]) -> None:
-        self._socket = sock
+    def __init__(self, bus: SocketcanBus, clock: Callable[[], int], receive_buffer: int) -> None:
+        self._bus = bus
+        self._socket = bus.socket
         self._clock = clock
         self.lost_frames = 0
         self.foreign_frames = 0
-        self.receive_buffer = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        sock.setblocking(False)
+        with contextlib.suppress(OSError):  # what the kernel cannot grant shows in `receive_buffer`
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+        self.receive_buffer = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        self._socket.setblocking(False)
         self._poll = select.poll()
-        self._poll.register(sock, select.POLLIN)
+        self._poll.register(self._socket, select.POLLIN)
 
     @classmethod
     def open(cls, interface: str, clock: Callable[[], int], receive_buffer: int) -> Self:
         """Bind to ``interface`` (``can0``), with error frames, stamps and drop counts. Raises OSError."""
-        sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        try:
-            sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-            sock.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, _ALL_ERRORS)
-            with contextlib.suppress(OSError):  # what the kernel cannot grant shows in `receive_buffer`
-                sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
-            with contextlib.suppress(OSError):
-                sock.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
-            sock.bind((interface,))
-        except OSError:
-            sock.close()
-            raise
-        return cls(sock, clock)
+        return cls(_Bus(interface), clock, receive_buffer)
 
     def send(self, identifier: int, data: bytes) -> None:
         """Queue one frame. Raises OSError (ENOBUFS: the queue is full; ENETDOWN: the interface is down)."""
-        self._socket.send(_FRAME.pack(identifier, len(data), data))
+        queue(self._bus, can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
 
     def request(self, identifier: int, size: int) -> None:
         """Queue a remote frame that asks for ``size`` bytes. Raises OSError."""
-        self._socket.send(_FRAME.pack(identifier | _REMOTE, size, b""))
+        message = can.Message(arbitration_id=identifier, is_extended_id=False, is_remote_frame=True, dlc=size)
+        queue(self._bus, message)
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """All frames waiting, up to 4096; waits up to ``timeout_s`` for the first. Raises OSError."""
@@ -109,9 +125,9 @@ class SocketcanPort:
 
     def mute(self) -> None:
         """Have the kernel pass no more frames to us. Raises OSError."""
-        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+        self._bus.set_filters([_NOTHING])
         self._socket.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, 0)
 
     def close(self) -> None:
         """Close the socket."""
-        self._socket.close()
+        self._bus.shutdown()

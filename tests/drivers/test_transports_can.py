@@ -10,8 +10,10 @@ import time
 import tty
 
 import can
+import can.interfaces.socketcan.socketcan as socketcan
 import hypothesis.strategies as st
 import pytest
+from can.interfaces.socketcan import SocketcanBus
 from hypothesis import given
 
 from drivers.errors import FrameError, UrlError
@@ -26,20 +28,32 @@ def kernel_frame(identifier, data):
     return struct.pack("=IB3x", identifier, len(data)) + data.ljust(8, b"\0")
 
 
+def read_frame(end):
+    """Identifier, length and data of a struct can_frame; its padding and len8_dlc are nobody's."""
+    return struct.unpack("=IB3x8s", end.recv(64))
+
+
 # SocketCAN
 
 
 @pytest.fixture
 def pair():
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    ours.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
     with ours, theirs:
         yield ours, theirs
 
 
+def port_on(kernel, clock=time.monotonic_ns):
+    """The port on a python-can bus whose raw socket is ``kernel``, which need not know CAN's options."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socketcan, "create_socket", lambda: kernel)
+        patch.setattr(socketcan, "bind_socket", lambda sock, channel: None)
+        return SocketcanPort(SocketcanBus("can0"), clock, 1 << 20)
+
+
 def test_frames_of_the_kernel_are_stamped_by_the_kernel_in_our_clock(pair):
     ours, theirs = pair
-    port = SocketcanPort(ours, time.monotonic_ns)
+    port = port_on(ours)
     before = time.monotonic_ns()
     theirs.send(kernel_frame(0x281, b"\x01\x02\x03\x04"))
     after = time.monotonic_ns()
@@ -57,7 +71,7 @@ def test_frames_of_the_kernel_are_stamped_by_the_kernel_in_our_clock(pair):
 
 def test_error_frames_keep_their_classes_and_foreign_frames_are_counted(pair):
     ours, theirs = pair
-    port = SocketcanPort(ours, time.monotonic_ns)
+    port = port_on(ours)
     theirs.send(kernel_frame(0x2000_0040, bytes(8)))
     theirs.send(kernel_frame(0x8000_0281, b"\1"))
     theirs.send(kernel_frame(0x4000_0281, b""))
@@ -68,11 +82,11 @@ def test_error_frames_keep_their_classes_and_foreign_frames_are_counted(pair):
 
 def test_nothing_waiting_is_nothing_and_a_frame_is_sent_as_the_kernel_wants_it(pair):
     ours, theirs = pair
-    port = SocketcanPort(ours, time.monotonic_ns)
+    port = port_on(ours)
     assert port.receive(0.0) == []
     assert port.receive(0.01) == []
     port.send(0x601, b"\x40\x00\x10\x00\x00\x00\x00\x00")
-    assert theirs.recv(64) == kernel_frame(0x601, b"\x40\x00\x10\x00\x00\x00\x00\x00")
+    assert read_frame(theirs) == (0x601, 8, b"\x40\x00\x10\x00\x00\x00\x00\x00")
 
 
 class KernelThatDrops:
@@ -81,6 +95,7 @@ class KernelThatDrops:
     def __init__(self, real, messages):
         self.messages = messages
         self.fileno, self.getsockopt, self.setblocking = real.fileno, real.getsockopt, real.setblocking
+        self.setsockopt, self.close = real.setsockopt, real.close
 
     def recvmsg(self, size, ancillary_size):
         assert size == 16
@@ -97,7 +112,7 @@ def test_frames_dropped_by_the_kernel_are_counted(pair):
     drops = (socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("=I", 41))
     frame = kernel_frame(0x080, b"\1")
     kernel = KernelThatDrops(pair[0], [(frame, [stamp], 0, None), (frame, [stamp, drops], 0, None)])
-    port = SocketcanPort(kernel, lambda: 0)
+    port = port_on(kernel, lambda: 0)
     assert len(port.receive(0.0)) == 2
     assert port.lost_frames == 41
 
@@ -143,11 +158,17 @@ def test_a_raw_socket_is_asked_for_stamps_errors_buffer_and_drop_counts(monkeypa
     assert not raw.blocking
     assert raw.options == {
         (socket.SOL_SOCKET, SO_TIMESTAMPNS): 1,
+        (socket.SOL_CAN_RAW, 1): struct.pack("=II", 0, 0),  # CAN_RAW_FILTER: everything
         (socket.SOL_CAN_RAW, 2): 0x1FFF_FFFF,  # CAN_RAW_ERR_FILTER: all classes
+        (socket.SOL_CAN_RAW, 3): 1,  # CAN_RAW_LOOPBACK: other programs on this computer hear us
+        (socket.SOL_CAN_RAW, 4): 0,  # CAN_RAW_RECV_OWN_MSGS
         (socket.SOL_SOCKET, socket.SO_RCVBUF): 1_000_000,
         (socket.SOL_SOCKET, SO_RXQ_OVFL): 1,
     }
     assert port.receive_buffer == 425_984
+    port.mute()
+    assert raw.options[socket.SOL_CAN_RAW, 1] == struct.pack("=II", 0x2000_0000, 0)  # all that is not everything
+    assert raw.options[socket.SOL_CAN_RAW, 2] == 0
     port.close()
     assert raw.closed
 
@@ -162,7 +183,7 @@ def test_a_kernel_without_drop_counts_will_do_and_an_absent_interface_is_closed_
 
 
 def test_an_interface_that_goes_down_is_an_os_error(pair):
-    port = SocketcanPort(KernelThatDrops(pair[0], [OSError(errno.ENETDOWN, "down")]), lambda: 0)
+    port = port_on(KernelThatDrops(pair[0], [OSError(errno.ENETDOWN, "down")]), lambda: 0)
     with pytest.raises(OSError, match="down") as caught:
         port.receive(0.0)
     assert caught.value.errno == errno.ENETDOWN
@@ -451,8 +472,8 @@ def test_an_adapter_pulled_out_is_an_os_error(clock):
 
 def test_a_remote_frame_is_sent_as_the_kernel_wants_it(pair):
     ours, theirs = pair
-    SocketcanPort(ours, time.monotonic_ns).request(0x701, 1)
-    assert theirs.recv(64) == struct.pack("=IB3x8s", 0x4000_0701, 1, b"")
+    port_on(ours).request(0x701, 1)
+    assert read_frame(theirs) == (0x4000_0701, 1, bytes(8))
 
 
 def test_a_remote_frame_through_python_can_is_one(clock):
