@@ -26,7 +26,7 @@ import numpy as np
 
 from drivers import records
 from drivers.records import Rows
-from onboard.flight import harvest, manifest, workers
+from onboard.flight import directories, harvest, manifest, workers
 from onboard.flight.rings import SECONDS_KEPT
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble
@@ -34,7 +34,7 @@ from onboard.ring import RingReader, RingWriter
 
 PUSH_S = 0.010
 RATES_HZ = {"imu_0": 1000, "imu_1": 1000, **{f"joint_{n}": 500 for n in range(1, 6)}, "load_cell": 500}
-STORAGE = manifest.Storage(200_000_000, 5_000_000_000, 64 << 20, 0, 1 << 20)  # segments of 5 s, to change them often
+STORAGE = manifest.Storage(200_000_000, 5_000_000_000, 64 << 20, 1 << 20)  # segments of 5 s, to change them often
 
 
 class Campaign(NamedTuple):
@@ -73,7 +73,7 @@ def rows_of(channel: str, first: int, count: int) -> Rows:
 
 def acquire(directory: Path) -> None:
     """Push rows on the clock until killed."""
-    with manifest.belong(directory):
+    with directories.belong(directory):
         rings = {
             name: RingWriter(directory / f"{name}.ring", rows_of(name, 0, 0).dtype, _capacity(name))
             for name in RATES_HZ
@@ -99,7 +99,7 @@ class _Killable:
 
     def start(self) -> None:
         self._pipe, end = self._context.Pipe()
-        self._process = self._context.Process(target=workers.record, args=(self._directory, end))
+        self._process = self._context.Process(target=workers.record, args=(self._directory, 0, end))
         self._process.start()
         end.close()
 
@@ -122,7 +122,8 @@ def campaign(folder: Path, kills: int, seed: int, longest_s: float = 0.8) -> Cam
     """
     rng = np.random.default_rng(seed)
     log = folder / "flight.mcap"
-    directory = manifest.directory_for(log, f"{seed:08d}{time.monotonic_ns():x}")
+    with manifest.new_flight(log, f"{seed:08d}{time.monotonic_ns():x}") as directory:
+        pass
     manifest.Manifest(directory, log, "dymaflex", STORAGE, Preamble(f"kill-{seed}")).save()
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["onboard.flight.workers", "onboard.flight.flight_log"])

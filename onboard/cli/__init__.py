@@ -45,6 +45,7 @@ def _sentence(error: OSError | ValueError) -> str:
             FileExistsError: "it is never written over; name another file",
             PermissionError: "ask for the right to it, or name another",
             IsADirectoryError: "name a file",
+            NotADirectoryError: "a file of that name is in the way; name another directory",
         }.get(type(error), "")
         return f"{error.filename}: {error.strerror.lower()}" + (f"; {remedy}" if remedy else "")
     return str(error)

@@ -36,8 +36,12 @@ def progress(*, to_stderr: bool = False) -> "Progress":
 
 
 def next_log(directory: str, name: str) -> Path:
-    """The first free ``NAME-NNN.mcap``."""
-    return next(path for n in range(1, 100_000) if not (path := Path(directory) / f"{name}-{n:03d}.mcap").exists())
+    """The first ``NAME-NNN.mcap`` that is not there, and that no flight whose rings wait for their log has."""
+    from onboard.flight import manifest
+
+    taken = {flight.log for flight in manifest.waiting()}
+    paths = (Path(directory) / f"{name}-{n:03d}.mcap" for n in range(1, 100_000))
+    return next(path for path in paths if not path.exists() and path.absolute() not in taken)
 
 
 def load_vehicle(name: str) -> "config.Vehicle":

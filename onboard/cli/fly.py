@@ -36,6 +36,7 @@ def add(commands: Commands) -> None:
 def _fly(arguments: argparse.Namespace) -> int:
     from onboard import config
     from onboard.flight import runner
+    from onboard.flight.runner_processes import FlightError
     from onboard.offline.estimate_again import warm_start
     from onboard.recording.reader import LogReader
 
@@ -48,7 +49,7 @@ def _fly(arguments: argparse.Namespace) -> int:
     try:
         with serve_live(arguments.live, log):
             flight = runner.fly(vehicle, log, duration_s=arguments.duration)
-    except runner.FlightError as error:
+    except FlightError as error:
         complain(error)
         return FAILED
     print(flight.log)

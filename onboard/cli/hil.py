@@ -32,7 +32,8 @@ def add(commands: Commands) -> None:
 def _hil(arguments: argparse.Namespace) -> int:
     from hil_sim.mission import open_in_process
     from onboard import config
-    from onboard.flight import hil, runner
+    from onboard.flight import hil
+    from onboard.flight.runner_processes import FlightError
     from onboard.offline.tables import truth
     from onboard.offline.views import mission_table
 
@@ -49,7 +50,7 @@ def _hil(arguments: argparse.Namespace) -> int:
             try:
                 with serve_live(arguments.live, log):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))
-            except runner.FlightError as error:
+            except FlightError as error:
                 complain(error)
                 return FAILED
         else:

@@ -55,7 +55,7 @@ class Recording(Section):
     sync_period_ms: Positive = 200
     segment_s: Positive = 60
     segment_mib: Positive = 64
-    min_free_mib: NotNegative = 256
+    min_free_mib: NotNegative = 0
     reserve_mib: NotNegative = 16
 
 

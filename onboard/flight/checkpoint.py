@@ -1,17 +1,18 @@
 """The state of a running estimator, kept beside the rings so that it outlives its process.
 
-It is pickled into a file that only this user can write. What an estimator does in a step follows from the rows that
-the step's TICK record names; so a state and the ticks after it give back the estimator as it was when its process died.
+It is data (:mod:`onboard.flight.state`) in a file that only this user can write. What an estimator does in a step
+follows from the rows that the step's TICK record names; so a state and the ticks after it give back the estimator as it
+was when its process died.
 """
 
-import contextlib
-import pickle
 from pathlib import Path
 from typing import NamedTuple
 
+from onboard.flight.directories import write_private
 from onboard.flight.estimator import Estimator
+from onboard.flight.state import Places, StateError, from_bytes, to_bytes
 
-_NAME, _UNDERWAY = "estimator.checkpoint", "estimator.redoing"
+_NAME, _UNDERWAY = "estimator.checkpoint.npz", "estimator.redoing"
 
 
 class Checkpoint(NamedTuple):
@@ -28,29 +29,38 @@ class Checkpoints:
 
     Args:
         directory: of the flight's rings.
+        new: an estimator of the same vehicle that has not made a step: the model in it is not written.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, new: Estimator) -> None:
         self._path, self._underway = directory / _NAME, directory / _UNDERWAY
+        self._places = Places(new)
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Put ``checkpoint`` in place of the one before.
 
         Raises:
             OSError: shared memory is full.
+            StateError: a part of the estimator is not data.
         """
         unfinished = self._path.with_suffix(".new")
-        unfinished.write_bytes(pickle.dumps(checkpoint, pickle.HIGHEST_PROTOCOL))
+        write_private(unfinished, to_bytes(tuple(checkpoint), self._places))
         unfinished.rename(self._path)
         self._underway.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
-        """The newest; None when there is none, or when to go on from it has been tried and did not get anywhere."""
-        if self._underway.exists():
+        """The newest; None when there is none, or when to go on from it has been tried and did not get anywhere.
+
+        Raises:
+            StateError: it is damaged.
+        """
+        if self._underway.exists() or not self._path.exists():
             return None
-        with contextlib.suppress(FileNotFoundError):
-            checkpoint = pickle.loads(self._path.read_bytes())
-            assert isinstance(checkpoint, Checkpoint)
-            self._underway.touch()
-            return checkpoint
-        return None
+        parts = from_bytes(self._path.read_bytes(), self._places)
+        if not (isinstance(parts, tuple) and len(parts) == len(Checkpoint._fields)):
+            raise StateError(f"{self._path} holds no checkpoint")
+        checkpoint = Checkpoint(*parts)
+        if not isinstance(checkpoint.estimator, Estimator):
+            raise StateError(f"{self._path} holds no estimator")
+        write_private(self._underway, b"")
+        return checkpoint

@@ -18,6 +18,7 @@ from onboard.flight import rings
 from onboard.flight.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimator import Estimator
 from onboard.flight.publisher import Publisher
+from onboard.flight.state import StateError
 from onboard.ring import RingReader, RingWriter
 
 SUFFIX = "_estimation"
@@ -118,8 +119,8 @@ class DurableEstimation:
     """
 
     def __init__(self, vehicle: config.Vehicle, directory: Path, now_ns: int) -> None:
-        self._checkpoints = Checkpoints(directory)
         estimator = Estimator(vehicle)
+        self._directory, self._checkpoints = directory, Checkpoints(directory, estimator)
         self._rings = create_rings(directory, estimator)
         self._publisher = Publisher(self._rings, SUFFIX)
         self._inputs = rings.readers(directory, estimator.inputs)
@@ -144,13 +145,17 @@ class DurableEstimation:
         positions = {name: reader.position for name, reader in self._inputs.items()}
         try:
             self._checkpoints.save(Checkpoint(self._worker.ticks, events, positions, self._worker.estimator))
-        except OSError as error:
+        except (OSError, StateError) as error:
             text = f"no checkpoint of the estimator: {error}"
             self._publisher.publish([event(now_ns, Severity.WARNING, "no_checkpoint", "estimation", text)])
 
     def _take_over(self, vehicle: config.Vehicle, ticks: Rows, now_ns: int) -> EstimationWorker:
         done = int(ticks["sequence"][-1]) + 1
-        checkpoint = self._checkpoints.load()
+        checkpoint, why = None, "could not be brought back"
+        try:
+            checkpoint = self._checkpoints.load()
+        except StateError as error:
+            why = f"its checkpoint cannot be used ({error})"
         brought_back = checkpoint is not None and self._redo(checkpoint, ticks)
         for column, (name, reader) in enumerate(self._inputs.items()):
             consumed = ticks[ticks["consumed"][:, column] > 0]
@@ -161,8 +166,9 @@ class DurableEstimation:
         if checkpoint is not None and brought_back:
             return EstimationWorker(checkpoint.estimator, self._inputs, self._publisher, done)
         estimator = Estimator(vehicle)
+        self._checkpoints = Checkpoints(self._directory, estimator)
         estimator.go_on_from({name: self._rings[name].published for name in estimator.outputs})
-        text = "the estimator died and could not be brought back: it begins anew"
+        text = f"the estimator died and {why}: it begins anew"
         self._publisher.publish([event(now_ns, Severity.ERROR, "estimator_anew", "estimation", text)])
         return EstimationWorker(estimator, self._inputs, self._publisher, done, fresh=True)
 

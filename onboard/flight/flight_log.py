@@ -19,7 +19,7 @@ from onboard.ring import RingReader
 VEHICLE_ATTACHMENT = "vehicle.toml"
 DISTRIBUTIONS = ("heft-flight", "numpy", "scipy", "pin", "mcap", "smbus2", "python-can", "pyserial", "gpiod")
 STEP_NS = 50_000_000  # between two steps of the recorder, at most
-_MIB = 1 << 20
+MIB = 1 << 20
 
 
 class Started(NamedTuple):
@@ -54,9 +54,8 @@ def storage(recording: config.Recording) -> Storage:
     return Storage(
         sync_period_ns=round(recording.sync_period_ms * 1e6),
         segment_span_ns=round(recording.segment_s * 1e9),
-        segment_bytes=round(recording.segment_mib * _MIB),
-        min_free_bytes=round(recording.min_free_mib * _MIB),
-        reserve_bytes=round(recording.reserve_mib * _MIB),
+        segment_bytes=round(recording.segment_mib * MIB),
+        reserve_bytes=round(recording.reserve_mib * MIB),
     )
 
 
@@ -65,8 +64,12 @@ def step_ns(storage: Storage) -> int:
     return min(STEP_NS, storage.sync_period_ns // 2)
 
 
-def open_recorder(manifest: Manifest) -> Recorder:
+def open_recorder(manifest: Manifest, min_free_bytes: int = 0) -> Recorder:
     """A recorder of every ring of a flight, that goes on where the one before it died, if there was one.
+
+    Args:
+        manifest: of the flight.
+        min_free_bytes: segments of earlier flights make way while less is free; 0 removes nothing.
 
     Raises:
         OSError: the log cannot be read, or no segment created.
@@ -82,7 +85,7 @@ def open_recorder(manifest: Manifest) -> Recorder:
         manifest.log.parent,
         manifest.log,
         manifest.preamble.flight,
-        min_free=kept.min_free_bytes,
+        min_free=min_free_bytes,
         reserve=kept.reserve_bytes,
     )
     return Recorder(writer, ring_readers(manifest.directory), recorded=writer.recorded, space=space)

@@ -7,6 +7,7 @@ from drivers.records import Severity
 from onboard.flight import manifest
 from onboard.flight.flight_log import open_recorder
 from onboard.recording.errors import RecordingError
+from onboard.recording.recorder import Recorder
 from onboard.ring import RingError
 
 
@@ -19,7 +20,13 @@ class Harvest(NamedTuple):
 
 
 def harvest(now_ns: int) -> list[Harvest]:
-    """Bring in what abandoned flights of this user left; one that cannot be is left for the next time."""
+    """Bring in what abandoned flights of this user left; one that cannot be is left for the next time.
+
+    No earlier flight is removed to make room for it.
+
+    Raises:
+        NotPrivateError: others could have put it there.
+    """
     with manifest.abandoned() as directories:
         return [_one(directory, now_ns) for directory in directories]
 
@@ -29,20 +36,24 @@ def _one(directory: Path, now_ns: int) -> Harvest:
     try:
         flight = manifest.Manifest.load(directory)
         log = flight.log
-        rows = _bring_in(flight, now_ns)
+        try:
+            recorder = open_recorder(flight)
+        except FileExistsError:  # another flight's: two that died before their first row was recorded had one name
+            log = log.with_name(f"{log.stem}-{flight.preamble.flight[:8]}{log.suffix}")
+            recorder = open_recorder(flight._replace(log=log))
+        rows = _bring_in(recorder, log, now_ns)
     except (OSError, manifest.ManifestError, RecordingError, RingError) as error:
         return Harvest(log, 0, f"{error}; {directory} keeps what is not in the log")
     flight.remove()
     return Harvest(log, rows)
 
 
-def _bring_in(flight: manifest.Manifest, now_ns: int) -> int:
-    recorder = open_recorder(flight)
+def _bring_in(recorder: Recorder, log: Path, now_ns: int) -> int:
     rows = recorder.step(now_ns).rows
     text = f"all processes of the flight were dead; {rows} rows that its rings held were brought in by the next start"
     recorder.say(now_ns, Severity.WARNING, "harvested", text)
     end = recorder.close(now_ns)
     if end.failing:
         recorder.abandon()
-        raise OSError(f"the disk refuses the end of {flight.log}")
+        raise OSError(f"the disk refuses the end of {log}")
     return rows + end.rows

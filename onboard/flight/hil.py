@@ -4,10 +4,8 @@ It knows the simulator by a protocol and by bus URLs, and imports none of it.
 """
 
 import json
-import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,10 +15,12 @@ from onboard import config
 from onboard.flight import rings, runner, simulated
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.devices import open_devices
+from onboard.flight.directories import scratch
 from onboard.flight.estimation import EstimationWorker, create_rings
 from onboard.flight.estimator import Estimator
 from onboard.flight.flight_log import open_simulated_recorder
 from onboard.flight.publisher import Publisher
+from onboard.flight.runner_processes import FlightError
 
 Progress = Callable[[float], None]
 
@@ -71,10 +71,9 @@ def fly_simulated(
         FileExistsError: the log exists.
     """
     flying = vehicle.with_urls(dict(urls))
-    directory = rings.new_directory()
     clock = simulated.VirtualClock(world.start_ns)
     with ExitStack() as stack:
-        stack.callback(shutil.rmtree, directory)
+        directory = stack.enter_context(scratch())
         estimator = Estimator(flying)
         devices = rings.create(directory, flying, rings.device_channels(flying))
         answers = create_rings(directory, estimator)
@@ -113,16 +112,16 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
         ConfigError: the vehicle cannot be used.
     """
     with (
-        tempfile.TemporaryDirectory(prefix="heft-hil-") as directory,
+        scratch() as directory,
         subprocess.Popen(
-            [sys.executable, *serve, "--directory", directory], stdout=subprocess.PIPE, text=True
+            [sys.executable, *serve, "--directory", str(directory)], stdout=subprocess.PIPE, text=True
         ) as devices,
     ):
         assert devices.stdout is not None
         try:
             ready = devices.stdout.readline()
             if not ready:
-                raise runner.FlightError("the simulated devices did not start; their message stands above")
+                raise FlightError("the simulated devices did not start; their message stands above")
             start = json.loads(ready)
             urls = {name: str(url) for name, url in start.items() if name in vehicle.file.bus}
             duration_s = float(start.get("duration_s", 60.0))
@@ -131,5 +130,5 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
         finally:
             devices.terminate()
     if flight.died:
-        raise runner.FlightError(f"died in flight: {', '.join(flight.died)}; the log holds what they said")
+        raise FlightError(f"died in flight: {', '.join(flight.died)}; the log holds what they said")
     return Flown(log, end["produced"], end["truth"])

@@ -1,24 +1,22 @@
-"""Where a flight's rings lie, and whose they are: what a later start needs to bring what they hold into the log.
+"""What a flight's directory holds beside the rings: what a later start needs to bring them into the log.
 
-A flight's directory is ``/dev/shm/heft-<uid>/<log>-<flight>/``, or in ``$HEFT_RINGS``. Each process of it holds a
-shared lock on the file ``lock`` in it, which the kernel takes back however the process ends: a directory whose lock is
-free belongs to a flight that is over, or dead.
+A manifest says where rows go and what the head of the log says. It removes nothing: which files may make way for a
+flight is said by that flight's own vehicle file.
 """
 
 import contextlib
-import fcntl
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+from onboard.flight import directories
+from onboard.flight.directories import is_free, write_private
 from onboard.recording.mcap_format import Attachment
 from onboard.recording.segmented import Preamble
 
-_MANIFEST, _LOCK, _ATTACHED = "manifest.json", "lock", "attached"
+_MANIFEST, _ATTACHED = "manifest.json", "attached"
 
 
 class ManifestError(ValueError):
@@ -31,7 +29,6 @@ class Storage(NamedTuple):
     sync_period_ns: int
     segment_span_ns: int
     segment_bytes: int
-    min_free_bytes: int
     reserve_bytes: int
 
 
@@ -51,9 +48,9 @@ class Manifest(NamedTuple):
             OSError: there is no room.
         """
         attached = self.directory / _ATTACHED
-        attached.mkdir()
+        attached.mkdir(mode=0o700)
         for number, attachment in enumerate(self.preamble.attachments):
-            (attached / str(number)).write_bytes(attachment.data)
+            write_private(attached / str(number), attachment.data)
         content = {
             "log": str(self.log),
             "vehicle": self.vehicle,
@@ -63,7 +60,7 @@ class Manifest(NamedTuple):
             "attachments": [[a.name, a.media_type, a.log_time_ns] for a in self.preamble.attachments],
         }
         unfinished = self.directory / f"{_MANIFEST}.new"
-        unfinished.write_text(json.dumps(content), encoding="utf-8")
+        write_private(unfinished, json.dumps(content).encode())
         unfinished.rename(self.directory / _MANIFEST)
 
     @classmethod
@@ -91,69 +88,37 @@ class Manifest(NamedTuple):
         shutil.rmtree(self.directory)
 
 
-def root() -> Path:
-    """Where this user's flights have their directories: ``$HEFT_RINGS``, or in shared memory where there is any."""
-    if chosen := os.environ.get("HEFT_RINGS"):
-        return Path(chosen)
-    memory = Path("/dev/shm")
-    return (memory if os.access(memory, os.W_OK) else Path(tempfile.gettempdir())) / f"heft-{os.getuid()}"
-
-
-def directory_for(log: Path, flight: str) -> Path:
-    """A new directory for the flight of id ``flight`` that is recorded to ``log``.
+@contextlib.contextmanager
+def new_flight(log: Path, flight: str) -> Iterator[Path]:
+    """A new directory for the flight of id ``flight`` that is recorded to ``log``, which this process belongs to.
 
     Raises:
         OSError: it cannot be made.
     """
-    root().mkdir(mode=0o700, parents=True, exist_ok=True)
-    directory = root() / f"{log.stem}-{flight[:8]}"
-    directory.mkdir(mode=0o700)
-    return directory
-
-
-@contextlib.contextmanager
-def belong(directory: Path) -> Iterator[None]:
-    """Be a process of the flight that has ``directory``."""
-    descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH)
-        yield
-    finally:
-        os.close(descriptor)
+    with directories.made(log.stem, flight[:8]) as directory:
+        yield directory
 
 
 def running() -> list[Manifest]:
     """Flights of this user that have a process."""
-    return [Manifest.load(directory) for directory in _directories() if not _is_free(directory)]
+    return [Manifest.load(directory) for directory in directories.with_file(_MANIFEST) if not is_free(directory)]
+
+
+def waiting() -> list[Manifest]:
+    """Flights of this user, running or dead, whose rings are there and whose manifest can be read."""
+    found = []
+    for directory in directories.with_file(_MANIFEST):
+        with contextlib.suppress(ManifestError, OSError):
+            found.append(Manifest.load(directory))
+    return found
 
 
 @contextlib.contextmanager
 def abandoned() -> Iterator[list[Path]]:
-    """Directories of this user's flights that have no process any more; nobody else is given them meanwhile."""
-    with contextlib.ExitStack() as stack:
-        found = []
-        for directory in _directories():
-            descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            stack.callback(os.close, descriptor)
-            with contextlib.suppress(BlockingIOError):
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                found.append(directory)
+    """Directories of this user's flights that have no process any more; nobody else is given them meanwhile.
+
+    What a start that was cut off before its manifest left is removed.
+    """
+    directories.sweep(_MANIFEST)
+    with directories.free(directories.with_file(_MANIFEST)) as found:
         yield found
-
-
-def _is_free(directory: Path) -> bool:
-    try:
-        descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return True
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    finally:
-        os.close(descriptor)
-    return True
-
-
-def _directories() -> list[Path]:
-    return sorted(path.parent for path in root().glob(f"*/{_MANIFEST}"))

@@ -1,7 +1,5 @@
 """Which rings a flight has: their records, their sizes, where they lie."""
 
-import os
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -44,7 +42,7 @@ def create(
         channels: records by channel.
         rates_hz: how often channels of no device come, where :data:`OTHERS_HZ` is not right.
     """
-    directory.mkdir(parents=True, exist_ok=True)
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     told = {channel: max(FEWEST_ROWS, int(SECONDS_KEPT * rate)) for channel, rate in (rates_hz or {}).items()}
     rows = told | capacities(vehicle)
     others = int(SECONDS_KEPT * OTHERS_HZ)
@@ -56,9 +54,3 @@ def create(
 def readers(directory: Path, channels: Iterable[str]) -> dict[str, RingReader]:
     """Open reading ends of ``channels`` from their first row."""
     return {name: RingReader(directory / f"{name}.ring") for name in channels}
-
-
-def new_directory() -> Path:
-    """A fresh directory for the rings of one flight, in shared memory where there is any."""
-    memory = Path("/dev/shm")
-    return Path(tempfile.mkdtemp(prefix="heft-", dir=memory if os.access(memory, os.W_OK) else None))

@@ -4,14 +4,13 @@ A worker that dies is started again: at once the first time, later and later whi
 comes meanwhile. Before a flight, the rings of flights that died as a whole are harvested.
 """
 
-import contextlib
+import errno
 import math
-import multiprocessing
+import os
 import signal
 import time
 import uuid
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
@@ -21,23 +20,14 @@ from onboard import config
 from onboard.flight import manifest, rings, workers
 from onboard.flight.estimation import create_rings
 from onboard.flight.estimator import Estimator
-from onboard.flight.flight_log import Started, preamble, storage
+from onboard.flight.flight_log import MIB, Started, preamble, storage
 from onboard.flight.harvest import Harvest, harvest
 from onboard.flight.publisher import Publisher
+from onboard.flight.runner_processes import HUNG_S, WATCH_PERIOD_S, Worker
 from onboard.recording.segments import segment_path
 from onboard.ring import RingReader
 
-START_TIMEOUT_S = 60.0
-STOP_TIMEOUT_S = 30.0
-WATCH_PERIOD_S = 0.05
-HUNG_S = 7.0  # without a beat of a worker's; the rings hold 10 s
 _LAST_WORDS_S = 0.25  # from the phase that ends the flight to its end: an answer may be on its way
-_LONGEST_PAUSE_S = 5.0  # before a worker that keeps dying is started again
-_STABLE_S = 30.0  # a worker that lived so long starts with a clean slate
-
-
-class FlightError(RuntimeError):
-    """The flight could not be started, or a worker of it died."""
 
 
 class Flight(NamedTuple):
@@ -49,96 +39,6 @@ class Flight(NamedTuple):
     harvested: tuple[Harvest, ...] = ()  # earlier flights that had died
 
 
-class _Worker:
-    """A process that is started again when it dies, with a pipe of its own each time."""
-
-    def __init__(self, name: str, body: Callable[..., None], *arguments: object) -> None:
-        self.name, self.died = name, False
-        self._body, self._arguments = body, arguments
-        self._context = multiprocessing.get_context("spawn")
-        self._process: multiprocessing.process.BaseProcess | None = None
-        self._pipe: Connection | None = None
-        self._started_s = self._due_s = self._silent_until_s = 0.0
-        self._pause_s = 0.0
-
-    @property
-    def pid(self) -> int | None:
-        return self._process.pid if self._process is not None else None
-
-    @property
-    def exit_code(self) -> int | None:
-        return self._process.exitcode if self._process is not None else None
-
-    @property
-    def is_dead(self) -> bool:
-        return self._process is not None and not self._process.is_alive()
-
-    def start(self) -> None:
-        if self._pipe is not None:
-            self._pipe.close()
-        self._pipe, end = self._context.Pipe()
-        self._process = self._context.Process(target=self._body, args=(*self._arguments, end), name=f"heft-{self.name}")
-        self._process.start()
-        end.close()
-        self._started_s = time.monotonic()
-        self._silent_until_s = self._started_s + START_TIMEOUT_S
-        self.died = False
-
-    def wait_ready(self) -> None:
-        assert self._pipe is not None
-        deadline = time.monotonic() + START_TIMEOUT_S
-        while not self._pipe.poll(WATCH_PERIOD_S):
-            if self.is_dead or time.monotonic() > deadline:
-                raise FlightError(f"the {self.name} worker did not start; its message stands above")
-        try:
-            self._pipe.recv()
-        except EOFError as error:
-            raise FlightError(f"the {self.name} worker did not start; its message stands above") from error
-        self._silent_until_s = time.monotonic() + HUNG_S
-
-    def watch(self) -> str:
-        """Kill it if it hangs, start it again if it is dead and due; what there is to say of that."""
-        now_s = time.monotonic()
-        if not self.is_dead:
-            return self._listen(now_s)
-        if not self.died:
-            self.died = True
-            if now_s - self._started_s > _STABLE_S:
-                self._pause_s = 0.0
-            self._due_s = now_s + self._pause_s
-            self._pause_s = min(_LONGEST_PAUSE_S, max(0.25, 2 * self._pause_s))
-            return "died"
-        if now_s < self._due_s:
-            return ""
-        self.start()
-        return "restarted"
-
-    def _listen(self, now_s: float) -> str:
-        assert self._pipe is not None
-        assert self._process is not None
-        with contextlib.suppress(EOFError, OSError):  # it is just dying
-            while self._pipe.poll():
-                self._pipe.recv()
-                self._silent_until_s = now_s + HUNG_S
-        if now_s < self._silent_until_s:
-            return ""
-        self._silent_until_s = now_s + HUNG_S
-        self._process.kill()
-        return "hung"
-
-    def finish(self) -> None:
-        if self._process is None or self._pipe is None:
-            return
-        with contextlib.suppress(OSError):  # it is dead, and joined below
-            self._pipe.send(True)
-        self._process.join(STOP_TIMEOUT_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        self._pipe.close()
-        self.died |= self._process.exitcode != 0
-
-
 def fly(
     vehicle: config.Vehicle,
     log: Path,
@@ -148,16 +48,19 @@ def fly(
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, SIGINT or SIGTERM; then stop in order, losing nothing.
 
+    A flight that is refused leaves nothing behind.
+
     Raises:
         FlightError: a worker did not start.
+        ConfigError: the vehicle cannot be estimated.
         FileExistsError: there is such a log already.
+        OSError: the log's directory or the rings cannot be made.
     """
+    estimator = Estimator(vehicle)
     harvested = harvest(time.monotonic_ns())
-    if log.exists() or segment_path(log, 0).exists():
-        raise FileExistsError(f"{log} is there already; give another name")
+    _require_place(log)
     flight, started = uuid.uuid4().hex, Started(time.time_ns(), time.monotonic_ns())
-    directory = manifest.directory_for(log, flight)
-    with manifest.belong(directory):
+    with manifest.new_flight(log, flight) as directory:
         about = manifest.Manifest(
             directory,
             log.absolute(),
@@ -165,29 +68,50 @@ def fly(
             storage(vehicle.file.recording),
             preamble(vehicle, flight, started),
         )
-        about.save()
-        died, restarted = _fly(vehicle, directory, harvested, duration_s, progress)
-        if not died:
-            about.remove()
+        crew = _Crew(vehicle, directory)
+        try:
+            about.save()
+            create_rings(directory, estimator)
+            died, restarted = _fly(vehicle, directory, crew, harvested, duration_s, progress)
+        finally:
+            if crew.recording.exit_code == 0 or not segment_path(log, 0).exists():
+                about.remove()
     return Flight(log, died, restarted, tuple(harvested))
+
+
+def _require_place(log: Path) -> None:
+    """Make the directory of ``log``, and raise OSError unless a new log can be written there."""
+    if log.exists() or segment_path(log, 0).exists() or log.absolute() in {one.log for one in manifest.waiting()}:
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(log))
+    log.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(log.parent, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(log.parent))
+
+
+class _Crew:
+    """The workers of a flight."""
+
+    def __init__(self, vehicle: config.Vehicle, directory: Path) -> None:
+        min_free = round(vehicle.file.recording.min_free_mib * MIB)
+        self.acquisition = Worker("acquisition", workers.acquire, vehicle, directory)
+        self.estimation = Worker("estimation", workers.estimate, vehicle, directory)
+        self.recording = Worker("recording", workers.record, directory, min_free)
+        self.everyone = (self.recording, self.estimation, self.acquisition)
 
 
 def _fly(
     vehicle: config.Vehicle,
     directory: Path,
+    crew: _Crew,
     harvested: list[Harvest],
     duration_s: float | None,
     progress: Callable[[float], None],
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Fly with rings in ``directory``; returns the workers that are dead at the end, and those that were restarted."""
-    create_rings(directory, Estimator(vehicle))
     channels = {**rings.device_channels(vehicle), "event_supervisor": EVENT}
     supervisor = Publisher(rings.create(directory, vehicle, channels), "_supervisor")
-    acquisition = _Worker("acquisition", workers.acquire, vehicle, directory)
-    estimation = _Worker("estimation", workers.estimate, vehicle, directory)
-    recording = _Worker("recording", workers.record, directory)
+    everyone = crew.everyone
     asked_to_stop = _StopSignals()
-    everyone = [recording, estimation, acquisition]
     restarted: list[str] = []
 
     def tell(severity: Severity, code: str, source: str, text: str) -> None:
@@ -221,7 +145,7 @@ def _fly(
             time.sleep(WATCH_PERIOD_S)
     finally:
         for worker in reversed(everyone):
-            if worker is recording and worker.is_dead:
+            if worker is crew.recording and worker.is_dead:
                 worker.start()  # to end the log
             worker.finish()
         asked_to_stop.restore()

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from drivers.records import Batch, Severity, event
 from onboard import config
-from onboard.flight import manifest, rings
+from onboard.flight import directories, manifest, rings
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.publisher import Publisher
 
@@ -75,7 +75,7 @@ class Supervised:
 def acquire(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None:
     """Body of the acquisition process."""
     supervised = Supervised(pipe, "acquire")
-    with manifest.belong(directory):
+    with directories.belong(directory):
         _acquire(vehicle, directory, supervised)
 
 
@@ -161,7 +161,7 @@ def estimate(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None
     from onboard.flight.estimation import DurableEstimation
 
     supervised = Supervised(pipe, "estimate")
-    with manifest.belong(directory):
+    with directories.belong(directory):
         worker = DurableEstimation(vehicle, directory, time.monotonic_ns())
         supervised.ready()
         period_ns = int(vehicle.file.estimation.step_ms * 1e6)
@@ -173,14 +173,14 @@ def estimate(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None
         worker.finish(time.monotonic_ns())
 
 
-def record(directory: Path, pipe: Connection) -> None:
-    """Body of the recording process."""
+def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
+    """Body of the recording process; earlier flights' segments make way while less than ``min_free_bytes`` is free."""
     from onboard.flight.flight_log import open_recorder, step_ns
 
     supervised = Supervised(pipe, "record")
-    with manifest.belong(directory):
+    with directories.belong(directory):
         flight = manifest.Manifest.load(directory)
-        recorder = open_recorder(flight)
+        recorder = open_recorder(flight, min_free_bytes)
         recorder.step(time.monotonic_ns())
         supervised.ready()
         period_ns = step_ns(flight.storage)

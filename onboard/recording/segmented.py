@@ -6,6 +6,8 @@ over a log of any length has one segment to read.
 """
 
 import contextlib
+import errno
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -18,7 +20,7 @@ from onboard.recording.mcap_format import Attachment
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Scan
 from onboard.recording.seal import seal
-from onboard.recording.segments import METADATA, number_of, segment_path, segments
+from onboard.recording.segments import METADATA, number_of, read_head, segment_path, segments
 from onboard.recording.sink import FileSink, Sink, sync_directory
 from onboard.recording.writer import HEADER_BYTES, SYNC_INTERVAL_NS, LogWriter
 
@@ -107,9 +109,12 @@ class SegmentedLog:
         """Go on with a log whose writer died; with none there it is a new one. Segments that were left open are ended.
 
         Raises:
+            FileExistsError: the log is another flight's.
             OSError: a segment cannot be read, or the next not created.
         """
         found = list(segments(log)) if segment_path(log, 0).exists() or log.is_dir() else []
+        if found and (flight := read_head(found[0]).flight) and flight != preamble.flight:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(found[0]))
         for path in found[-_UNSEALED_AT_MOST:]:
             if Scan(path).truncated:
                 if path == found[0] or _has_messages(path):

@@ -5,6 +5,7 @@
 which flight it belongs to, so that a neighbour of a like name is never taken for a part.
 """
 
+import glob
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -92,7 +93,7 @@ def segments(log: Path) -> tuple[Path, ...]:
         if not found:
             raise LogFormatError(f"{log} is not the directory of one flight; name a flight or a log in it")
         return tuple(sorted(found, key=number_of))
-    further = [path for path in log.parent.glob(f"{log.stem}_*{SUFFIX}") if _continues(path, log)]
+    further = [path for path in log.parent.glob(f"{glob.escape(log.stem)}_*{SUFFIX}") if _continues(path, log)]
     if further:
         flight = read_head(log).flight
         further = [path for path in further if flight and _flight_or_none(path) == flight]

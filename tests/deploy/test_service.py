@@ -3,7 +3,7 @@
 import configparser
 from pathlib import Path
 
-from onboard.flight import runner, workers
+from onboard.flight import runner_processes, workers
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 
@@ -29,7 +29,7 @@ def test_its_limits_grant_what_acquisition_asks_for() -> None:
 def test_it_waits_until_three_workers_have_stopped() -> None:
     service = unit("heft.service")["Service"]
     assert service["KillMode"] == "mixed"  # SIGTERM to the supervisor only, which stops the workers in order
-    assert float(service["TimeoutStopSec"]) > 3 * runner.STOP_TIMEOUT_S
+    assert float(service["TimeoutStopSec"]) > 3 * runner_processes.STOP_TIMEOUT_S
 
 
 def test_it_never_gives_up_and_stays_down_after_a_flight() -> None:

@@ -1,6 +1,7 @@
 """What a real flight's log says in every segment, where its rings lie, and what becomes of them."""
 
 import errno
+import json
 import os
 from pathlib import Path
 
@@ -9,13 +10,16 @@ import pytest
 
 from drivers import records
 from drivers.records import event
-from onboard import config
-from onboard.flight import manifest, rings
+from onboard import cli, config
+from onboard.cli.common import next_log
+from onboard.flight import checkpoint, directories, manifest, rings, runner
 from onboard.flight.estimation import DurableEstimation, answer_rates_hz, create_rings
 from onboard.flight.estimator import Estimator
 from onboard.flight.flight_log import Started, open_recorder, preamble, step_ns, storage
 from onboard.flight.harvest import harvest
+from onboard.flight.runner_processes import FlightError
 from onboard.recording.reader import LogReader
+from onboard.recording.segmented import Preamble, SegmentedLog
 from onboard.recording.segments import segments
 from onboard.ring import RingReader, RingWriter
 from tests.flight.missions import Result
@@ -33,10 +37,11 @@ def vehicle() -> config.Vehicle:
     return config.load(config.packaged("rocksat"))
 
 
-def begin(vehicle: config.Vehicle, log: Path, **kept: int) -> manifest.Manifest:
-    directory = manifest.directory_for(log, "0123456789abcdef")
-    settings = storage(vehicle.file.recording)._replace(min_free_bytes=0, reserve_bytes=1000, **kept)
-    about = manifest.Manifest(directory, log, "rocksat", settings, preamble(vehicle, "0123456789abcdef", STARTED))
+def begin(vehicle: config.Vehicle, log: Path, flight: str = "0123456789abcdef", **kept: int) -> manifest.Manifest:
+    with manifest.new_flight(log, flight) as directory:
+        pass
+    settings = storage(vehicle.file.recording)._replace(reserve_bytes=1000, **kept)
+    about = manifest.Manifest(directory, log, "rocksat", settings, preamble(vehicle, flight, STARTED))
     about.save()
     return about
 
@@ -79,7 +84,7 @@ def test_the_vehicle_file_says_how_often_it_is_synced(
     (tmp_path / "rocksat.urdf").write_bytes(vehicle.urdf_path.read_bytes())
     (tmp_path / "vehicle.toml").write_text(text, encoding="utf-8")
     kept = storage(config.load(tmp_path / "vehicle.toml").file.recording)
-    assert kept == manifest.Storage(500_000_000, 120_000_000_000, 1 << 20, 256 << 20, 0)
+    assert kept == manifest.Storage(500_000_000, 120_000_000_000, 1 << 20, 0)
     assert step_ns(kept) == 50_000_000
     assert step_ns(kept._replace(sync_period_ns=20_000_000)) == 10_000_000
     about = begin(vehicle, tmp_path / "a.mcap", sync_period_ns=500_000_000)
@@ -106,7 +111,7 @@ def test_a_flight_runs_while_a_process_belongs_to_it_and_is_abandoned_after(
     vehicle: config.Vehicle, tmp_path: Path
 ) -> None:
     about = begin(vehicle, tmp_path / "a.mcap")
-    with manifest.belong(about.directory), manifest.belong(about.directory):
+    with directories.belong(about.directory), directories.belong(about.directory):
         assert [flight.log for flight in manifest.running()] == [about.log]
         with manifest.abandoned() as found:
             assert found == []
@@ -130,6 +135,67 @@ def test_a_harvest_that_the_disk_refuses_is_made_the_next_time(vehicle: config.V
     assert harvest(3 * 10**9) == []
 
 
+def test_two_flights_that_died_with_one_name_keep_a_log_each(vehicle: config.Vehicle, tmp_path: Path) -> None:
+    flights = {flight: begin(vehicle, tmp_path / "a.mcap", flight) for flight in ("11111111aa", "22222222bb")}
+    for rows, about in enumerate(flights.values(), 3):
+        push_event(about.directory, rows)
+    done = harvest(10**9)
+    assert [(one.rows, one.problem) for one in done] == [(3, ""), (4, "")]
+    logs = [LogReader(one.log) for one in done]
+    assert [len(log.read("event")) for log in logs] == [3, 4]
+    assert [log.metadata["segment"]["flight"] for log in logs] == list(flights)
+    assert [one.log.name for one in done] == ["a.mcap", "a-22222222.mcap"]
+
+
+def test_a_name_that_a_dead_flight_still_waits_for_is_not_given_again(
+    vehicle: config.Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin(vehicle, tmp_path / "rocksat-001.mcap")
+    assert next_log(str(tmp_path), "rocksat").name == "rocksat-002.mcap"
+    monkeypatch.setattr(runner, "harvest", lambda now_ns: [])
+    with pytest.raises(FileExistsError):
+        runner.fly(vehicle, tmp_path / "rocksat-001.mcap")
+
+
+def test_a_harvest_removes_no_earlier_flight(vehicle: config.Vehicle, tmp_path: Path) -> None:
+    SegmentedLog(tmp_path / "earlier.mcap", Preamble("earlier")).close()
+    about = begin(vehicle, tmp_path / "a.mcap")
+    push_event(about.directory)
+    content = json.loads((about.directory / "manifest.json").read_text())
+    content["storage"]["min_free_bytes"] = 10**18  # as somebody would write who wants them gone
+    (about.directory / "manifest.json").write_text(json.dumps(content))
+    harvest(10**9)
+    assert (tmp_path / "earlier.mcap").exists()
+
+
+def test_a_start_that_is_refused_leaves_nothing(
+    vehicle: config.Vehicle, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    for log in (tmp_path / "file" / "a.mcap", tmp_path / "file"):
+        assert cli.main(["fly", str(vehicle.path), "--log", str(log)]) == cli.BAD_INPUT
+    assert capsys.readouterr().err.count("file exists") == 2
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "ring")
+
+    monkeypatch.setattr(runner, "create_rings", refuse)
+    assert cli.main(["fly", str(vehicle.path), "--log", str(tmp_path / "b" / "a.mcap")]) == cli.BAD_INPUT
+    assert list((tmp_path / "rings").iterdir()) == []
+    assert manifest.waiting() == []
+
+
+@pytest.mark.realtime
+def test_a_recorder_that_cannot_begin_ends_the_flight_and_leaves_nothing(
+    vehicle: config.Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(runner, "_require_place", lambda log: None)
+    with pytest.raises(FlightError, match="recording"):
+        runner.fly(vehicle, tmp_path / "file" / "a.mcap", duration_s=1)
+    assert list((tmp_path / "rings").iterdir()) == []
+
+
 def test_rings_of_another_version_do_not_keep_a_flight_on_the_ground(vehicle: config.Vehicle, tmp_path: Path) -> None:
     about = begin(vehicle, tmp_path / "a.mcap")
     (about.directory / "manifest.json").write_text('{"log": "a.mcap"}', encoding="utf-8")
@@ -144,10 +210,10 @@ def test_an_estimator_without_room_for_a_checkpoint_says_so_and_goes_on(
 ) -> None:
     rings.create(tmp_path, vehicle, rings.device_channels(vehicle))
 
-    def refuse(path: Path, data: bytes) -> int:
+    def refuse(path: Path, data: bytes) -> None:
         raise OSError(errno.ENOSPC, "no room")
 
-    monkeypatch.setattr(Path, "write_bytes", refuse)
+    monkeypatch.setattr(checkpoint, "write_private", refuse)
     worker = DurableEstimation(vehicle, tmp_path, 0)
     for step in range(100):
         worker.step(step * 50_000_000)

@@ -16,7 +16,7 @@ import pytest
 
 from drivers.records import SampleStatus
 from onboard import cli, config
-from onboard.flight import manifest
+from onboard.flight import directories, manifest
 from onboard.offline.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
@@ -105,7 +105,7 @@ def test_each_worker_killed_in_turn_is_started_again_and_the_log_replays(tmp_pat
     assert np.count_nonzero(imu["status"] & SampleStatus.AFTER_RESET) == 1
     assert not read.read("tick")["fresh"].any()
     assert cli.main(["replay", str(log)]) == cli.OK
-    assert not list(manifest.root().iterdir())
+    assert not list(directories.root().iterdir())
 
 
 @pytest.mark.timeout(180)
@@ -153,7 +153,7 @@ def test_everything_killed_at_once_is_harvested_by_the_next_start(tmp_path: Path
     assert [row["code"] for row in read.read("recorder_event")] == [b"harvested"]
     assert log.name.encode() in LogReader(following).read("event_supervisor")["source"].tolist()
     assert cli.main(["replay", str(log)]) == cli.OK
-    assert not list(manifest.root().iterdir())
+    assert not list(directories.root().iterdir())
 
 
 DARK = {"i2c_1": "", "can_0": "can+slcan:///none?bitrate=500000", "sync_line": "gpio:///dev/none?line=1"}

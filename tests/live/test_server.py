@@ -20,7 +20,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from drivers import records
-from onboard.flight import manifest
+from onboard.flight import directories, manifest
 from onboard.live import process
 from onboard.live.server import Server, parse_address
 from onboard.recording.segmented import Preamble
@@ -215,13 +215,14 @@ def test_an_address_that_is_taken_is_refused_before_the_flight(tmp_path: Path) -
 @pytest.mark.realtime
 def test_the_process_finds_its_flight_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = tmp_path / "flight.mcap"
-    directory = manifest.directory_for(log, "test-live")
-    storage = manifest.Storage(1, 1, 1, 0, 0)
+    with manifest.new_flight(log, "test-live") as directory:
+        pass
+    storage = manifest.Storage(1, 1, 1, 0)
     about = manifest.Manifest(directory, log, "rocksat", storage, Preamble("test-live", (), {}))
     writer = RingWriter(directory / "joint.ring", records.SCALAR, 10_000)
     command = [sys.executable, "-m", "onboard.live", str(log), "127.0.0.1:0"]
     try:
-        with manifest.belong(directory):
+        with directories.belong(directory):
             about.save()
             server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
             assert server.stdout is not None

@@ -23,7 +23,7 @@ from onboard.recording.segmented import Preamble
 from onboard.ring import RingWriter
 
 STEP_S = 0.05
-STORAGE = manifest.Storage(200_000_000, 10_000_000_000, 64 << 20, 0, 4 << 20)
+STORAGE = manifest.Storage(200_000_000, 10_000_000_000, 64 << 20, 4 << 20)
 
 
 class Flight:

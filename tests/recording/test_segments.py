@@ -253,6 +253,27 @@ def test_the_head_of_a_log_without_segments(tmp_path):
     assert read_head(tmp_path / "a.mcap") == ("heft", {})
 
 
+@pytest.mark.parametrize("name", ["run[1].mcap", "run[1]", "a*b?.mcap", "run_001.mcap", "{x}.mcap"])
+def test_any_name_of_a_log_works(tmp_path, name):
+    flight = Flight(tmp_path / name)
+    flight.steps(25)
+    flight.writer.abandon()
+    again = Flight(tmp_path / name)
+    assert again.writer.recorded["reading"].sequence == 24 * 40 - 1  # the last step was not synced
+    again.writer.close()
+    read = LogReader(tmp_path / name)
+    assert len(read.segments) > 2
+    assert len(read.read("reading")) == 24 * 40
+
+
+def test_another_flights_log_is_not_gone_on_with(tmp_path):
+    Flight(tmp_path / "flight.mcap").writer.close()
+    before = (tmp_path / "flight.mcap").read_bytes()
+    with pytest.raises(FileExistsError):
+        Flight(tmp_path / "flight.mcap", Preamble("f2"))
+    assert (tmp_path / "flight.mcap").read_bytes() == before
+
+
 def test_damage_names_its_file(tmp_path):
     flight = Flight(tmp_path / "a.mcap")
     flight.steps(25)

@@ -1,0 +1,181 @@
+"""Directories in shared memory: for this user alone, locked while a process that uses them lives, removed afterwards.
+
+They lie in ``/dev/shm/heft-<uid>/``, or in ``$HEFT_RINGS``. Whoever can write there can make the flight's user read and
+write what he likes, so a directory that belongs to somebody else, or that others may enter, is refused.
+
+Each process that uses one holds a shared lock on the file ``lock`` in it, which the kernel takes back however the
+process ends: a directory whose lock is free belongs to nobody any more.
+"""
+
+import contextlib
+import fcntl
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+_LOCK = "lock"
+_NAME_LENGTH = 64  # of the part of a directory's name that is taken from a log's
+
+
+class NotPrivateError(PermissionError):
+    """A directory for rings that belongs to another user, or that other users may enter."""
+
+
+def own_root() -> Path:
+    """This user's directory in shared memory, or where there is none among the temporary files."""
+    memory = Path("/dev/shm")
+    return (memory if os.access(memory, os.W_OK) else Path(tempfile.gettempdir())) / f"heft-{os.getuid()}"
+
+
+def root() -> Path:
+    """Where this user's flights have their directories: ``$HEFT_RINGS``, or :func:`own_root`."""
+    return Path(chosen) if (chosen := os.environ.get("HEFT_RINGS")) else own_root()
+
+
+def require_private(directory: Path) -> None:
+    """Raises NotPrivateError unless ``directory`` is one that this user owns and nobody else may enter; OSError."""
+    about = directory.lstat()
+    if not stat.S_ISDIR(about.st_mode):
+        raise NotPrivateError(f"{directory} is not a directory; remove it, or set HEFT_RINGS to a directory of yours")
+    if about.st_uid != os.getuid():
+        raise NotPrivateError(
+            f"{directory} belongs to user {about.st_uid}, who could read and alter the flight; "
+            "have it removed, or set HEFT_RINGS to a directory of yours"
+        )
+    if about.st_mode & 0o077:
+        raise NotPrivateError(
+            f"other users may enter {directory} (mode {stat.S_IMODE(about.st_mode):04o}); "
+            "see that nobody put anything into it, then chmod 700 it"
+        )
+
+
+@contextlib.contextmanager
+def _claimed(place: Path) -> Iterator[None]:
+    """Nobody else makes or removes directories in ``place`` meanwhile; it is made where it is missing."""
+    with contextlib.suppress(FileExistsError):
+        place.mkdir(mode=0o700, parents=True)
+    require_private(place)
+    descriptor = os.open(place, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def belong(directory: Path) -> Iterator[None]:
+    """Be a process that uses ``directory``: of the flight that has it."""
+    with contextlib.ExitStack() as stack:
+        _lock(directory, stack)
+        yield
+
+
+def _lock(directory: Path, stack: contextlib.ExitStack) -> None:
+    descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    stack.callback(os.close, descriptor)
+    fcntl.flock(descriptor, fcntl.LOCK_SH)
+
+
+@contextlib.contextmanager
+def made(name: str, suffix: str) -> Iterator[Path]:
+    """A new directory in :func:`root` that this process uses. It stays when the block ends.
+
+    Raises:
+        NotPrivateError: others could get at it.
+        OSError: it cannot be made.
+    """
+    with contextlib.ExitStack() as stack:
+        with _claimed(root()):
+            directory = root() / f"{name[:_NAME_LENGTH]}-{suffix}"
+            directory.mkdir(mode=0o700)
+            _lock(directory, stack)
+        yield directory
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """A directory in :func:`own_root` that is gone with the block, or at the latest at the next call after a kill.
+
+    Raises:
+        NotPrivateError: others could get at it.
+        OSError: it cannot be made.
+    """
+    place = own_root()
+    with contextlib.ExitStack() as stack:
+        with _claimed(place):
+            _sweep(place, ())
+            directory = Path(tempfile.mkdtemp(prefix="scratch-", dir=place))
+            _lock(directory, stack)
+        stack.callback(shutil.rmtree, directory, ignore_errors=True)
+        yield directory
+
+
+def sweep(keep: str) -> None:
+    """Remove the directories in :func:`root` that nobody uses and that have no file ``keep``."""
+    if root().exists():
+        with _claimed(root()):
+            _sweep(root(), (keep,))
+
+
+def _sweep(place: Path, keep: tuple[str, ...]) -> None:
+    prefix = "" if keep else "scratch-"
+    for directory in place.iterdir():
+        wanted = directory.name.startswith(prefix) and not any((directory / name).exists() for name in keep)
+        if wanted and directory.is_dir() and not directory.is_symlink() and is_free(directory):
+            shutil.rmtree(directory, ignore_errors=True)
+
+
+def is_free(directory: Path) -> bool:
+    """Whether no process uses ``directory``."""
+    try:
+        descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return True
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
+@contextlib.contextmanager
+def free(directories: list[Path]) -> Iterator[list[Path]]:
+    """Those of ``directories`` that no process uses; nobody else is given them meanwhile."""
+    with contextlib.ExitStack() as stack:
+        found = []
+        for directory in directories:
+            descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            stack.callback(os.close, descriptor)
+            with contextlib.suppress(BlockingIOError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                found.append(directory)
+        yield found
+
+
+def with_file(name: str) -> list[Path]:
+    """The directories in :func:`root` that have a file ``name``; none where there is no root.
+
+    Raises:
+        NotPrivateError: others could have put them there.
+    """
+    if not root().exists():
+        return []
+    require_private(root())
+    return sorted(path.parent for path in root().glob(f"*/{name}"))
+
+
+def write_private(path: Path, data: bytes) -> None:
+    """Write ``data`` to a file that only this user may read, in place of what was there.
+
+    Raises:
+        OSError: there is no room.
+    """
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    with open(descriptor, "wb") as file:
+        file.write(data)

@@ -1,0 +1,251 @@
+"""The state of an object tree of ours as data: a JSON tree and plain arrays, that no reader can be made to run.
+
+Only values are written: numbers, text, arrays, containers, and the attributes of instances of our own numerical
+classes. What a new object of the same kind has anyway and cannot be written as values (the vehicle's file, its
+Pinocchio model, types, functions) is named by its place in that new object, and taken from there. Nothing is imported,
+and no constructor, ``__setstate__`` or ``__reduce__`` is called, when a state is read.
+"""
+
+import contextlib
+import dataclasses
+import io
+import json
+import sys
+from collections import deque
+from collections.abc import Iterator
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from onboard.dynamics.vehicle import VehicleModel
+
+FORMAT = 1
+_ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "flight")
+_PACKAGES = tuple(f"onboard.{room}." for room in _ROOMS)
+_TREE = "tree"
+_PLAIN = (bool, int, float, str, type(None))
+_SEQUENCES: dict[str, type] = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
+
+
+class StateError(ValueError):
+    """A state that cannot be written as values, or data that is none of ours."""
+
+
+class Places:
+    """What of a new object is not written, and where in it that stands.
+
+    Args:
+        new: an object as its constructor made it.
+    """
+
+    def __init__(self, new: object) -> None:
+        self.at: dict[str, object] = {}
+        self._place: dict[int, str] = {}
+        self._seen: dict[int, object] = {}
+        self._walk(new, "")
+
+    def of(self, thing: object) -> str | None:
+        """The place of ``thing``; None for what is not one of the new object's."""
+        return self._place.get(id(thing))
+
+    def _walk(self, thing: object, place: str) -> None:
+        if isinstance(thing, _PLAIN) or id(thing) in self._seen:
+            return
+        self._seen[id(thing)] = thing
+        if not _is_data(thing):
+            self.at[place], self._place[id(thing)] = thing, place
+        for name, part in _parts(thing):
+            self._walk(part, f"{place}/{name}")
+
+
+def _parts(thing: object) -> Iterator[tuple[str, object]]:
+    if isinstance(thing, dict):
+        for number, (key, value) in enumerate(thing.items()):
+            yield f"{number}k", key
+            yield f"{number}v", value
+    elif isinstance(thing, list | tuple | deque):
+        yield from ((str(number), part) for number, part in enumerate(thing))
+    elif not isinstance(thing, Enum | type) and (_is_ours(type(thing)) or isinstance(thing, pydantic.BaseModel)):
+        yield from _attributes(thing).items()
+
+
+def _attributes(thing: object) -> dict[str, object]:
+    """Of an instance with a ``__dict__``, or of a data class with slots."""
+    if dataclasses.is_dataclass(thing):
+        return {field.name: getattr(thing, field.name) for field in dataclasses.fields(thing)}
+    return vars(thing)
+
+
+def _is_ours(kind: type) -> bool:
+    return kind.__module__.startswith(_PACKAGES)
+
+
+def _is_data(thing: object) -> bool:
+    """Whether ``thing`` is written by its values."""
+    kind = type(thing)
+    if isinstance(thing, Enum) or (isinstance(thing, tuple) and hasattr(thing, "_fields")):
+        return True
+    values = (np.ndarray, np.generic, bytes, list, tuple, dict, set, frozenset, deque, slice)
+    return kind in values or isinstance(thing, np.generic) or (_is_ours(kind) and kind is not VehicleModel)
+
+
+class _Writer:
+    def __init__(self, places: Places) -> None:
+        self._places, self._number = places, dict[int, int]()
+        self._kept: list[object] = []  # so that no number is given twice
+        self.arrays: list[NDArray[Any]] = []
+
+    def node(self, thing: object) -> Any:
+        if isinstance(thing, _PLAIN) and type(thing) in _PLAIN:
+            return thing
+        if (place := self._places.of(thing)) is not None:
+            return ["at", place]
+        if id(thing) in self._number:
+            return ["same", self._number[id(thing)]]
+        self._number[id(thing)] = len(self._kept)
+        self._kept.append(thing)
+        return self._new(thing)
+
+    def _new(self, thing: object) -> Any:
+        kind = type(thing)
+        node: list[Any]
+        match thing:
+            case Enum():
+                node = ["enum", _name(kind), self.node(thing.value)]
+            case np.ndarray() | np.generic():
+                self.arrays.append(np.asanyarray(thing))
+                node = ["scalar" if isinstance(thing, np.generic) else "array", len(self.arrays) - 1]
+            case bytes():
+                node = ["bytes", thing.hex()]
+            case slice():
+                node = ["slice", [self.node(end) for end in (thing.start, thing.stop, thing.step)]]
+            case deque():
+                node = ["deque", thing.maxlen, [self.node(item) for item in thing]]
+            case dict():
+                node = ["dict", [[self.node(key), self.node(value)] for key, value in thing.items()]]
+            case list() | tuple() | set() | frozenset() if kind.__name__ in _SEQUENCES:
+                node = [kind.__name__, [self.node(item) for item in thing]]
+            case tuple():
+                node = ["record", _name(kind), [self.node(item) for item in thing]]
+            case _ if _is_data(thing):
+                node = ["object", _name(kind), {name: self.node(part) for name, part in _attributes(thing).items()}]
+            case _:
+                raise StateError(f"{kind.__module__}.{kind.__qualname__} cannot be written as values")
+        return node
+
+
+class _Reader:
+    def __init__(self, places: Places, arrays: dict[str, NDArray[Any]]) -> None:
+        self._places, self._arrays = places, arrays
+        self._made: list[Any] = []
+
+    def value(self, node: Any) -> Any:
+        if isinstance(node, _PLAIN):
+            return node
+        tag, *rest = node
+        if tag == "at":
+            return self._places.at[rest[0]]
+        if tag == "same":
+            return self._made[rest[0]]
+        number = len(self._made)
+        self._made.append(None)
+        if tag in ("dict", "list", "object"):
+            return self._filled(number, tag, rest)
+        self._made[number] = self._whole(tag, rest)
+        return self._made[number]
+
+    def _filled(self, number: int, tag: str, rest: list[Any]) -> Any:
+        """Known before its content is, which may point back to it."""
+        if tag == "object":
+            made: Any = object.__new__(_class(rest[0]))
+            self._made[number] = made
+            for name, node in rest[1].items():
+                object.__setattr__(made, name, self.value(node))
+        elif tag == "dict":
+            pairs: dict[Any, Any] = {}
+            self._made[number] = pairs
+            for key_node, node in rest[0]:
+                key = self.value(key_node)
+                pairs[key] = self.value(node)
+        else:
+            items: list[Any] = []
+            self._made[number] = items
+            items.extend(self.value(node) for node in rest[0])
+        return self._made[number]
+
+    def _whole(self, tag: str, rest: list[Any]) -> Any:
+        made: Any
+        match tag:
+            case "array" | "scalar":
+                array = self._arrays[f"a{rest[0]}"]
+                made = array if tag == "array" else array[()]
+            case "bytes":
+                made = bytes.fromhex(rest[0])
+            case "enum":
+                made = _class(rest[0])(self.value(rest[1]))
+            case "record":
+                made = tuple.__new__(_class(rest[0]), [self.value(node) for node in rest[1]])
+            case "slice":
+                made = slice(*(self.value(node) for node in rest[0]))
+            case "deque":
+                made = deque((self.value(node) for node in rest[1]), rest[0])
+            case _:
+                made = _SEQUENCES[tag](self.value(node) for node in rest[0])
+        return made
+
+
+def _name(kind: type) -> str:
+    if not _is_ours(kind):
+        raise StateError(f"{kind.__module__}.{kind.__qualname__} is not a class of the estimator's")
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _class(name: str) -> type:
+    """A numerical class of ours that this process has loaded."""
+    module, _, path = name.partition(":")
+    found: Any = sys.modules.get(module)
+    for part in path.split("."):
+        found = getattr(found, part, None)
+    if not isinstance(found, type) or not _is_ours(found) or found.__module__ != module:
+        raise StateError(f"{name} is not a class of the estimator's")
+    return found
+
+
+def to_bytes(thing: object, places: Places) -> bytes:
+    """``thing`` as the bytes of an NPZ file: a tree, and its arrays.
+
+    Args:
+        thing: an object of ours, or containers of them.
+        places: of what a new one has anyway.
+
+    Raises:
+        StateError: a part of it is neither data nor in ``places``.
+    """
+    writer = _Writer(places)
+    tree = json.dumps({"format": FORMAT, "root": writer.node(thing)}).encode()
+    file = io.BytesIO()
+    arrays: dict[str, Any] = {f"a{number}": array for number, array in enumerate(writer.arrays)}
+    np.savez(file, allow_pickle=False, **{_TREE: np.frombuffer(tree, np.uint8)}, **arrays)
+    return file.getvalue()
+
+
+def from_bytes(data: bytes, places: Places) -> Any:
+    """What :func:`to_bytes` made ``data`` of.
+
+    Raises:
+        StateError: it is damaged, of another version, or none of ours.
+    """
+    try:
+        with contextlib.closing(np.load(io.BytesIO(data), allow_pickle=False)) as file:
+            arrays = {name: file[name] for name in file.files}
+        content = json.loads(arrays.pop(_TREE).tobytes())
+        if content["format"] != FORMAT:
+            raise StateError(f"a state of format {content['format']}, not {FORMAT}")
+        return _Reader(places, arrays).value(content["root"])
+    except StateError:
+        raise
+    except Exception as error:
+        raise StateError(f"this is no state of an estimator ({type(error).__name__}: {error})") from error
