@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from onboard.dynamics.vehicle import VehicleModel
 
 FORMAT = 1
-_ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "flight")
+_ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "devices", "flight")
 _PACKAGES = tuple(f"onboard.{room}." for room in _ROOMS)
 _TREE = "tree"
 _PLAIN = (bool, int, float, str, type(None))
