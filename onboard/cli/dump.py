@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from onboard.cli.common import Commands, progress, warn, worst
+from onboard.cli.common import Commands, load_vehicle, progress, warn, worst
 
 
 def add(commands: Commands) -> None:
@@ -24,8 +24,10 @@ def add(commands: Commands) -> None:
     dump.add_argument("--from", dest="start", type=float, metavar="S", help="from S seconds after the first record")
     dump.add_argument("--until", type=float, metavar="S", help="up to S seconds after the first record")
     dump.add_argument("--phase", action="append", default=[], help="only this phase: its code, or 'sweep 1'")
+    dump.add_argument("--vehicle", metavar="VEHICLE", help="file or name, for a log that carries none")
+    dump.add_argument("--force", action="store_true", help="replace files of the same names")
     kinds = dump.add_mutually_exclusive_group()
-    kinds.add_argument("--raw", dest="values", action="store_const", const="raw", help="counts as recorded, no SI")
+    kinds.add_argument("--raw", dest="values", action="store_const", const="raw", help="all as recorded, no SI")
     kinds.add_argument("--si", dest="values", action="store_const", const="si", help="SI, without counts and scales")
     kinds.add_argument(
         "--aligned", type=float, metavar="HZ", help="every signal at the same instants of vehicle time, in one table"
@@ -36,6 +38,7 @@ def add(commands: Commands) -> None:
 def _dump(arguments: argparse.Namespace) -> int:
     from onboard.offline.export import opener
     from onboard.offline.export.dump import DumpResult, dump
+    from onboard.offline.tables.flight_tables import FlightTables
     from onboard.offline.tables.selection import Selection
     from onboard.recording.reader import LogReader
     from onboard.recording.segments import flights
@@ -46,21 +49,23 @@ def _dump(arguments: argparse.Namespace) -> int:
     selection = Selection(channels, arguments.start, arguments.until, tuple(arguments.phase))
     groups = flights(arguments.logs)
     piped = target == "-"
+    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     if piped and len(groups) > 1:
         raise ValueError(f"{len(groups)} logs into one pipe: dump them one by one")
     codes: list[int] = []
+    force = arguments.force
     with progress(to_stderr=piped) as bar:
         for group in groups:
-            log = LogReader(group[0] if len(group) == 1 else group)
+            log = FlightTables(LogReader(group[0] if len(group) == 1 else group), vehicle)
             name = group[0].stem
             where = sys.stdout.buffer if piped else Path(target) / name if len(groups) > 1 else Path(target)
             result: DumpResult
             if arguments.aligned is None:
-                result = dump(log, where, selection, kind=kind, values=arguments.values, progress=bar)
+                result = dump(log, where, selection, kind=kind, values=arguments.values, force=force, progress=bar)
             else:
                 from onboard.offline.export.aligned import dump_aligned
 
-                result = dump_aligned(log, where, arguments.aligned, selection, kind=kind, progress=bar)
+                result = dump_aligned(log, where, arguments.aligned, selection, kind=kind, force=force, progress=bar)
             for path in result.files:
                 print(path)
             warn(result.damage)

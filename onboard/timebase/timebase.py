@@ -61,6 +61,11 @@ class Timebase:
         self._states: dict[str, ClockState] = {}
         self._recorded_ns: dict[str, int] = {}
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Those whose samples it puts on vehicle time."""
+        return tuple(self._specs)
+
     def update(self, now_ns: int, batches: dict[str, Rows]) -> Rows:
         """Take in what arrived; returns CLOCK rows of the clocks that moved (``sequence`` to be filled in).
 

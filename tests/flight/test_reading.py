@@ -11,6 +11,7 @@ from onboard import cli
 from onboard.offline.export.aligned import dump_aligned
 from onboard.offline.export.dump import dump
 from onboard.offline.tables.selection import Selection
+from onboard.offline.tables.vehicle_file import attached_vehicle
 from tests.flight.missions import Result
 
 
@@ -18,6 +19,7 @@ def test_aligned_signals_lie_where_the_estimator_saw_them(mission: Result, tmp_p
     dump_aligned(mission.log, tmp_path, 100.0, kind="npz")
     with np.load(tmp_path / "aligned.npz") as table:
         at_ns, angle = table["vehicle_ns"], table["joint_1.value"]
+        assert np.allclose(np.diff(table["time_s"]), 0.01, atol=1e-9)
         assert set(table["units"]) >= {"ns", "rad", "N", "m/s^2", "rad/s"}
         force = table["load_cell.value"]
     assert (np.diff(at_ns) == 10_000_000).all()
@@ -31,6 +33,28 @@ def test_aligned_signals_lie_where_the_estimator_saw_them(mission: Result, tmp_p
     rate = np.gradient(used["measured"][:, 0], 0.01)
     steady = np.gradient(used["vehicle_ns"]) == 10_000_000
     assert abs(shift_s((force[here] - used["measured"][:, 0])[steady], rate[steady])) < 100e-6
+
+
+def test_a_dump_says_when_each_sample_was_taken_and_a_joint_at_zero_reads_zero(mission: Result, tmp_path: Path) -> None:
+    dump(mission.log, tmp_path, Selection(("joint_1", "imu_base")), kind="npz")
+    recorded = mission.log.read("joint_1")
+    with np.load(tmp_path / "joint_1.npz") as table:
+        time_s, angle, raw = table["time_s"], table["value"], table["value_raw"]
+    assert np.array_equal(raw, recorded["value_raw"])
+    assert np.array_equal(angle, (raw - 1_000_000) * recorded["scale"])
+    used = mission.log.read("row")
+    used = used[used["gate"][:, 0] == 0]
+    start_ns = min(int(rows["host_ns"].min()) for _, rows in mission.log.batches())
+    there = np.interp((used["vehicle_ns"] - start_ns) * 1e-9, time_s, angle)
+    assert len(used) > 2000
+    assert abs(shift_s(there - used["joint_rad"][:, 0], used["joint_rad_s"][:, 0])) < 20e-6
+    with np.load(tmp_path / "imu_base.npz") as table:
+        assert {"gyro_imu_base_z", "accel_imu_base_x", "gyro_raw_z"} <= set(table.files)
+        steps_s = np.diff(table["time_s"][5000:])
+        assert (np.abs(steps_s - 1e-3) < 3e-5).mean() > 0.999  # as its clock ticks; arrivals come by tens
+    legend = (tmp_path / "README.txt").read_text()
+    assert "angle of joint joint_1; zero count 1000000 is taken off the value" in legend
+    assert "2.8 ms" in legend
 
 
 def shift_s(difference: np.ndarray, rate: np.ndarray) -> float:
@@ -48,7 +72,7 @@ def test_a_phase_by_name_and_by_code(mission: Result, tmp_path: Path, capsys: py
         at_ns = table["host_ns"]
     every = mission.log.read("joint_1")["host_ns"]
     assert np.array_equal(at_ns, every[(every >= start_ns) & (every < end_ns)])
-    both = dump(mission.log, tmp_path, Selection(("joint_1",), phases=("3",))).rows["joint_1"]
+    both = dump(mission.log, tmp_path / "both", Selection(("joint_1",), phases=("3",))).rows["joint_1"]
     assert both > 1.9 * len(at_ns)
     code = cli.main(["dump", str(mission.path), "--to", "csv", str(tmp_path), "--phase", "sweep 9"])
     assert code == cli.BAD_INPUT
@@ -60,8 +84,8 @@ def test_a_phase_of_the_aligned_table_is_cut_out_of_the_whole(mission: Result, t
     cut = ["--aligned", "50", "--phase", "sweep 1", "--channel", "joint_1", "--channel", "load_cell"]
     assert cli.main(["dump", str(mission.path), "--to", "npz", str(tmp_path / "cut"), *cut]) == cli.OK
     with np.load(tmp_path / "whole" / "aligned.npz") as whole, np.load(tmp_path / "cut" / "aligned.npz") as part:
-        assert "imu_base.gyro_x" not in part
-        [window] = Selection(phases=("sweep 1",)).windows(mission.log) or []
+        assert "imu_base.gyro_imu_base_x" not in part
+        [window] = Selection(phases=("sweep 1",)).windows(mission.log, attached_vehicle(mission.log)) or []
         chosen = (whole["vehicle_ns"] >= window[0]) & (whole["vehicle_ns"] < window[1])
         assert 100 < chosen.sum() < len(chosen)
         for name in ("vehicle_ns", "joint_1.value", "load_cell.value"):

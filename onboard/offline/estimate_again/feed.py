@@ -1,7 +1,6 @@
 """A log through the flight's estimator, as in flight: steps of the vehicle's ``step_ms`` in the log's own time.
 
-Memory is constant in the length of the log: every channel is read by a pass of its own, a chunk at a time, so it is of
-no account in which order the channels lie in the file.
+Memory is constant in the length of the log, and it is of no account in which order the channels lie in the file.
 """
 
 from collections.abc import Iterator
@@ -9,7 +8,7 @@ from collections.abc import Iterator
 from drivers.records import Batch
 from onboard import config
 from onboard.flight.estimator import Estimator
-from onboard.offline.tables.source import ChannelRows
+from onboard.offline.tables.source import Interleaved
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
@@ -43,13 +42,12 @@ def feed(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
     """
     check_channels(estimator.vehicle, log)
     step_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6)
-    sources = {name: ChannelRows(log, name) for name in estimator.inputs}
-    begin = [source.next_ns for source in sources.values() if source.next_ns is not None]
-    if not begin:
+    source = Interleaved(log, estimator.inputs)
+    if source.start_ns is None:
         return
-    now_ns = min(begin)
+    now_ns = source.start_ns
     yield from estimator.process(now_ns, {})
-    while any(source.next_ns is not None for source in sources.values()):
+    while not source.done:
         now_ns += step_ns
-        yield from estimator.process(now_ns, {name: source.take(now_ns) for name, source in sources.items()})
+        yield from estimator.process(now_ns, source.take(now_ns))
     yield from estimator.process(now_ns, {}, 0)

@@ -19,15 +19,15 @@ from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.roles import roles_of
 from onboard.offline.export import opener
-from onboard.offline.export.dump import DumpResult
+from onboard.offline.export.dump import DumpResult, begin
 from onboard.offline.tables import si
-from onboard.offline.tables.columns import Column
+from onboard.offline.tables.columns import TIME_FIELD, Column, time_columns
+from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.selection import Selection, inside
-from onboard.offline.tables.vehicle_file import attached_vehicle
-from onboard.offline.tables.vehicle_time import Timed, timed
+from onboard.offline.tables.vehicle_time import UNKNOWN, Timed, timed
 from onboard.recording.reader import LogReader
 
-_IMU_COLUMNS = [(f"{what}_{axis}", unit) for what, unit in (("gyro", "rad/s"), ("accel", "m/s^2")) for axis in "xyz"]
+_IMU_UNITS = (("gyro", "rad/s"), ("accel", "m/s^2"))
 _MARGIN_NS = 100_000_000  # kept behind: the longest filter delay, half a period, a few samples
 _LONGEST_HOLE = 2.5  # periods that a straight line may bridge
 
@@ -39,40 +39,48 @@ class Aligned(NamedTuple):
     blocks: Iterator[Rows]
 
 
-def aligned(log: LogReader, vehicle: config.Vehicle, channels: Sequence[str] | None, rate_hz: float) -> Aligned:
-    """Resample ``log``.
+def aligned(tables: FlightTables, channels: Sequence[str] | None, rate_hz: float) -> Aligned:
+    """Resample a flight.
 
     Args:
-        log: a flight.
-        vehicle: that flew it.
+        tables: of a log, with its vehicle.
         channels: only these; every channel that carries a signal where None.
         rate_hz: of the instants, which are whole multiples of its period.
 
     Raises:
-        ValueError: a channel that carries no signal, or a rate that is not positive.
+        ValueError: no vehicle is known, a channel that carries no signal, or a rate that is not positive.
     """
+    log, vehicle = tables.log, tables.vehicle
+    if vehicle is None:
+        raise ValueError(f"{log.path}: which channels are signals is not known ({tables.why_none}); give --vehicle")
     if not 0.0 < rate_hz <= 1e6:
         raise ValueError(f"--aligned {rate_hz:g}: give a rate between 0 and 1e6 Hz")
-    roles = roles_of(vehicle)
-    every = [name for name in roles.signals if name in log.channels]
+    signals = roles_of(vehicle).signals
+    every = [name for name in tables.clocked if name in signals]
     chosen = every if channels is None else list(channels)
     if unknown := sorted(set(chosen) - set(every)):
         raise ValueError(f"{log.path}: {', '.join(unknown)} cannot be resampled; signals are {', '.join(every)}")
-    tracks = {name: _Track(roles.signals[name], log.channels[name] == IMU) for name in chosen}
-    names = [(f"{name}.{part}", unit) for name, track in tracks.items() for part, unit in track.parts(log, name)]
-    dtype = np.dtype([("vehicle_ns", "<i8"), *((f"c{number}", "<f8") for number in range(len(names)))])
-    columns = [Column("vehicle_ns", "ns", lambda rows: rows["vehicle_ns"])]
+    tracks = {name: _Track(signals[name], log.channels[name] == IMU) for name in chosen}
+    frames = {name: tables.meanings[name].frame for name in chosen}
+    names = [
+        (f"{name}.{part}", unit)
+        for name, track in tracks.items()
+        for part, unit in track.parts(log, name, frames[name])
+    ]
+    dtype = np.dtype([(TIME_FIELD, "<i8"), *((f"c{number}", "<f8") for number in range(len(names)))])
+    columns = [*time_columns(tables.times), Column("vehicle_ns", "ns", lambda rows: rows[TIME_FIELD])]
     columns += [Column(name, unit, _taker(f"c{number}")) for number, (name, unit) in enumerate(names)]
     return Aligned(columns, _blocks(log, vehicle, tracks, dtype, round(1e9 / rate_hz)))
 
 
 def dump_aligned(
-    log: LogReader,
+    log: FlightTables | LogReader | str | Path,
     target: str | Path | BinaryIO,
     rate_hz: float,
     selection: Selection = Selection(),  # noqa: B008  # frozen
     *,
     kind: str = "csv",
+    force: bool = False,
     progress: Progress | None = None,
 ) -> DumpResult:
     """Write every signal at the same instants of vehicle time into one table, ``target/aligned.kind`` or an open file.
@@ -83,35 +91,38 @@ def dump_aligned(
         rate_hz: of the instants.
         selection: which channels, and which of the instants.
         kind: format; an open file takes CSV only.
+        force: as for :func:`dump`.
         progress: gets a task that counts the bytes of the log.
 
     Raises:
-        ValueError: the log carries no vehicle file, or a channel cannot be resampled, or the format cannot be had, or
-            see :meth:`Selection.windows`.
+        ValueError: no vehicle is known, or a channel cannot be resampled, or the format cannot be had, or see
+            :meth:`Selection.windows`.
         OSError: a file cannot be read or written.
     """
     make = opener(kind)
-    found = aligned(log, attached_vehicle(log), selection.channels, rate_hz)
-    windows = selection.windows(log)
+    tables = log if isinstance(log, FlightTables) else FlightTables(log)
+    reader = tables.log
+    found = aligned(tables, selection.channels, rate_hz)
+    windows = tables.windows(selection)
     files: tuple[Path, ...] = ()
     if isinstance(target, str | Path):
-        Path(target).mkdir(parents=True, exist_ok=True)
         files = (Path(target) / f"aligned.{kind}",)
+        begin(Path(target), tables, {"aligned": files[0].name}, force=force)
     elif kind != "csv":
         raise ValueError(f"--to {kind} -: only csv goes into a pipe; give a directory")
-    task = None if progress is None else progress.add_task(f"align {log.path.name}", total=log.size)
+    task = None if progress is None else progress.add_task(f"align {reader.path.name}", total=reader.size)
     count = 0
     table = make(files[0] if files else target, found.columns)  # type: ignore[arg-type]  # an open file it is
     try:
         for block in found.blocks:
-            rows = block if windows is None else block[inside(block["vehicle_ns"], windows)]
+            rows = block if windows is None else block[inside(block[TIME_FIELD], windows)]
             table.write(rows)
             count += len(rows)
             if progress is not None and task is not None:
-                progress.update(task, completed=log.position)
+                progress.update(task, completed=reader.position)
     finally:
         table.close()
-    return DumpResult(files, {"aligned": count}, log.damage, log.exit_code)
+    return DumpResult(files, {"aligned": count}, reader.damage, reader.exit_code)
 
 
 def _taker(field: str) -> Callable[[Rows], FloatArray]:
@@ -122,10 +133,9 @@ def _blocks(
     log: LogReader, vehicle: config.Vehicle, tracks: "dict[str, _Track]", dtype: np.dtype[np.void], period_ns: int
 ) -> Iterator[Rows]:
     next_ns: int | None = None
-    for step in timed(log, vehicle):
+    for step in timed(log, vehicle, tracks):
         for samples in step.samples:
-            if samples.channel in tracks:
-                tracks[samples.channel].add(samples)
+            tracks[samples.channel].add(samples)
         starts = [track.first_ns for track in tracks.values() if track.first_ns is not None]
         if next_ns is None and starts:
             next_ns = -(-min(starts) // period_ns) * period_ns
@@ -137,7 +147,7 @@ def _blocks(
             continue
         next_ns = int(at_ns[-1]) + period_ns
         rows = np.zeros(len(at_ns), dtype)
-        rows["vehicle_ns"] = at_ns
+        rows[TIME_FIELD] = at_ns
         number = 0
         for track in tracks.values():
             for values in track.at(at_ns, period_ns).T:
@@ -156,10 +166,10 @@ class _Track:
         self._time_ns = np.zeros(0, np.int64)
         self._values: FloatArray = np.zeros((0, self._columns))
 
-    def parts(self, log: LogReader, name: str) -> list[tuple[str, str]]:
+    def parts(self, log: LogReader, name: str, frame: str) -> list[tuple[str, str]]:
         """Name and unit of each column."""
         if self._is_imu:
-            return _IMU_COLUMNS
+            return [(f"{what}_{frame}_{axis}", unit) for what, unit in _IMU_UNITS for axis in "xyz"]
         first = next((batch.rows for batch in log.batches([name])), None)
         return [("value", "" if first is None else first["unit"][0].decode(errors="backslashreplace"))]
 
@@ -170,10 +180,11 @@ class _Track:
 
     def add(self, samples: Timed) -> None:
         """Take samples; one that is not usable has no value."""
-        rows = samples.rows
+        known = samples.time_ns != UNKNOWN
+        rows = samples.rows[known]
         values = si.imu(rows) if self._is_imu else si.scalar(rows, self._signal.zero_count)[:, None]
         values[~si.usable(rows)] = np.nan
-        self._time_ns = np.concatenate([self._time_ns, samples.time_ns])
+        self._time_ns = np.concatenate([self._time_ns, samples.time_ns[known]])
         self._values = np.concatenate([self._values, values])
 
     def forget(self, before_ns: int) -> None:

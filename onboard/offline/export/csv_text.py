@@ -20,11 +20,14 @@ Cells = NDArray[np.uint8]  # (n, width), NUL where there is nothing; (1, width) 
 _POWERS = 10 ** np.arange(1, 20, dtype=np.uint64)
 _GROUP = np.uint64(10_000)
 _ODD_BYTES = (b",", b'"', b"\n", b"\r")
+_FORMULA_MARKS = (b"=", b"+", b"-", b"@", b"\t", b"\r")  # a spreadsheet takes text that begins with one for a formula
+_NAT = np.iinfo(np.int64).min
+_DAY_NS, _SECOND_NS = 86_400_000_000_000, 1_000_000_000
 
 
 def header(columns: Sequence[Column]) -> bytes:
     """The first line."""
-    return b",".join(_quoted(column.header.encode()) for column in columns) + b"\n"
+    return b",".join(_safe(column.header.encode()) for column in columns) + b"\n"
 
 
 class Encoder:
@@ -92,8 +95,11 @@ def cells(values: Values, digits: int | None = None) -> Cells:
     """``values`` (n,) as text: integers and text as they are, floats with ``digits`` significant digits.
 
     Floats without ``digits`` are written as the shortest text that reads back as the same value of their type.
+    timedelta64[ns] is written in seconds, datetime64[ns] as UTC (ISO 8601), neither with fewer than nine decimals.
     """
     kind = values.dtype.kind
+    if kind in "mM":
+        return (_seconds if kind == "m" else _instants)(values.view(np.int64))
     if kind == "b" or (kind in "iu" and values.dtype.itemsize <= 2):
         name = values.dtype.str if kind in "iu" else "|u1"
         return _rows_of(_small_integers(name), values.astype(np.intp) - _lowest(name))
@@ -147,6 +153,46 @@ def _integers(values: Values) -> Cells:
     return result
 
 
+def _seconds(time_ns: NDArray[np.int64]) -> Cells:
+    """Times as seconds; "nan" for NaT."""
+    unknown = time_ns == _NAT
+    magnitude = np.abs(np.where(unknown, 0, time_ns))
+    text = np.column_stack([_integers(magnitude // _SECOND_NS), _fraction(magnitude % _SECOND_NS)])
+    if (negative := (time_ns < 0) & ~unknown).any():
+        text = np.column_stack([negative * np.uint8(ord("-")), text])
+    if unknown.any():
+        text[unknown] = 0
+        text[unknown, :3] = np.frombuffer(b"nan", np.uint8)
+    return text
+
+
+def _instants(time_ns: NDArray[np.int64]) -> Cells:
+    """Instants as ``2026-11-20T17:05:05.123456789Z``; nothing for NaT."""
+    unknown = time_ns == _NAT
+    days, in_day = np.divmod(np.where(unknown, 0, time_ns), _DAY_NS)
+    seconds, nanoseconds = np.divmod(in_day, _SECOND_NS)
+    parts = [_by_value(days, lambda d: [str(np.datetime64(int(one), "D")).encode() for one in d.tolist()])]
+    for mark, two in (("T", seconds // 3600), (":", seconds // 60 % 60), (":", seconds % 60)):
+        parts += [_filled(mark, len(time_ns)), _groups()[two].view(np.uint8).reshape(-1, 4)[:, 2:]]
+    text: Cells = np.column_stack([*parts, _fraction(nanoseconds), _filled("Z", len(time_ns))])
+    text[unknown] = 0
+    return text
+
+
+def _fraction(nanoseconds: NDArray[np.int64]) -> Cells:
+    """A dot and nine digits."""
+    groups = [_groups()[part].view(np.uint8).reshape(-1, 4) for part in _nine(nanoseconds)]
+    return np.column_stack([_filled(".", len(nanoseconds)), groups[0][:, 3:], *groups[1:]])
+
+
+def _nine(nanoseconds: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+    return nanoseconds // 100_000_000, nanoseconds // 10_000 % 10_000, nanoseconds % 10_000
+
+
+def _filled(mark: str, count: int) -> Cells:
+    return np.full((count, 1), ord(mark), np.uint8)
+
+
 def _by_value(values: Values, to_text: Callable[[NDArray[np.generic]], list[bytes]]) -> Cells:
     if len(values) > 1 and (values == values[0]).all():
         return _matrix(to_text(values[:1]))
@@ -172,7 +218,12 @@ def _float_formatter(dtype: np.dtype[np.generic], digits: int | None) -> Callabl
 
 
 def _text(values: NDArray[np.generic]) -> list[bytes]:
-    return [_quoted(bytes(value).decode(errors="backslashreplace").encode()) for value in values.tolist()]
+    return [_safe(bytes(value).decode(errors="backslashreplace").encode()) for value in values.tolist()]
+
+
+def _safe(text: bytes) -> bytes:
+    """``text`` as a cell that no spreadsheet computes: an apostrophe stands before what would begin a formula."""
+    return _quoted(b"'" + text if text.startswith(_FORMULA_MARKS) else text)
 
 
 def _quoted(text: bytes) -> bytes:

@@ -14,8 +14,9 @@ import numpy as np
 from rich.progress import Progress
 
 from drivers.records import Rows
-from onboard.offline.export import Table, opener
-from onboard.offline.tables.columns import Column, columns
+from onboard.offline.export import Table, legend, opener
+from onboard.offline.tables.columns import Column
+from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.selection import Selection
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
@@ -37,61 +38,91 @@ class DumpResult(NamedTuple):
 
 
 def dump(
-    log: LogReader | str | Path,
+    log: FlightTables | LogReader | str | Path,
     target: str | Path | BinaryIO,
     selection: Selection = Selection(),  # noqa: B008  # frozen
     *,
     kind: str = "csv",
     values: Values = "both",
+    force: bool = False,
     progress: Progress | None = None,
 ) -> DumpResult:
-    """Write each channel of ``log`` to ``target/CHANNEL.kind``, or one channel to an open file.
+    """Write each channel of ``log`` to ``target/CHANNEL.kind`` with a legend, or one channel to an open file.
 
     Args:
         log: the log, or its path.
-        target: a directory, made if need be, in which files of the same names are replaced; or a binary file to write
-            the CSV of the one selected channel to.
+        target: a directory, made if need be; or a binary file to write the CSV of the one selected channel to.
         selection: what of the log.
         kind: format, of ``onboard.offline.export.FORMATS``.
-        values: raw counts, SI (without the counts and scales that it is made of), or both.
+        values: raw counts and all that was recorded, SI (without the counts and scales that it is made of), or both;
+            what only replay needs is in the raw ones alone.
+        force: replace files of the same names.
         progress: gets a task that counts the bytes of the log.
 
     Raises:
         LogFormatError: ``log`` is no log of ours.
         ChannelError: it has no such channel.
+        FileExistsError: there is such a file already, and ``force`` was not asked for.
         ValueError: the selection or the format cannot be had.
         OSError: a file cannot be read or written.
     """
     make = opener(kind)
-    reader = log if isinstance(log, LogReader) else LogReader(log)
-    batches = selection.batches(reader)
-    wanted = selection.channels
-    chosen = [name for name in reader.channels if wanted is None or name in wanted]
+    tables = log if isinstance(log, FlightTables) else FlightTables(log)
+    reader = tables.log
+    chosen = _channels(tables, selection, values)
+    batches = tables.batches(chosen, tables.windows(selection))
     targets: dict[str, Path | BinaryIO]
     if isinstance(target, str | Path):
-        folder = Path(target)
-        folder.mkdir(parents=True, exist_ok=True)
-        paths = _paths(folder, chosen, kind)
+        paths = _paths(Path(target), chosen, kind)
+        files = {name: path.name for name, path in paths.items()}
         targets = dict(paths)
+        begin(Path(target), tables, files, force=force)
     elif len(chosen) == 1 and kind == "csv":
         paths, targets = {}, {chosen[0]: target}
     else:
         raise ValueError(f"one CSV goes into a pipe: say which with --channel; the log has {', '.join(chosen)}")
-    task = None if progress is None else progress.add_task(f"dump {reader.path.name}", total=reader.size)
-    tables: dict[str, _Pending] = {}
+    passes = 1 + bool(tables.clocked and set(chosen) - set(tables.clocked))
+    task = None if progress is None else progress.add_task(f"dump {reader.path.name}", total=passes * reader.size)
+    pending: dict[str, _Pending] = {}
+    done = 0
     with ExitStack() as stack:
         for name in chosen:
-            dtype, units = reader.channels[name], reader.units[name]
-            tables[name] = _Pending(make, targets[name], dtype, units, values)
-            stack.callback(tables[name].close)
-        for batch in batches:
-            tables[batch.channel].add(batch.rows)
+            pending[name] = _Pending(make, targets[name], tables, name, values)
+            stack.callback(pending[name].close)
+        for channel, rows in batches:
+            pending[channel].add(rows)
             if progress is not None and task is not None:
-                progress.update(task, completed=reader.position)
+                done = max(done, reader.position + (reader.size if passes > 1 and channel in tables.clocked else 0))
+                progress.update(task, completed=done)
     if progress is not None and task is not None:
-        progress.update(task, completed=reader.size)
-    counts = {name: table.rows for name, table in tables.items()}
+        progress.update(task, completed=passes * reader.size)
+    counts = {name: table.rows for name, table in pending.items()}
     return DumpResult(tuple(paths.values()), counts, reader.damage, reader.exit_code)
+
+
+def begin(folder: Path, tables: FlightTables, files: dict[str, str], *, force: bool) -> None:
+    """Make ``folder`` and the legend in it, of ``files`` by channel, which are not there yet.
+
+    Raises:
+        FileExistsError: one of them is, and ``force`` was not asked for.
+    """
+    there = [name for name in [*files.values(), legend.FILE] if (folder / name).exists()]
+    if there and not force:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+        raise FileExistsError(
+            f"{folder / there[0]}{more} would be written over; name another directory, or add --force"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / legend.FILE).write_text(legend.legend(tables, files), encoding="utf-8")
+
+
+def _channels(tables: FlightTables, selection: Selection, values: Values) -> list[str]:
+    """Those asked for; of all of them, not such as only replay needs, unless the raw values are asked for."""
+    every = tables.log.channels
+    wanted = selection.channels
+    if wanted is not None:
+        return [name for name in every if name in wanted] + [name for name in wanted if name not in every]
+    return [n for n, dtype in every.items() if values == "raw" or set(dtype.names or ()) - tables.meanings[n].scratch]
 
 
 def _paths(folder: Path, channels: Collection[str], kind: str) -> dict[str, Path]:
@@ -99,14 +130,18 @@ def _paths(folder: Path, channels: Collection[str], kind: str) -> dict[str, Path
     paths: dict[str, Path] = {}
     for number, name in enumerate(channels, 1):
         plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".")
-        paths[name] = folder / (f"{name}.{kind}" if plain == name else f"{plain}_{number}.{kind}")
+        stem = name if plain == name else f"{plain}_{number}"
+        while folder / f"{stem}.{kind}" in paths.values() or (stem != name and stem in channels):
+            stem += "_"
+        paths[name] = folder / f"{stem}.{kind}"
     return paths
 
 
-def chosen_columns(every: Sequence[Column], values: Values) -> list[Column]:
-    """Those of ``every`` that ``values`` asks for."""
+def chosen_columns(every: Sequence[Column], values: Values, scratch: Collection[str] = ()) -> list[Column]:
+    """Those of ``every`` that ``values`` asks for; ``scratch``: fields that only the raw values have."""
     if values == "raw":
         return [column for column in every if not column.converted]
+    every = [column for column in every if column.field not in scratch]
     if values == "si":
         made_of = {name for column in every for name in column.made_of}
         return [column for column in every if column.name not in made_of]
@@ -117,14 +152,15 @@ class _Pending:
     """A channel's rows on their way into a table, gathered to blocks."""
 
     def __init__(
-        self, make: Opener, target: Path | BinaryIO, dtype: np.dtype[np.void], units: dict[str, str], values: Values
+        self, make: Opener, target: Path | BinaryIO, tables: FlightTables, channel: str, values: Values
     ) -> None:
         self.rows = 0
-        self._make, self._target, self._dtype, self._units, self._values = make, target, dtype, units, values
+        self._make, self._target, self._values = make, target, values
+        self._tables, self._channel = tables, channel
         self._table: Table | None = None
         self._waiting: list[Rows] = []
         self._waiting_rows = 0
-        self._block = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // dtype.itemsize))
+        self._block = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // tables.log.channels[channel].itemsize))
 
     def add(self, rows: Rows) -> None:
         """Take rows (n,) of the channel."""
@@ -142,10 +178,11 @@ class _Pending:
                 self._table.close()
 
     def _write(self) -> None:
-        rows = np.concatenate([np.empty(0, self._dtype), *self._waiting])
+        rows = np.concatenate([self._tables.empty(self._channel), *self._waiting])
         if self._table is None:
-            every = columns(self._dtype, self._units, rows)
-            self._table = self._make(self._target, chosen_columns(every, self._values))
+            every = self._tables.columns(self._channel, rows)
+            scratch = self._tables.meanings[self._channel].scratch
+            self._table = self._make(self._target, chosen_columns(every, self._values, scratch))
         self._table.write(rows)
         self.rows += len(rows)
         self._waiting, self._waiting_rows = [], 0

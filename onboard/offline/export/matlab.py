@@ -29,6 +29,7 @@ _TYPES = {  # miTYPE, mxCLASS
     "i8": (12, 14),
     "u8": (13, 15),
     "b1": (2, 9),
+    "M8[ns]": (12, 14),  # UTC as ns since 1970, which datetime(..., 'ConvertFrom', 'epochtime') takes
 }
 _MOST_BYTES = (1 << 31) - 1  # of a variable
 _NAME_BYTES = 63

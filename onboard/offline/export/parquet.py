@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivers.records import Rows
+from onboard.offline.export.spool import seconds
 from onboard.offline.tables.columns import Column, Values
 
 
@@ -30,7 +31,7 @@ class ParquetTable:
         arrays = [_array(column.values(rows)) for column in self._columns]
         if self._writer is None or self._schema is None:
             fields = [
-                pa.field(column.name, array.type, nullable=False, metadata={"unit": column.unit})
+                pa.field(column.name, array.type, nullable=column.name == "utc", metadata={"unit": column.unit})
                 for column, array in zip(self._columns, arrays, strict=True)
             ]
             self._schema = pa.schema(fields)
@@ -45,8 +46,10 @@ class ParquetTable:
 
 
 def _array(values: Values) -> pa.Array:
+    if values.dtype.kind == "M":
+        return pa.array(np.ascontiguousarray(values), pa.timestamp("ns", "UTC"))
     if values.dtype.kind != "S":
-        return pa.array(np.ascontiguousarray(values))
+        return pa.array(np.ascontiguousarray(seconds(values)))
     distinct, which = np.unique(values, return_inverse=True)
     texts = pa.array([bytes(text).decode(errors="backslashreplace") for text in distinct], pa.string())
     return texts.take(pa.array(which))

@@ -9,9 +9,16 @@ from typing import IO
 import numpy as np
 
 from drivers.records import Rows
-from onboard.offline.tables.columns import Column
+from onboard.offline.tables.columns import Column, Values
 
 BLOCK_BYTES = 1 << 20
+
+
+def seconds(values: Values) -> Values:
+    """timedelta64 as float seconds, NaN for NaT; everything else as it is."""
+    if values.dtype.kind != "m":
+        return values
+    return np.where(np.isnat(values), np.nan, values.view(np.int64) * 1e-9)
 
 
 class Spool:
@@ -34,9 +41,9 @@ class Spool:
     def write(self, rows: Rows) -> None:
         """Take rows (n,)."""
         for number, (column, file) in enumerate(zip(self.columns, self._files, strict=True)):
-            values = np.ascontiguousarray(column.values(rows))
+            values = seconds(column.values(rows))
             self.dtypes[number] = values.dtype
-            file.write(values.data.cast("B"))
+            file.write(np.ascontiguousarray(values).view(np.uint8).data)
         self.rows += len(rows)
 
     def blocks(self, number: int) -> Iterator[bytes]:

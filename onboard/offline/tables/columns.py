@@ -1,7 +1,9 @@
 """A channel's rows as flat columns for other programs: raw counts and, beside them, SI.
 
 A converted column stands where the row carries its own scale: ``gyro_raw`` with ``gyro_scale_rad_s`` gives ``gyro_x``
-to ``gyro_z`` in rad/s, ``value_raw`` with ``scale`` and ``unit`` gives ``value`` in that unit.
+to ``gyro_z`` in rad/s, ``value_raw`` with ``scale`` and ``unit`` gives ``value`` in that unit. Converted vectors name
+their frame (``gyro_imu_base_x``), and the zero count is taken off converted values. Rows that were given times
+(:func:`with_times`) have ``time_s`` and, where the log knows it, ``utc`` in front.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
+from onboard.offline.tables.meaning import Meaning
+from onboard.offline.tables.vehicle_time import UNKNOWN
 
 Values = NDArray[np.generic]
 
@@ -59,12 +63,30 @@ _CARTESIAN = {
 }
 
 
+TIME_FIELD = "time_ns"
+_PLAIN = Meaning()
+
+
+class Times(NamedTuple):
+    """Where a log's times begin.
+
+    Attributes:
+        start_ns: vehicle time of ``time_s`` = 0.
+        utc_offset_ns: what is added to vehicle time for UTC; None where the log does not know it.
+    """
+
+    start_ns: int
+    utc_offset_ns: int | None = None
+
+
 class Column(NamedTuple):
     """One column of a table.
 
-    ``values`` takes rows (n,) to values (n,); ``digits`` is how many significant decimal digits a converted value
+    ``values`` takes rows (n,) to values (n,): numbers, text, timedelta64[ns] for times in s, datetime64[ns] for UTC;
+    ``digits`` is how many significant decimal digits a converted value
     carries, None for a value that is to be written as it is. ``product`` takes rows to the counts and the scale that a
-    converted value is the product of, where it is nothing but that; ``made_of`` names the columns it stands for.
+    converted value is the product of, where it is nothing but that; ``made_of`` names the columns it
+    stands for; ``field`` is the recorded one it is an element of.
     """
 
     name: str
@@ -73,6 +95,7 @@ class Column(NamedTuple):
     digits: int | None = None
     product: tuple[Callable[[Rows], Values], Callable[[Rows], Values]] | None = None
     made_of: tuple[str, ...] = ()
+    field: str = ""
 
     @property
     def converted(self) -> bool:
@@ -92,7 +115,53 @@ def unit_of(field: str) -> str:
     return next((_UNIT_OF_SUFFIX[suffix] for suffix in suffixes if suffix in _UNIT_OF_SUFFIX), "")
 
 
-def columns(dtype: np.dtype[np.void], units: Mapping[str, str], sample: Rows) -> list[Column]:
+def timed_dtype(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
+    """``dtype`` with ``time_ns``, vehicle time, behind its fields."""
+    fields = dtype.fields
+    assert dtype.names is not None
+    assert fields is not None
+    return np.dtype(
+        {
+            "names": [*dtype.names, TIME_FIELD],
+            "formats": [*(fields[name][0] for name in dtype.names), "<i8"],
+            "offsets": [*(fields[name][1] for name in dtype.names), dtype.itemsize],
+            "itemsize": dtype.itemsize + 8,
+        }
+    )
+
+
+def with_times(rows: Rows, time_ns: NDArray[np.int64]) -> Rows:
+    """``rows`` (n,) and vehicle time (n,) of each as rows of :func:`timed_dtype`."""
+    size = rows.dtype.itemsize
+    made = np.empty(len(rows), timed_dtype(rows.dtype))
+    made.view(np.uint8).reshape(len(rows), -1)[:, :size] = (
+        np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), size)
+    )
+    made[TIME_FIELD] = time_ns
+    return made
+
+
+def time_columns(times: Times) -> list[Column]:
+    """``time_s`` and, where it is known, ``utc``, of rows with times."""
+
+    def since_start(rows: Rows) -> Values:
+        return _shifted(rows[TIME_FIELD], -times.start_ns).view("m8[ns]")
+
+    def utc(rows: Rows) -> Values:
+        assert times.utc_offset_ns is not None
+        return _shifted(rows[TIME_FIELD], times.utc_offset_ns).view("M8[ns]")
+
+    known = [Column("utc", "", utc)] if times.utc_offset_ns is not None else []
+    return [Column("time_s", "s", since_start), *known]
+
+
+def _shifted(time_ns: NDArray[np.int64], by_ns: int) -> NDArray[np.int64]:
+    return np.where(time_ns == UNKNOWN, UNKNOWN, time_ns + np.int64(by_ns))  # UNKNOWN is NumPy's NaT
+
+
+def columns(
+    dtype: np.dtype[np.void], units: Mapping[str, str], sample: Rows, meaning: Meaning = _PLAIN
+) -> list[Column]:
     """The columns of a channel, in the order of its fields, each converted one after its raw one.
 
     Args:
@@ -100,14 +169,15 @@ def columns(dtype: np.dtype[np.void], units: Mapping[str, str], sample: Rows) ->
         units: field to unit, where the log names one; the field's name tells the others.
         sample: some of the rows (possibly none): where a row names its unit itself, the first one's is that of the
             converted column, and rows of another unit are NaN there.
+        meaning: of the channel: the frame that stands in the names of converted vectors, and the zero count.
     """
     result: list[Column] = []
     for name, shape in _fields(dtype).items():
         unit = units.get(name, unit_of(name))
         for suffix, index in _components(name, shape):
-            result.append(Column(name + suffix, unit, _getter(name, index)))
+            result.append(Column(name + suffix, unit, _getter(name, index), field=name))
         if name.endswith("_raw"):
-            result += _converted(dtype, name.removesuffix("_raw"), shape, sample)
+            result += _converted(dtype, name.removesuffix("_raw"), shape, sample, meaning)
     return result
 
 
@@ -135,7 +205,9 @@ def _getter(name: str, index: tuple[int, ...]) -> Callable[[Rows], Values]:
     return lambda rows: _element(rows, name, index)
 
 
-def _converted(dtype: np.dtype[np.void], base: str, shape: tuple[int, ...], sample: Rows) -> list[Column]:
+def _converted(
+    dtype: np.dtype[np.void], base: str, shape: tuple[int, ...], sample: Rows, meaning: Meaning
+) -> list[Column]:
     fields = _fields(dtype)
     own = next((name for name in fields if name.startswith(f"{base}_scale_")), None)
     if own is not None:
@@ -149,7 +221,7 @@ def _converted(dtype: np.dtype[np.void], base: str, shape: tuple[int, ...], samp
 
     def converter(index: tuple[int, ...]) -> Callable[[Rows], Values]:
         def values(rows: Rows) -> Values:
-            counts = _element(rows, f"{base}_raw", index).astype(np.float64)
+            counts = (_element(rows, f"{base}_raw", index) - meaning.zero_count).astype(np.float64)
             with np.errstate(over="ignore", invalid="ignore"):  # the product is then inf or NaN, and written so
                 product: NDArray[np.float64] = counts * rows[scale].astype(np.float64)
             if text:
@@ -160,7 +232,9 @@ def _converted(dtype: np.dtype[np.void], base: str, shape: tuple[int, ...], samp
 
     made: list[Column] = []
     for suffix, index in _components(base, shape):
-        product = None if text else (_getter(f"{base}_raw", index), _getter(scale, ()))
+        whole = not text and not meaning.zero_count
+        product = (_getter(f"{base}_raw", index), _getter(scale, ())) if whole else None
         sources = (f"{base}_raw{suffix}", scale, *(("unit",) if text else ()))
-        made.append(Column(base + suffix, unit, converter(index), digits, product, sources))
+        of_frame = f"_{meaning.frame}" if meaning.frame and len(shape) == 1 else ""
+        made.append(Column(base + of_frame + suffix, unit, converter(index), digits, product, sources))
     return made

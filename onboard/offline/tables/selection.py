@@ -1,15 +1,13 @@
 """Which part of a log is meant: channels, times, phases."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Batch
 from onboard import config
 from onboard.offline.tables.phases import phases_of
-from onboard.offline.tables.vehicle_file import attached_vehicle
 from onboard.recording.reader import LogReader
 
 
@@ -29,8 +27,12 @@ class Selection:
     end_s: float | None = None
     phases: tuple[str, ...] = ()
 
-    def windows(self, log: LogReader) -> list[tuple[int, int]] | None:
+    def windows(self, log: LogReader, vehicle: config.Vehicle | None) -> list[tuple[int, int]] | None:
         """Stretches ``[start, end)`` of the host's clock in ns; None for all of the log.
+
+        Args:
+            log: the log.
+            vehicle: that flew, which says what its phases are; None where it is not known.
 
         Raises:
             ValueError: a phase that the log does not have, or no phases at all, or an end before the start.
@@ -44,24 +46,13 @@ class Selection:
         high = last_ns + 1 if self.end_s is None else first_ns + round(self.end_s * 1e9)
         if not self.phases:
             return [(low, high)]
-        known = phases_of(log, _phase_settings(log), last_ns + 1)
+        known = phases_of(log, _phase_settings(log, vehicle), last_ns + 1)
         wanted = [phase for phase in known if self.phases and {phase.name, str(phase.code)} & set(self.phases)]
         names = {name for phase in wanted for name in (phase.name, str(phase.code))}
         if missing := sorted(set(self.phases) - names):
             there = ", ".join(dict.fromkeys(phase.name for phase in known)) or "no phases"
             raise ValueError(f"{log.path} has no phase {', '.join(missing)}; it has {there}")
         return [(max(low, p.start_ns), min(high, p.end_ns)) for p in wanted if p.start_ns < high and p.end_ns > low]
-
-    def batches(self, log: LogReader) -> Iterator[Batch]:
-        """The rows asked for, in the order of the file. What is asked for and not there is refused at once.
-
-        Raises:
-            ChannelError: a channel that the log does not have.
-            ValueError: see :meth:`windows`.
-        """
-        batches = log.batches(self.channels)
-        windows = self.windows(log)
-        return batches if windows is None else _inside(batches, windows)
 
 
 def inside(at_ns: NDArray[np.int64], windows: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
@@ -72,18 +63,10 @@ def inside(at_ns: NDArray[np.int64], windows: Sequence[tuple[int, int]]) -> NDAr
     return found
 
 
-def _inside(batches: Iterator[Batch], windows: Sequence[tuple[int, int]]) -> Iterator[Batch]:
-    for batch in batches:
-        chosen = inside(batch.rows["host_ns"], windows)
-        if chosen.any():
-            yield Batch(batch.channel, batch.rows[chosen])
-
-
-def _phase_settings(log: LogReader) -> config.Phases | None:
-    try:
-        return attached_vehicle(log).file.estimation.phases
-    except config.ConfigError as error:
-        raise ValueError(f"{log.path} carries no vehicle file that says what its phases are: {error}") from error
+def _phase_settings(log: LogReader, vehicle: config.Vehicle | None) -> config.Phases | None:
+    if vehicle is None:
+        raise ValueError(f"{log.path} carries no vehicle file that says what its phases are; give one with --vehicle")
+    return vehicle.file.estimation.phases
 
 
 def span_of(log: LogReader) -> tuple[int, int]:

@@ -126,9 +126,9 @@ def heads(path):
 def test_raw_or_si(tmp_path, log):
     dump(log, tmp_path / "raw", values="raw")
     dump(log, tmp_path / "si", values="si")
-    assert heads(tmp_path / "raw" / "load_cell.csv") == list(records.SCALAR.names)
+    assert heads(tmp_path / "raw" / "load_cell.csv") == ["time_s", *records.SCALAR.names]
     assert heads(tmp_path / "si" / "load_cell.csv") == [
-        "sequence", "host_ns", "tick", "value", "sync_counter", "device_status", "status"
+        "time_s", "sequence", "host_ns", "tick", "value", "sync_counter", "device_status", "status"
     ]  # fmt: skip
     si = heads(tmp_path / "si" / "imu_base.csv")
     assert "gyro_x" in si
@@ -140,7 +140,7 @@ def test_times_count_from_the_first_record_and_the_end_is_not_in(tmp_path, log):
     result = dump(log, tmp_path / "part", Selection(("imu_base",), 1.0, 1.5))
     assert result.rows == {"imu_base": 500}
     first = (tmp_path / "part" / "imu_base.csv").read_text().splitlines()[1]
-    assert first.startswith("1000,6000000000,")
+    assert first.startswith("nan,1000,6000000000,")
     with pytest.raises(ValueError, match="exchange them"):
         dump(log, tmp_path / "none", Selection(None, 2.0, 1.0))
     assert not (tmp_path / "none").exists()

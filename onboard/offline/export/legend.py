@@ -1,0 +1,86 @@
+"""``README.txt`` beside a dump: what the files and columns are, and what each status bit and code stands for."""
+
+from collections.abc import Iterable, Mapping
+from enum import IntEnum, IntFlag
+
+from drivers.records import SampleStatus, Severity
+from onboard.estimation.gates import GateReason
+from onboard.offline.tables.columns import Times
+from onboard.offline.tables.flight_tables import FlightTables
+from onboard.offline.tables.meaning import Meaning
+from onboard.timebase.clock import ClockState
+
+FILE = "README.txt"
+_STATUS = {
+    SampleStatus.SATURATED: "at an end of the range",
+    SampleStatus.NOT_VALID: "the device says so, or what it says cannot be; an event tells why",
+    SampleStatus.AFTER_RESET: "first sample after the device restarted: its tick began again",
+}
+_GATES = {
+    GateReason.SATURATED: "a sample under the smoothing kernel is at the end of its range",
+    GateReason.GAP: "samples are missing under the kernel",
+    GateReason.CONTACT: "a joint is where a stop can touch it",
+    GateReason.DRAG: "the base feels a force that is not its own motion",
+    GateReason.PHASE: "not a phase to identify in, or not settled in it",
+    GateReason.RESIDUAL: "the row contradicts the estimate",
+    GateReason.NOT_SYNCHRONISED: "a clock that the row depends on is not to be trusted",
+}
+_CLOCKS = {
+    ClockState.ACQUIRING: "not enough marks yet",
+    ClockState.LOCKED: "on its marks",
+    ClockState.FLYWHEEL: "marks have stopped or contradict: going on at the last rate, sigma growing",
+    ClockState.INVALID: "not to be trusted",
+}
+_SEVERITY = {Severity.INFO: "", Severity.WARNING: "", Severity.ERROR: ""}
+
+
+def legend(tables: FlightTables, files: Mapping[str, str]) -> str:
+    """The text for ``files``, names by channel."""
+    vehicle, log = tables.vehicle, tables.log
+    if vehicle is not None:
+        flown = f"vehicle {vehicle.file.vehicle.name}"
+    else:
+        flown = f"no vehicle is known, so no frames, zero counts or clocks ({tables.why_none})"
+    lines = [f"{log.path.name}: {flown}", "", *_time_lines(tables.times), "", "Files"]
+    for channel, file in files.items():
+        meaning = tables.meanings.get(channel, Meaning(time=""))
+        about = {"": meaning.measures, "time_s: ": meaning.time, "filter delay, not taken off time_s: ": meaning.delay}
+        lines += [f"  {file}", *(f"      {head}{text}" for head, text in about.items() if text)]
+    lines += [
+        *codes(),
+        "",
+        "device_status is the device's own byte, filter_code its own code of its low-pass filter: see its data sheet.",
+        "Text that would begin a formula in a spreadsheet has an apostrophe before it.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def codes() -> list[str]:
+    """What the bits and codes of the records stand for."""
+    lines = []
+    for title, said in (
+        ("status, bits (0: a good sample)", _codes(_STATUS.items())),
+        ("gate, bits (0: the row was used)", _codes(_GATES.items())),
+        ("state of a clock", _codes(_CLOCKS.items())),
+        ("severity of an event", _codes(_SEVERITY.items())),
+    ):
+        lines += ["", title, *said]
+    return lines
+
+
+def _time_lines(times: Times) -> list[str]:
+    utc = (
+        "utc is that instant by the flight computer's wall clock, which was read once, when the flight began."
+        if times.utc_offset_ns is not None
+        else "The log knows no wall clock (simulated, imported, or never set), so there is no utc."
+    )
+    return [
+        f"time_s is vehicle time (CLOCK_MONOTONIC of the flight computer) less {times.start_ns} ns, the log's first",
+        "record, where --from and --until count from too; nan where the sample's clock never was known. host_ns is the",
+        "arrival at the flight computer.",
+        utc,
+    ]
+
+
+def _codes(said: Iterable[tuple[IntFlag | IntEnum, str]]) -> list[str]:
+    return [f"  {int(code):3d}  {str(code.name).lower()}{': ' if text else ''}{text}" for code, text in said]
