@@ -6,7 +6,8 @@ import numpy as np
 
 from drivers.records import PULSE
 from onboard import config
-from onboard.flight.roles import Roles, Signal, roles_of
+from onboard.devices.roles import Roles, SmoothedChannel
+from onboard.flight.roles import roles_of
 from onboard.offline.tables.vehicle_time import clocked
 from onboard.recording.reader import LogReader
 
@@ -59,7 +60,7 @@ def meanings(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, Meanin
     return found
 
 
-def _delay(signal: Signal | None) -> str:
+def _delay(signal: SmoothedChannel | None) -> str:
     if signal is None or not any(signal.delays_s):
         return ""
     parts = dict(zip(("gyro ", "accel "), signal.delays_s[::3], strict=True)) if len(signal.delays_s) == 6 else {}
