@@ -22,7 +22,9 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.batch import ImuPrior, NonLinearExiddm, PayloadFit
+from onboard.identification.exiddm.batch import Exiddm, PayloadFit
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.timebase.resync import ResyncError
 
@@ -31,7 +33,7 @@ Floats = NDArray[np.float64]
 DURATION_S, ENCODERS_S = 20.0, 16.0
 RATE_LIMIT = 0.02
 PAYLOAD_KG = 5
-DOUBT = ImuPrior(
+PRIOR = ImuPrior(
     ERRORS.gyro_bias_rad_s,
     ERRORS.gyro_drift_rad_s2,
     ERRORS.scale,
@@ -70,8 +72,8 @@ def fly(seed: int) -> Outcome:
     """One parabola, both ways."""
     rng, model, body = np.random.default_rng(seed), vehicle(), BOXES[PAYLOAD_KG]
 
-    def build(signals: FlightSignals, doubt: ImuPrior) -> NonLinearExiddm:
-        return NonLinearExiddm(model, "imu_base", signals, PAYLOAD_SIGMA, {}, doubt)
+    def build(signals: FlightSignals, imu_prior: ImuPrior) -> Exiddm:
+        return free_exiddm(model, "imu_base", signals, PAYLOAD_SIGMA, {}, imu_prior)
 
     motion = free_flyer.JointMotion.draw(rng)
     flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), DURATION_S)
@@ -85,9 +87,9 @@ def fly(seed: int) -> Outcome:
     recorded = Recorded(imu.time_s, imu.rate_rad_s, imu.specific_force_m_s2, sigma, own_s, angle)
     shared = (imu.time_s >= true_s[0]) & (imu.time_s <= true_s[-1])
     whole = (imu.time_s, imu.angle_rad, imu.rate_rad_s, imu.specific_force_m_s2)
-    synchronised = build(tick_signals(*(part[shared] for part in whole), sigma, 5, 0.1), DOUBT).fit()
+    synchronised = build(tick_signals(*(part[shared] for part in whole), sigma, 5, 0.1), PRIOR).fit()
     try:
-        found = rescue(recorded, coarse_clocks(model, "imu_base", recorded, RATE_LIMIT), build, DOUBT)
+        found = rescue(recorded, coarse_clocks(model, "imu_base", recorded, RATE_LIMIT), build, PRIOR)
     except (ResyncError, ConvergenceError) as error:
         return Outcome(str(error), np.nan, np.nan, np.nan, np.full(3, np.nan), _error(synchronised, body))
     off_s = found.clock.reference_s(own_s) - true_s

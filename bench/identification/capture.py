@@ -43,7 +43,7 @@ def _signals(flight: free_flyer.Flight, rng: np.random.Generator) -> FlightSigna
 
 def _online(signals: FlightSignals, held: bool) -> RecursiveExiddm:
     model = case.vehicle()
-    return estimator(model, signals, *case.doubts(model, True), held=held)
+    return estimator(model, signals, *case.priors(model, True), held=held)
 
 
 def capture(shape: free_flyer.Body, mass_kg: float, seed: int) -> Captured:

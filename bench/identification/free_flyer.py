@@ -28,7 +28,9 @@ from onboard.dynamics.payload import BodyEstimate, body_of, standard_covariance,
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.batch import CERTAIN, ImuPrior, NonLinearExiddm
+from onboard.identification.exiddm.batch import Exiddm
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.regressor.free_rows import measured_base, zero_wrench_rows
 
 Floats = NDArray[np.float64]
@@ -150,15 +152,15 @@ def record(body: free_flyer.Body, real: bool, seed: int) -> Recorded:
     return Recorded(flight, tick_signals(*sampled[:4], sampled[4:], SAMPLES_PER_TICK, SMOOTHING_s))
 
 
-def doubts(model: VehicleModel, real: bool) -> tuple[dict[str, Floats], ImuPrior]:
-    """What is known beforehand of the links, and what may be wrong with the IMU."""
+def priors(model: VehicleModel, real: bool) -> tuple[dict[str, Floats], ImuPrior]:
+    """What is known beforehand of the links, and the prior on instrument errors."""
     if not real:
         return {}, CERTAIN
     covariance = {}
     for index, link in enumerate(model.links[:-1]):
         own = model.chi[10 * index : 10 * index + 10]
         covariance[link] = standard_covariance(own, *(LINK_SIGMA if index else BASE_SIGMA))
-    doubt = ImuPrior(
+    imu_prior = ImuPrior(
         ERRORS.gyro_bias_rad_s,
         ERRORS.gyro_drift_rad_s2,
         ERRORS.scale,
@@ -169,7 +171,7 @@ def doubts(model: VehicleModel, real: bool) -> tuple[dict[str, Floats], ImuPrior
         ERRORS.turn_rad,
         ERRORS.delay_s,
     )
-    return covariance, doubt
+    return covariance, imu_prior
 
 
 def fly(body: free_flyer.Body, real: bool, seed: int) -> Outcome:
@@ -177,18 +179,18 @@ def fly(body: free_flyer.Body, real: bool, seed: int) -> Outcome:
     recorded = record(body, real, seed)
     signals = recorded.signals
     model = vehicle()
-    exiddm = NonLinearExiddm(model, "imu_base", signals, PAYLOAD_SIGMA, *doubts(model, real))
+    exiddm = free_exiddm(model, "imu_base", signals, PAYLOAD_SIGMA, *priors(model, real))
     moved = measured_base(model, "imu_base", signals, ROW_SMOOTHING_s)
     Y, y = zero_wrench_rows(model, signals.q, signals.dq, signals.ddq, moved)
     whole = np.isfinite(y).all(axis=1)
     plain = np.linalg.lstsq(Y[whole].reshape(-1, 10), y[whole].ravel())[0]
     plain_body = body_of(plain) if plain[0] > 0.0 else RigidBody(np.nan, np.full(3, np.nan), np.full((3, 3), np.nan))
     found = exiddm.fit()
-    misfit = found.fit.residual_sum / found.freedom
+    misfit = found.misfit
     return judged(body, found.payload, bound(exiddm, recorded, body), misfit, plain_body)
 
 
-def bound(exiddm: NonLinearExiddm, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:
+def bound(exiddm: Exiddm, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:
     """Cramer and Rao's, at the drawn values of all nuisances, which changes it by their own few per cent."""
     model, signals, flight = exiddm.vehicle, recorded.signals, recorded.flight
     chi = model.chi.copy()

@@ -28,8 +28,8 @@ from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, PlanarExiddm
-from onboard.identification.exiddm.batch import ImuPrior
+from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
+from onboard.identification.exiddm.imu_errors import ImuPrior
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def vehicle() -> VehicleModel:
     return VehicleModel(urdf.read_text(encoding="utf-8"), VehicleSpec(BaseKind.PLANAR, "base", "payload"))
 
 
-def doubts(model: VehicleModel) -> tuple[dict[str, Floats], AirBearingPrior]:
+def priors(model: VehicleModel) -> tuple[dict[str, Floats], AirBearingPrior]:
     """What is not known: covariances of the links, and the rest."""
     links = {
         link: standard_covariance(model.chi[10 * k : 10 * k + 10], *(LINK_SIGMA if k else BASE_SIGMA))
@@ -89,8 +89,8 @@ def run_one(body: free_flyer.Body, seed: int) -> Outcome | None:
     sampled = sample(flown, ERRORS, rng)
     signals = tick_signals(*sampled[:4], sampled[4:], SAMPLES_PER_TICK, SMOOTHING_s)
     model = vehicle()
-    links, doubt = doubts(model)
-    exiddm = PlanarExiddm(model, "imu_base", signals, PAYLOAD_SIGMA, links, doubt)
+    links, prior = priors(model)
+    exiddm = air_bearing_exiddm(model, "imu_base", signals, PAYLOAD_SIGMA, links, prior)
     try:
         found = exiddm.fit()
     except ConvergenceError:
@@ -102,17 +102,18 @@ def run_one(body: free_flyer.Body, seed: int) -> Outcome | None:
         plain = np.array([rough.mass_kg, rough.inertia_kg_m2[2, 2]]) / scale - 1.0
     payload, sigma = found.payload, np.sqrt(np.diag(found.payload.covariance))
     truth = np.array([value for drag in drags for value in (drag.viscous_N_s_m, drag.coulomb_N)])
-    off = found.drag - truth
+    drag = drag_of(found, prior.pucks)
+    off = drag.drag - truth
     own = slice(2 * dragging, 2 * dragging + 2)
     error = np.array([payload.body.mass_kg, payload.body.inertia_kg_m2[2, 2]]) / scale - 1.0
     return Outcome(
         np.concatenate([error, off[own]]),
-        np.concatenate([sigma[[0, 9]] / scale, found.drag_sigma[own]]),
+        np.concatenate([sigma[[0, 9]] / scale, drag.sigma[own]]),
         plain,
         float(np.linalg.norm(payload.body.centre_of_mass_m - body.centre_of_mass_m)),
-        np.abs(off) <= stdtrit(np.inf, 0.975) * found.drag_sigma,
-        found.fit.residual_sum / found.freedom,
-        found.reason,
+        np.abs(off) <= stdtrit(np.inf, 0.975) * drag.sigma,
+        found.misfit,
+        drag.reason,
     )
 
 

@@ -23,10 +23,11 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import VehicleModel
-from onboard.identification.exiddm.batch import ImuPrior, NonLinearExiddm
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm, SOLVED_AT_s
-from onboard.identification.exiddm.window import Ticks
+from onboard.identification.exiddm.ticks import Ticks
 
 Floats = NDArray[np.float64]
 
@@ -58,10 +59,10 @@ def ticks_of(signals: FlightSignals, first_s: float = 0.0) -> Ticks:
 
 
 def estimator(
-    model: VehicleModel, signals: FlightSignals, covariance: dict[str, Floats], doubt: ImuPrior, held: bool
+    model: VehicleModel, signals: FlightSignals, covariance: dict[str, Floats], imu_prior: ImuPrior, held: bool
 ) -> RecursiveExiddm:
     """One that knows nothing yet."""
-    predictor = ImuPredictor(model, "imu_base", signals.period_s, signals.samples, covariance, doubt)
+    predictor = ImuPredictor(model, "imu_base", signals.period_s, signals.samples, covariance, imu_prior)
     return RecursiveExiddm(predictor, "imu_base", case.PAYLOAD_SIGMA, held)
 
 
@@ -94,12 +95,12 @@ def fly(body: free_flyer.Body, real: bool, seed: int) -> Flown:
     """One flight through both."""
     recorded = case.record(body, real, seed)
     model = case.vehicle()
-    known = case.doubts(model, real)
-    exiddm = NonLinearExiddm(model, "imu_base", recorded.signals, case.PAYLOAD_SIGMA, *known)
+    known = case.priors(model, real)
+    exiddm = free_exiddm(model, "imu_base", recorded.signals, case.PAYLOAD_SIGMA, *known)
     found = exiddm.fit()
     least = case.bound(exiddm, recorded, body)
     none = RigidBody(np.nan, np.full(3, np.nan), np.full((3, 3), np.nan))
-    misfit = found.fit.residual_sum / found.freedom
+    misfit = found.misfit
     online = estimator(model, recorded.signals, *known, held=True)
     ticks = ticks_of(recorded.signals)
     times = []

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from onboard.section import NotNegative, Positive, Section
 
@@ -83,16 +83,23 @@ class Masses(Section):
 
 
 class ImuPrior(Section):
-    """Standard deviations by axis of what may be wrong with the base IMU; zero for what is taken for certain."""
+    """Standard deviations by axis of the base IMU's errors; zero for what is certain.
+
+    Files written before the words changed say ``doubt`` and ``turn`` in place of ``imu_prior`` and ``misalignment``.
+    """
 
     gyro_bias_rad_s: NotNegative = 0.0
     gyro_drift_rad_s2: NotNegative = 0.0
     gyro_scale: NotNegative = 0.0
-    gyro_turn_rad: NotNegative = 0.0
+    gyro_misalignment_rad: NotNegative = Field(
+        default=0.0, validation_alias=AliasChoices("gyro_misalignment_rad", "gyro_turn_rad")
+    )
     accelerometer_bias_m_s2: NotNegative = 0.0
     accelerometer_drift_m_s3: NotNegative = 0.0
     accelerometer_scale: NotNegative = 0.0
-    accelerometer_turn_rad: NotNegative = 0.0
+    accelerometer_misalignment_rad: NotNegative = Field(
+        default=0.0, validation_alias=AliasChoices("accelerometer_misalignment_rad", "accelerometer_turn_rad")
+    )
     delay_s: NotNegative = 0.0
 
 
@@ -125,7 +132,7 @@ class Estimation(Section):
 
     ``method``: "rows" is least squares on rows of the vehicle's dynamics; "instrumental" the same of a free base with
     instrumental variables (rows rebuilt from predicted motion), which noise does not bias; "exiddm" predicts what the
-    base IMU of a free vehicle shows, finds the payload, its capture and its ejection; ``doubt``, ``exiddm`` and
+    base IMU of a free vehicle shows, finds the payload, its capture and its ejection; ``imu_prior``, ``exiddm`` and
     ``prior.link`` are its.
     ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal),
     or its smoother; see :mod:`onboard.estimation.kinematics`.
@@ -159,4 +166,4 @@ class Estimation(Section):
     nuisance: list[str] = Field(default_factory=list)
     carried: Carried | None = None
     exiddm: Exiddm = Exiddm()
-    doubt: ImuPrior = ImuPrior()
+    imu_prior: ImuPrior = Field(default=ImuPrior(), validation_alias=AliasChoices("imu_prior", "doubt"))

@@ -15,7 +15,6 @@ from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from onboard.dynamics.free_flight import BasePrediction
@@ -79,7 +78,7 @@ def predict_planar(
     chi: FloatArray,
     drag: PlanarDrag,
     tilt: FloatArray,
-    wanted: NDArray[np.intp],
+    free: tuple[int, ...],
 ) -> PlanarPrediction:
     """Predicts the base's motion.
 
@@ -89,8 +88,10 @@ def predict_planar(
         chi: standard parameters of all links, (P,).
         drag: of the pucks.
         tilt: gravity along the table, m/s^2, along the base's axes at the first tick, (2,).
-        wanted: columns of chi in the derivative, (c,).
+        free: links whose ten columns are wanted in the derivatives, as in
+            :func:`onboard.dynamics.free_flight.predict_base`.
     """
+    wanted = (10 * np.repeat(free, 10) + np.tile(np.arange(10), len(free))).astype(np.intp)
     G = columns.T @ chi  # (m, 3, 6)
     inverse = np.asarray(np.linalg.inv(G[:, :, :3]), np.float64)
     k = -(inverse @ G[:, :, 3:])  # (m, 3, 3) what a is without drag, of 1, w, w^2

@@ -87,23 +87,27 @@ def predict_base(
     return BasePrediction(w[:, 0], spin[:, 0], force[:, 0], d_rate, d_thrust[:, 3:], d_thrust[:, :3], eta, d_eta)
 
 
-def at_sensor(base: BasePrediction, R: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rate and specific force at a place fixed in the base, in axes of its own.
+
+    ``f_So = f_Bo + dw x p + w x (w x p)``: the acceleration of a point of a rigid body.
 
     Args:
         base: its motion.
-        R: the axes, R_BS (3, 3).
-        p: the place, (3,) m.
+        R_BS: axes of the sensor's frame S in the base's B, (3, 3).
+        p_BoSo_B: its origin, (3,), m.
 
     Returns:
         Values (n, 6) and derivatives (n, 6, 3 + c).
     """
     w = base.rate
-    force = base.specific_force + cross(base.acceleration, p) + cross(w, cross(w, p))
+    force = base.specific_force + cross(base.acceleration, p_BoSo_B) + cross(w, cross(w, p_BoSo_B))
     # d(w x (w x p)) = (w x (dw x p)) + dw x (w x p) = -(hat(w) hat(p) + hat(w x p)) dw
-    bend = -(hat(w) @ hat(p) + hat(cross(w, p)))
-    d_force = base.d_specific_force - hat(p) @ base.d_acceleration + bend @ base.d_rate
-    return np.concatenate([w @ R, force @ R], axis=1), np.concatenate([R.T @ base.d_rate, R.T @ d_force], axis=1)
+    bend = -(hat(w) @ hat(p_BoSo_B) + hat(cross(w, p_BoSo_B)))
+    d_force = base.d_specific_force - hat(p_BoSo_B) @ base.d_acceleration + bend @ base.d_rate
+    return np.concatenate([w @ R_BS, force @ R_BS], axis=1), np.concatenate(
+        [R_BS.T @ base.d_rate, R_BS.T @ d_force], axis=1
+    )
 
 
 def _midpoints(x: FloatArray) -> FloatArray:

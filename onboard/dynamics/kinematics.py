@@ -125,6 +125,11 @@ def _fixed(parent: LinkMotion, placement: pin.SE3) -> LinkMotion:
     )
 
 
+def first_ticks(links: Sequence[LinkMotion], ticks: int) -> tuple[LinkMotion, ...]:
+    """The first so many ticks of some links' motion."""
+    return tuple(LinkMotion(*(part[:ticks] for part in link)) for link in links)
+
+
 def stacked(links: Sequence[LinkMotion]) -> LinkMotion:
     """Several links in one, (n, links, ...): the arithmetic of all of them in one call."""
     return LinkMotion(*(np.stack(parts, axis=1) for parts in zip(*links, strict=True)))

@@ -14,11 +14,12 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import Memory
 from onboard.flight.roles import roles_of
-from onboard.identification.exiddm.batch import ImuPrior
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.table_run import TableRun
-from onboard.identification.online import ExiddmIdentifier, OnlineIdentifier
+from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Quantity, mass_quantities
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.identifier import Considered, Identifier, Start
@@ -64,8 +65,8 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
     try:
         model = build_model(vehicle)
         _check_joints(roles, model)
-        covariance, doubt, payload_sigma = exiddm_prior(vehicle, model)
-        predictor = ImuPredictor(model, roles.imu.frame, 1.0 / settings.row_rate_hz, samples, covariance, doubt)
+        covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
+        predictor = ImuPredictor(model, roles.imu.frame, 1.0 / settings.row_rate_hz, samples, covariance, imu_prior)
         known = None
         if settings.carried:
             known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
@@ -117,7 +118,7 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
 
 
 def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
-    """What is known before a flight: covariances of links, what may be wrong with the IMU, sigmas of a payload (10,).
+    """What is known before a flight: covariances of links, prior on instrument errors, sigmas of a payload (10,).
 
     Raises:
         UrdfError: a link that the URDF does not have, or has no inertia.
@@ -133,7 +134,7 @@ def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str
     asked = settings.exiddm
     first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
     payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
-    return covariance, ImuPrior(**settings.doubt.model_dump()), payload_sigma
+    return covariance, ImuPrior(**settings.imu_prior.model_dump()), payload_sigma
 
 
 def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:

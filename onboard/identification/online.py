@@ -1,26 +1,12 @@
-"""What every estimator that flies looks like, and the non-linear one in that shape."""
+"""What every estimator that flies looks like."""
 
 from typing import Protocol
 
-import numpy as np
-from scipy.linalg import cholesky
-from scipy.special import ndtri
-
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import elements
-from onboard.dynamics.payload import body_jacobian, possible_body
-from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.recursive import RecursiveExiddm
-from onboard.identification.exiddm.window import Ticks, ticks_of
-from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
+from onboard.identification.quantities import Estimate
 from onboard.regressor.signals import Signals
-
-IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
 
 class OnlineIdentifier(Protocol):
@@ -52,112 +38,3 @@ class OnlineIdentifier(Protocol):
 
     def news(self) -> tuple[Change, ...]:
         """What has been noticed since the last call."""
-
-
-class ExiddmIdentifier:
-    """The recursive non-linear ExIDDM. Its rows are the six lines of the base IMU, means over each tick.
-
-    A quantity is supported when the data determine it, not the prior, and all but the mass only when the mass is known
-    well enough to divide by (a fifth of itself, one sigma).
-
-    Args:
-        exiddm: the estimator.
-    """
-
-    def __init__(self, exiddm: RecursiveExiddm) -> None:
-        self.exiddm = exiddm
-        payload = exiddm.predictor.vehicle.spec.payload_link
-        self.row_names: tuple[str, ...] = IMU_ROWS
-        self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
-        self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
-        self.rows_used = 0
-        self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
-        self._attached: bool | None = None
-        self._told = 0
-
-    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Takes new ticks in; where ``attached`` changes somebody says that the payload was captured or let go.
-
-        A tick that is refused for its own glitch is counted, not marked: it is judged some ticks later.
-
-        Raises:
-            SignalError: shapes that do not fit.
-        """
-        n = len(signals.time_s)
-        if signals.measured.shape != (n, 6) or signals.sigma.shape != (n, 6) or excluded.shape != (n,):
-            raise SignalError(f"{n} ticks need (n, 6) rates and specific forces; they are {signals.measured.shape}")
-        found = np.repeat(np.asarray(excluded, np.int64)[:, None], 6, axis=1)
-        whole = np.isfinite(np.concatenate([signals.measured, signals.sigma], axis=1)).all(axis=1)
-        joints = np.isfinite(np.concatenate([signals.q, signals.dq, signals.ddq], axis=1)).all(axis=1)
-        found[~(whole & joints)] |= GateReason.GAP
-        measured = np.where((found == 0), signals.measured, np.nan)
-        ticks = ticks_of(signals, measured)
-        first, glitches = 0, self.exiddm.glitches
-        for last in [*(np.flatnonzero(np.diff(attached)) + 1), n]:
-            held = bool(attached[first]) if n else self._attached
-            if n and self._attached is not None and held != self._attached:
-                self.exiddm.told(bool(held), float(signals.time_s[first]))
-            self._attached = held
-            self.exiddm.update(Ticks(*(x[first:last] for x in ticks)))
-            first = last
-        self.rows_used = 6 * self.exiddm.ticks_used
-        for reason in self.refused:
-            self.refused[reason] += int(np.count_nonzero(found & int(reason)))
-        self.refused[GateReason.RESIDUAL] += 6 * (self.exiddm.glitches - glitches)
-        return found
-
-    def estimate(self, level: float = 0.95) -> Estimate:
-        """The payload's standard parameters, and mass, centre of mass, inertia about it in its link's axes."""
-        nothing = np.full(10, np.nan)
-        mean, sigma, body, spread, shrinkage = nothing, nothing, nothing, nothing, nothing
-        exiddm = self.exiddm
-        note = "nothing is held" if exiddm.held is False else "not determined by the data so far"
-        fine = np.zeros(10, np.bool_)
-        if exiddm.state is not None and exiddm.held:
-            mean, P = exiddm.state[PAYLOAD], exiddm.covariance[PAYLOAD, PAYLOAD]
-            sigma = np.sqrt(np.diag(P))
-            try:
-                possible = possible_body(mean, P)
-                D = body_jacobian(mean)
-            except (SignalError, ConvergenceError) as error:
-                note = str(error)
-            else:
-                inertia = elements(possible.inertia_kg_m2)
-                body = np.array([possible.mass_kg, *possible.centre_of_mass_m, *inertia])
-                spread = np.sqrt(np.einsum("ij,jk,ik->i", D, P, D))
-                shrinkage = spread / np.sqrt((D**2) @ exiddm.payload_sigma**2)
-                fine = shrinkage <= SUPPORTED_SHRINKAGE
-                fine[1:] &= spread[0] <= SUPPORTED_SHRINKAGE * mean[0]
-        z = float(ndtri(0.5 + 0.5 * level))
-        quantities = []
-        for k, name in enumerate(self.quantity_names):
-            at, wide = (float(body[k]), float(spread[k])) if fine[k] else (np.nan, np.nan)
-            said = "" if fine[k] else note
-            told = at, wide, at - z * wide, at + z * wide, float(shrinkage[k]), bool(fine[k]), said
-            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told))
-        supported = sigma <= SUPPORTED_SHRINKAGE * exiddm.payload_sigma
-        return Estimate(
-            self.parameter_names,
-            mean,
-            sigma,
-            mean - z * sigma,
-            mean + z * sigma,
-            supported,
-            tuple(quantities),
-            self.rows_used,
-            dict(self.refused),
-        )
-
-    def triangle(self) -> FloatArray:
-        """Of the payload's ten standard parameters, (11, 11); zeros while nothing is known."""
-        out = np.zeros((11, 11))
-        if self.exiddm.state is not None and self.exiddm.held:
-            R = cholesky(np.linalg.inv(self.exiddm.covariance[PAYLOAD, PAYLOAD]))
-            out[:10, :10], out[:10, 10] = R, R @ self.exiddm.state[PAYLOAD]
-        return out
-
-    def news(self) -> tuple[Change, ...]:
-        """Captures and ejections since the last call."""
-        new = tuple(self.exiddm.changes[self._told :])
-        self._told += len(new)
-        return new

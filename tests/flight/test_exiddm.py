@@ -15,7 +15,7 @@ from onboard.dynamics.payload import standard_of
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_exiddm
-from onboard.identification.online import ExiddmIdentifier
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.offline.estimate_again.feed import feed
 from onboard.recording.reader import LogReader
@@ -33,7 +33,7 @@ row_rate_hz = 100
 smoothing_ms = 100
 [estimation.exiddm]
 held_at_start = false
-[estimation.doubt]
+[estimation.imu_prior]
 gyro_bias_rad_s = 0.01
 accelerometer_bias_m_s2 = 0.1
 [estimation.prior.link.base]
@@ -232,3 +232,17 @@ def test_a_base_that_is_not_free_and_a_vehicle_without_a_payload_are_refused(tmp
     path.write_text(text.replace('payload_link = "payload"\n', ""))
     with pytest.raises(config.ConfigError, match="name its payload_link"):
         config.load(path)
+
+
+def test_a_vehicle_file_of_before_the_words_changed_is_read_as_it_was():
+    old = (VEHICLE / "vehicle.toml").read_text()
+    assert old.count("[estimation.doubt]") == 1
+    assert old.count("_turn_rad") == 2
+    new = old.replace("[estimation.doubt]", "[estimation.imu_prior]").replace("_turn_rad", "_misalignment_rad")
+    read = [config.parse(text, VEHICLE / "vehicle.toml").file.estimation.imu_prior for text in (old, new)]
+    assert read[0] == read[1]
+    assert read[0].gyro_misalignment_rad == 0.01
+    with pytest.raises(config.ConfigError, match="gyro_turn_rad"):
+        config.parse(old.replace("gyro_turn_rad = 0.01", "gyro_turn_rad = -1.0"), VEHICLE / "vehicle.toml")
+    with pytest.raises(config.ConfigError, match="doubt"):
+        config.parse(old + "\n[estimation.imu_prior]\ngyro_scale = 0.1\n", VEHICLE / "vehicle.toml")

@@ -1,12 +1,12 @@
 """Non-linear ExIDDM, recursively: the payload of a free-flyer from its joints and base IMU, while it flies.
 
 The same likelihood as :mod:`onboard.identification.exiddm.batch`, taken in a few ticks at a time by an extended Kalman
-filter whose state is all that is unknown: angular momentum, payload, the IMU's errors, the doubted links. A filter that
-begins with nothing known is not to be trusted to linearise, so the first seconds are solved as one window, again and
-again while it grows (:mod:`onboard.identification.exiddm.window`); after that every batch is one step.
+filter whose state is all that is unknown: angular momentum, payload, the IMU's errors, the uncertain links. The filter
+is wrong where it linearises far from the truth, so the first seconds are solved as one window, again and again while it
+grows (:mod:`onboard.identification.exiddm.window`); after that every batch is one step.
 
-When the payload changes, momentum and payload are forgotten, everything else is kept, and a new window begins. What
-happened is decided by which story explains that window: nothing held, the same payload after a push, or a new payload.
+When the payload changes, momentum and payload are forgotten, everything else is kept, and a new window begins. The
+hypothesis that explains that window says what happened: nothing is held, the same payload after a push, or a new one.
 
 The joints' own noise, the ripple of their gears above all, is added to that of the IMU as far as it shows there.
 """
@@ -21,8 +21,10 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
+from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor, Prediction
-from onboard.identification.exiddm.window import Hypothesis, Ticks, WindowFit
+from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.window import Hypothesis, WindowFit
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # after the start or a change: the window so far, as a whole
 BATCH_TICKS = 10
@@ -83,11 +85,11 @@ class RecursiveExiddm:
         carried = [*range(3), *(at for at, _ in predictor.biases)]
         self._carried = np.array(carried, np.intp)  # what changes from tick to tick
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
-        stories: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
+        hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
             mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
-            self.held, self._before, stories = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
-        self._open(stories, mean, covariance)
+            self.held, self._before, hypotheses = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
+        self._open(hypotheses, mean, covariance)
 
     def update(self, ticks: Ticks) -> None:
         """Takes ticks in; the newest waits for its successor, and the last few for a whole batch.
@@ -103,11 +105,11 @@ class RecursiveExiddm:
                 gap_s = ticks.time_s[first] - self._pending.time_s[-1]
                 if abs(gap_s - self.predictor.period_s) > 0.5 * self.predictor.period_s:
                     self._bridge(ticks.time_s[first] - self._pending.time_s[0])
-            stretch = np.flatnonzero(np.abs(np.diff(ticks.time_s[first:]) / self.predictor.period_s - 1.0) > 0.5)
-            last = min(first + self._wanted(), first + stretch[0] + 1 if stretch.size else len(ticks.time_s))
+            breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s[first:]) / self.predictor.period_s - 1.0) > 0.5)
+            last = min(first + self._wanted(), first + breaks[0] + 1 if breaks.size else len(ticks.time_s))
             self._pending = self._pending.and_then(ticks.part(slice(first, last)))
             if self._wanted() == 0:
-                self._solve_window() if self._stories else self._step()
+                self._solve_window() if self._hypotheses else self._step()
             first = last
 
     def told(self, held: bool, time_s: float) -> None:
@@ -128,15 +130,15 @@ class RecursiveExiddm:
 
     # ------------------------------------------------------------------ a window, as a whole
 
-    def _open(self, stories: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
+    def _open(self, hypotheses: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
         """Begin a window of which the momentum is not known, and of the rest this."""
-        self._stories, self._prior, self._solves, self._wait = stories, (mean, covariance), 0, 0
+        self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._pending = Ticks.none(len(self.predictor.vehicle.joints))
         self._detector.forget()
         self._snapshots.clear()
 
-    def _reopen(self, stories: tuple[Hypothesis, ...], batches_back: int) -> None:
+    def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int) -> None:
         """Begin a window with what was known so many batches ago."""
         if len(self._snapshots):
             prior = self._snapshots[max(0, len(self._snapshots) - 1 - batches_back)]
@@ -145,12 +147,12 @@ class RecursiveExiddm:
         else:
             prior = self._prior
         self.state, self.held, self.ticks_used = None, None, 0
-        self._open(stories, *prior)
+        self._open(hypotheses, *prior)
 
     def _wanted(self) -> int:
         """Ticks until there is something to do."""
         whole = BATCH_TICKS + 2
-        if self._stories:
+        if self._hypotheses:
             whole = self._window_ticks() + self._wait
         return whole - len(self._pending.time_s)
 
@@ -160,8 +162,8 @@ class RecursiveExiddm:
     def _solve_window(self) -> None:
         ticks = self._pending.part(slice(-self._window_ticks(), None))
         window = WindowFit(self.predictor, self._imu_frame, self.payload_sigma, ticks, *self._prior)
-        for story in self._stories:
-            solved = window.solve(story, self._start)
+        for hypothesis in self._hypotheses:
+            solved = window.solve(hypothesis, self._start)
             if solved is not None and solved.chance > _BELIEVED:
                 break
         else:  # contact may not be over; what is known of the rest stays
@@ -171,20 +173,24 @@ class RecursiveExiddm:
             self._pending = ticks.part(slice(-self._window_ticks(), None))
             return
         now_s = float(ticks.time_s[-1])
-        if len(self._stories) > 1 and story is not Hypothesis.NEW and self._before == (story is Hypothesis.SAME):
+        if (
+            len(self._hypotheses) > 1
+            and hypothesis is not Hypothesis.NEW
+            and self._before == (hypothesis is Hypothesis.SAME)
+        ):
             self.changes.append(Change("contact", now_s, float(ticks.time_s[0]), np.nan))
-        self.held = story is not Hypothesis.NOTHING
+        self.held = hypothesis is not Hypothesis.NOTHING
         self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
-        self.ticks_used, self._stories, self._wait = solved.used, (story,), 0
-        if story is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
+        self.ticks_used, self._hypotheses, self._wait = solved.used, (hypothesis,), 0
+        if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
             self._pending = ticks  # without what was waited out
-        elif story is Hypothesis.NEW and not self._determined():  # the arm is still, it seems
+        elif hypothesis is Hypothesis.NEW and not self._determined():  # the arm is still, it seems
             self._start = None
             self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
             self.glitches += solved.glitches
-            self._stories = ()
+            self._hypotheses = ()
             self._pending = ticks.part(slice(-2, None))
 
     def _determined(self) -> bool:
@@ -228,14 +234,13 @@ class RecursiveExiddm:
     def _innovation(
         self, predicted: Prediction, measured: FloatArray, sigma: FloatArray, use: BoolArray
     ) -> tuple[FloatArray, FloatArray]:
-        """``L^-1 H P`` and ``L^-1 r``, with ``L L'`` the covariance of the whitened innovation r."""
-        r = ((measured - predicted.values) / sigma)[use].ravel()
-        H = (predicted.jacobian / sigma[:, :, None])[use].reshape(r.size, -1)
+        """``L^-1 H P`` and ``L^-1 e``, with ``L L'`` the covariance of the whitened innovation e."""
+        r, H = whitened(predicted.values, predicted.jacobian, measured, sigma, use)
         HP = H @ self.covariance
         S = HP @ H.T
         S.flat[:: len(S) + 1] += 1.0
         factor = np.linalg.cholesky(S)
-        solved = solve_triangular(factor, np.column_stack([HP, r]), lower=True, check_finite=False)
+        solved = solve_triangular(factor, np.column_stack([HP, -r]), lower=True, check_finite=False)
         return solved[:, :-1], solved[:, -1]
 
     def _carry(self, state: FloatArray, covariance: FloatArray, predicted: Prediction) -> None:
@@ -255,17 +260,17 @@ class RecursiveExiddm:
         since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s
         self._before = bool(self.held)
         self.changes.append(Change("ejection" if self.held else "capture", now_s, since_s, score))
-        stories = (
+        hypotheses = (
             (Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW) if self.held else (Hypothesis.NOTHING, Hypothesis.NEW)
         )
-        self._reopen(stories, batches + 1)
+        self._reopen(hypotheses, batches + 1)
 
     def _bridge(self, gap_s: float) -> None:
         """The joints were not known for a while: the momentum has turned, nobody knows how."""
         rates = np.linalg.norm(self._pending.measured[:, :3], axis=1)
         rates = rates[np.isfinite(rates)]
-        if self._stories or self.state is None:
-            self._open(self._stories, *self._prior)
+        if self._hypotheses or self.state is None:
+            self._open(self._hypotheses, *self._prior)
         elif gap_s > _LONGEST_HOLE_s or rates.size == 0:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:

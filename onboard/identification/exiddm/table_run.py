@@ -10,7 +10,7 @@ from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.online import IMU_ROWS
+from onboard.identification.exiddm.online import IMU_ROWS
 from onboard.identification.quantities import Estimate
 from onboard.regressor.signals import Signals
 

@@ -14,63 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-from onboard.dynamics.errors import SignalError
-from onboard.dynamics.kinematics import LinkMotion, link_motions
+from onboard.dynamics.kinematics import first_ticks, link_motions
 from onboard.dynamics.payload import standard_of
-from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import Fit, fit
-from onboard.identification.exiddm.batch import GUESSES
+from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, guesses
+from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
-from onboard.regressor.signals import Signals
 
 _ITERATIONS = 40
 _FIRST_TICKS = 10  # that tell the momentum to begin with
-_ROUGH_WIDTH_s = 0.3
 _GOOD_FIT = 1e-2  # by chance: a misfit that is likelier needs no other guess
 _GLITCH = 1e-9  # by chance, of one tick's residual
 _FEW = 0.03  # of the ticks may be glitches
-
-
-class Ticks(NamedTuple):
-    """Consecutive ticks."""
-
-    time_s: FloatArray  # (n,)
-    q: FloatArray  # (n, joints) at the middle of each tick; NaN where they are not known
-    dq: FloatArray
-    ddq: FloatArray
-    measured: FloatArray  # (n, 6) means of rate and specific force, IMU axes; NaN for a tick without
-    sigma: FloatArray  # (n, 6) of these
-    joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
-
-    def part(self, which: slice) -> "Ticks":
-        """Some of them."""
-        return Ticks(*(x[which] for x in self))
-
-    def and_then(self, more: "Ticks") -> "Ticks":
-        """These and those."""
-        return Ticks(*(np.concatenate(pair) for pair in zip(self, more, strict=True)))
-
-    @staticmethod
-    def none(joints: int) -> "Ticks":
-        """No ticks."""
-        angles, six = np.zeros((0, joints)), np.zeros((0, 6))
-        return Ticks(np.zeros(0), angles, angles, angles, six, six, np.zeros((0, 2, joints)))
-
-
-def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
-    """Signals as ticks, their noise inflated for the correlation of neighbours.
-
-    Args:
-        signals: at n ticks; joints without a noise are taken for exact.
-        measured: (n, 6) rate and specific force, NaN where refused.
-    """
-    joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
-    if signals.noise is not None:
-        joint_sigma = signals.noise.inflation * np.stack([signals.noise.dq, signals.noise.ddq], axis=1)
-    return Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma, joint_sigma)
 
 
 class Hypothesis(Enum):
@@ -82,7 +41,7 @@ class Hypothesis(Enum):
 
 
 class Solved(NamedTuple):
-    """A window under one story."""
+    """A window under one hypothesis."""
 
     start: FloatArray  # (p,) at its first tick
     state: FloatArray  # (p,) at its last tick but one
@@ -118,30 +77,31 @@ class WindowFit:
         self._sigma = ticks.sigma
         self._links = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
 
-    def solve(self, story: Hypothesis, start: FloatArray | None) -> Solved | None:
-        """The window under a story; None where that leads nowhere.
+    def solve(self, hypothesis: Hypothesis, start: FloatArray | None) -> Solved | None:
+        """The window under a hypothesis; None where that leads nowhere.
 
         Args:
-            story: what is held.
+            hypothesis: what is held.
             start: (p,) the state at the first tick as it was found before; None: guesses are made.
         """
         p = len(self._mean)
-        others, own = np.arange(13, p), np.arange(3, 13)
+        rest, others, own = slice(PAYLOAD.start, p), np.arange(PAYLOAD.stop, p), np.arange(p)[PAYLOAD]
         mean, information, active = self._mean.copy(), np.zeros((p, p)), np.arange(p)
-        if story is Hypothesis.SAME:
-            information[3:, 3:] = np.linalg.inv(self._covariance[3:, 3:])
+        if hypothesis is Hypothesis.SAME:
+            information[rest, rest] = np.linalg.inv(self._covariance[rest, rest])
         else:
-            information[13:, 13:] = np.linalg.inv(self._covariance[13:, 13:])
+            apart = slice(PAYLOAD.stop, p)
+            information[apart, apart] = np.linalg.inv(self._covariance[apart, apart])
             information[own, own] = 1.0 / self._payload_sigma**2
             mean[PAYLOAD] = 0.0
-        if story is Hypothesis.NOTHING:
-            active = np.concatenate([np.arange(3), others])
+        if hypothesis is Hypothesis.NOTHING:
+            active = np.concatenate([np.arange(p)[MOMENTUM], others])
         use = np.logical_and.reduce(np.isfinite(self._ticks.measured[1:-1]), axis=1)
         if use[:_FIRST_TICKS].sum() < _FIRST_TICKS // 2:
             return None
         problem = _Problem(mean, information, active)
         with contextlib.suppress(ConvergenceError, SingularError):
-            found = self._from_guesses(problem, story, use) if start is None else start
+            found = self._from_guesses(problem, hypothesis, use) if start is None else start
             fitted = None if found is None else self._settle(problem, found, use)
             if fitted is None:
                 return None
@@ -161,10 +121,10 @@ class WindowFit:
             return Solved(found, end.state, F @ fitted.covariance @ F.T, int(use.sum()), glitches, chance)
         return None
 
-    def _from_guesses(self, problem: "_Problem", story: Hypothesis, use: NDArray[np.bool_]) -> FloatArray | None:
+    def _from_guesses(self, problem: "_Problem", hypothesis: Hypothesis, use: NDArray[np.bool_]) -> FloatArray | None:
         """The best fit from one guess after the other, until one is good; half a second is too short to tell."""
         found: Fit | None = None
-        for payload in self._guesses(story):
+        for payload in self._guesses(hypothesis):
             x = problem.mean.copy()
             x[PAYLOAD] = payload
             x[MOMENTUM] = self._first_momentum(x)
@@ -193,39 +153,24 @@ class WindowFit:
     def _residuals(self, problem: "_Problem", use: NDArray[np.bool_], x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whitened, predicted less measured, of the ticks to use, and their derivatives by what is active."""
         n = len(use)
-        predicted = self._predictor.predict(_first(self._links, n + 2), problem.state(x))
+        predicted = self._predictor.predict(first_ticks(self._links, n + 2), problem.state(x))
         sigma = self._sigma[1 : n + 1]
-        r = ((predicted.values - self._ticks.measured[1 : n + 1]) / sigma)[use]
-        J = (predicted.jacobian[:, :, problem.active] / sigma[:, :, None])[use]
-        return r.ravel(), J.reshape(r.size, -1)
+        measured, jacobian = self._ticks.measured[1 : n + 1], predicted.jacobian[:, :, problem.active]
+        return whitened(predicted.values, jacobian, measured, sigma, use)
 
-    def _guesses(self, story: Hypothesis) -> Iterator[FloatArray]:
-        if story is not Hypothesis.NEW:
-            yield self._mean[PAYLOAD] if story is Hypothesis.SAME else np.zeros(10)
+    def _guesses(self, hypothesis: Hypothesis) -> Iterator[FloatArray]:
+        if hypothesis is not Hypothesis.NEW:
+            yield self._mean[PAYLOAD] if hypothesis is Hypothesis.SAME else np.zeros(10)
             return
-        vehicle, ticks = self._predictor.vehicle, self._ticks
-        spread = np.nanmedian(ticks.sigma, axis=0)
-        signals = FlightSignals(
-            self._predictor.period_s,
-            ticks.q,
-            ticks.dq,
-            ticks.ddq,
-            ticks.measured[:, :3],
-            ticks.measured[:, 3:],
-            spread[:3],
-            spread[3:],
-            1,
-        )
-        with contextlib.suppress(SignalError, ConvergenceError):  # noise may make it no body at all; the others are
-            yield standard_of(rough_payload(vehicle, self._imu_frame, signals, _ROUGH_WIDTH_s, self._payload_sigma))
-        for guess in GUESSES:
-            yield standard_of(guess)
+        vehicle, signals = self._predictor.vehicle, self._ticks.flight(self._predictor.period_s, 1)
+        rough = partial(rough_payload, vehicle, self._imu_frame, signals, ROUGH_WIDTH_s, self._payload_sigma)
+        yield from (standard_of(guess) for guess in guesses(rough))
 
     def _first_momentum(self, state: FloatArray) -> FloatArray:
         """What the first gyro readings mean under the payload of ``state``."""
         state = state.copy()
         state[MOMENTUM] = 0.0
-        predicted = self._predictor.predict(_first(self._links, _FIRST_TICKS + 2), state)
+        predicted = self._predictor.predict(first_ticks(self._links, _FIRST_TICKS + 2), state)
         gap = self._ticks.measured[1 : _FIRST_TICKS + 1, :3] - predicted.values[:, :3]
         seen = np.isfinite(gap).all(axis=1)
         J = predicted.jacobian[seen, :3, MOMENTUM].reshape(-1, 3)
@@ -242,7 +187,3 @@ class _Problem(NamedTuple):
         state = self.mean.copy()
         state[self.active] = x
         return state
-
-
-def _first(links: tuple[LinkMotion, ...], ticks: int) -> tuple[LinkMotion, ...]:
-    return tuple(LinkMotion(*(part[:ticks] for part in link)) for link in links)

@@ -26,9 +26,10 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, without_rotors
 from onboard.identification.verdict import Evidence, Level, verdict
 from onboard.offline.estimate_again import throws
-from onboard.offline.estimate_again.exiddm_log import EXIDDM, identify_exiddm
+from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, feed
 from onboard.offline.estimate_again.identified import Answer, Identified
+from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.planar_log import identify_planar
 from onboard.offline.estimate_again.throws import Calibration, LoadSummary
 from onboard.recording.reader import LogReader

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from onboard import config
 from onboard.flight.identification import NAMING_SEED, build_identifier, build_model
-from onboard.offline.estimate_again.exiddm_log import EXIDDM
+from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.regressor.base_parameters import BaseParameters, base_parameters
 from onboard.regressor.groupings import Groupings, groupings
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows

@@ -21,7 +21,9 @@ from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.smoothing import smooth
-from onboard.identification.exiddm.batch import GUESSES, ImuPrior, NonLinearExiddm, PayloadFit
+from onboard.identification.exiddm.batch import Exiddm, PayloadFit
+from onboard.identification.exiddm.guesses import GUESSES
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.timebase.resync import ResyncError, Stream, align, candidates
 
 PEAK_HZ = 1.0
@@ -71,10 +73,10 @@ class Rescued(NamedTuple):
     @property
     def misfit(self) -> float:
         """Whitened residual sum over its degrees of freedom: 1 where nothing but noise is left."""
-        return self.found.fit.residual_sum / self.found.freedom
+        return self.found.misfit
 
 
-Build = Callable[[FlightSignals, ImuPrior], NonLinearExiddm]
+Build = Callable[[FlightSignals, ImuPrior], Exiddm]
 
 
 def coarse_clocks(vehicle: VehicleModel, imu_frame: str, recorded: Recorded, rate_limit: float) -> list[Clock]:
@@ -120,15 +122,20 @@ def placed_signals(recorded: Recorded, clock: Clock, samples: int, width_s: floa
 
 
 def rescue(
-    recorded: Recorded, clocks: Sequence[Clock], build: Build, doubt: ImuPrior, samples: int = 5, width_s: float = 0.1
+    recorded: Recorded,
+    clocks: Sequence[Clock],
+    build: Build,
+    imu_prior: ImuPrior,
+    samples: int = 5,
+    width_s: float = 0.1,
 ) -> Rescued:
     """Clock and payload from clocks that may be nearly right.
 
     Args:
         recorded: both recorders.
         clocks: from :func:`coarse_clocks`.
-        build: makes the estimator of signals and of what is doubted of the IMU.
-        doubt: of the IMU; its delay and stretch are set here.
+        build: makes the estimator of signals and of a prior on instrument errors.
+        imu_prior: on instrument errors; its delay and clock rate error are set here.
         samples: of the IMU in each tick, odd.
         width_s: of the kernel that smooths the joints.
 
@@ -138,7 +145,7 @@ def rescue(
     found: list[Rescued] = []
     for clock in clocks:
         with contextlib.suppress(ConvergenceError, ResyncError):
-            found.append(_settled(recorded, clock, build, doubt, samples, width_s))
+            found.append(_settled(recorded, clock, build, imu_prior, samples, width_s))
     found.sort(key=lambda one: one.misfit)
     if not found or found[0].misfit > BAD_FIT:
         told = f"the best leaves {found[0].misfit:.1f} times the noise" if found else "none leads to a fit"
@@ -152,21 +159,23 @@ def rescue(
     return found[0]
 
 
-def _settled(recorded: Recorded, clock: Clock, build: Build, doubt: ImuPrior, samples: int, width_s: float) -> Rescued:
+def _settled(
+    recorded: Recorded, clock: Clock, build: Build, imu_prior: ImuPrior, samples: int, width_s: float
+) -> Rescued:
     """The fit with the clock's own share in it, joints placed anew until nothing moves."""
     span_s = float(np.ptp(recorded.imu_s))
     for done in range(1, ROUNDS + 1):
         signals, middle_s = placed_signals(recorded, clock, samples, width_s)
-        widened = doubt._replace(delay_s=clock.sigma_offset_s, stretch=clock.sigma_rate)
+        widened = imu_prior._replace(delay_s=clock.sigma_offset_s, clock_rate_error=clock.sigma_rate)
         found = build(signals, widened).fit()
-        delay_s, stretch = found.fit.x[-2:]
+        delay_s, rate_error = found.fit.x[-2:]
         sigma_s, sigma_rate = np.sqrt(np.diag(found.fit.covariance)[-2:])
-        # the IMU's time at which a joint sample placed at t was taken: t + delay + stretch (t - middle)
+        # the IMU's time at which a joint sample placed at t was taken: t + delay + rate_error (t - middle)
         clock = clock._replace(
-            offset_s=clock.offset_s + delay_s + stretch * (clock.pivot_s + clock.offset_s - middle_s),
-            rate=(1.0 + clock.rate) * (1.0 + stretch) - 1.0,
+            offset_s=clock.offset_s + delay_s + rate_error * (clock.pivot_s + clock.offset_s - middle_s),
+            rate=(1.0 + clock.rate) * (1.0 + rate_error) - 1.0,
         )
-        if abs(delay_s) + abs(stretch) * span_s / 2.0 < STILL_S:
+        if abs(delay_s) + abs(rate_error) * span_s / 2.0 < STILL_S:
             settled = clock._replace(sigma_offset_s=float(sigma_s), sigma_rate=float(sigma_rate))
             return Rescued(settled, found, done)
     raise ResyncError(f"the clock did not settle in {ROUNDS} rounds: the recordings may not belong together")

@@ -22,7 +22,9 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleSpec
 from onboard.dynamics.vehicle import VehicleModel as Model
 from onboard.flight.roles import roles_of
-from onboard.identification.exiddm.batch import ImuPrior, NonLinearExiddm
+from onboard.identification.exiddm.batch import Exiddm
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.offline.tables import si
 from onboard.recording.reader import LogReader
@@ -178,8 +180,8 @@ def _through_the_model(
     angle = np.column_stack([np.interp(own_s, one.time_s, one.values[:, 0]) for one in ordered])
     recorded = Recorded(seen[0].time_s, seen[0].values, seen[1].values, (noise[0], noise[-1]), own_s, angle)
 
-    def build(signals: FlightSignals, doubt: ImuPrior) -> NonLinearExiddm:
-        return NonLinearExiddm(model, frame, signals, ANY_PAYLOAD, {}, doubt)
+    def build(signals: FlightSignals, imu_prior: ImuPrior) -> Exiddm:
+        return free_exiddm(model, frame, signals, ANY_PAYLOAD, {}, imu_prior)
 
     found = rescue(recorded, coarse_clocks(model, frame, recorded, rate_limit), build, UNCALIBRATED)
     clock = found.clock

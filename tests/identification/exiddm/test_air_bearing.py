@@ -18,8 +18,8 @@ from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, PlanarExiddm
-from onboard.identification.exiddm.batch import ImuPrior
+from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 
 URDF = (Path(onboard.__file__).parent / "vehicles" / "dymaflex_air_bearing" / "dymaflex.urdf").read_text()
@@ -29,7 +29,7 @@ DRAGS = (planar_bed.Drag(0.05, 0.004), planar_bed.Drag(2.0, 0.3), planar_bed.Dra
 TILT = (0.002, -0.001)
 PUCKS = {f"puck_{k}": DragPrior(5.0, 0.5) for k in (1, 2, 3)}
 IMU = ImuPrior(0.01, 1e-4, 0.003, 0.003, 0.1, 1e-3, 0.003, 0.003, 1e-4)
-DOUBT = AirBearingPrior(0.05, 1.0, PUCKS, 0.005)
+PRIOR = AirBearingPrior(0.05, 1.0, PUCKS, 0.005)
 WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 SECONDS = 8.0
 
@@ -99,7 +99,7 @@ def test_three_rows_are_mujocos_generalised_forces(rng):
         np.testing.assert_allclose(T[k] @ chi @ basis[k], data.qfrc_inverse[:3], rtol=1e-9, atol=1e-9)
 
 
-def drag_of(drags):
+def pulls(drags):
     viscous, coulomb = np.array([[d.viscous_N_s_m, d.coulomb_N] for d in drags]).T
     return PlanarDrag(np.array(planar_bed.PUCKS_m), viscous, coulomb)
 
@@ -111,12 +111,14 @@ def test_motion_is_mujocos_drag_and_tilt_included(run):
         ([planar_bed.Drag()] * 3, TILT, 0.02, np.inf),
         (DRAGS, (0.0, 0.0), 1e-4, np.inf),
     ):
-        found = predict_planar(columns, truth[0], run.chi, drag_of(drags), np.array(tilt), np.arange(0))
+        found = predict_planar(columns, truth[0], run.chi, pulls(drags), np.array(tilt), ())
         assert low <= np.abs(found.velocity[:, :3] - truth[::3]).max() < high
 
 
 def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
-    exiddm = PlanarExiddm(run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, DOUBT._replace(imu=IMU))
+    exiddm = air_bearing_exiddm(
+        run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, PRIOR._replace(imu=IMU)
+    )
     x = exiddm.start(PAYLOAD)
     names = list(exiddm.names)
     x[:3] = run.flight.velocity[0]
@@ -134,21 +136,45 @@ def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
         np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-4 * np.abs(slope).max() + 1e-5, err_msg=name)
 
 
+def test_a_tick_is_the_mean_of_its_samples(run):
+    f, samples = run.flight, 25
+    n = len(f.time_s) // samples
+    time_s, rate, force = (
+        x[: n * samples].reshape(n, samples, -1) for x in (f.time_s, f.rate_rad_s, f.specific_force_m_s2)
+    )
+    middle = samples // 2
+    sigma, period_s = np.full(3, 1e-3), samples * float(f.time_s[1] - f.time_s[0])
+    means = rate.mean(axis=1), force.mean(axis=1)
+    signals = FlightSignals(period_s, *run.motion.at(time_s[:, middle, 0]), *means, sigma, sigma, samples)
+    left = []
+    for told in (samples, 1):
+        exiddm = air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(samples=told), WIDE, {}, PRIOR)
+        x = exiddm.start(PAYLOAD)
+        names = list(exiddm.names)
+        x[:3] = f.velocity[middle]
+        for puck, drag in zip(PUCKS, DRAGS, strict=True):
+            x[names.index(f"Fv_{puck}")], x[names.index(f"Fc_{puck}")] = drag.viscous_N_s_m, drag.coulomb_N
+        x[[names.index("tilt_x"), names.index("tilt_y")]] = TILT
+        left.append(np.abs(exiddm.residuals(x)[0].reshape(-1, 6)[5:-5, 2]).mean())  # gyro, about the vertical
+    assert left[0] < 0.2 * left[1]
+
+
 def test_payload_and_drag_of_a_noisy_run(run, rng):
-    exiddm = PlanarExiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, DOUBT)
+    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
     found = exiddm.fit()
     sigma = np.sqrt(np.diag(found.payload.covariance))
-    assert found.reason == ""
+    drag = drag_of(found, PUCKS)
+    assert drag.reason == ""
     assert abs(found.payload.body.mass_kg / BOX.mass_kg - 1) < 0.02
     assert abs(found.payload.body.inertia_kg_m2[2, 2] / BOX.inertia_kg_m2[2, 2] - 1) < 0.06
     assert abs(found.payload.body.mass_kg - BOX.mass_kg) < 3.5 * sigma[0]
     truth = [value for drag in DRAGS for value in (drag.viscous_N_s_m, drag.coulomb_N)]
-    assert (np.abs(found.drag - truth) < 3.5 * found.drag_sigma).all()
-    assert (found.drag_sigma[2:4] < [0.4, 0.04]).all()
-    assert found.fit.residual_sum / found.freedom == pytest.approx(1.0, abs=0.1)
+    assert (np.abs(drag.drag - truth) < 3.5 * drag.sigma).all()
+    assert (drag.sigma[2:4] < [0.4, 0.04]).all()
+    assert found.misfit == pytest.approx(1.0, abs=0.1)
     pushing = found.fit.x.copy()
-    pushing[exiddm.names.index("Fv_puck_3")] = -5.0 * found.drag_sigma[4]
-    assert "Fv_puck_3 came out negative" in exiddm.estimate(found.fit._replace(x=pushing)).reason
+    pushing[exiddm.names.index("Fv_puck_3")] = -5.0 * drag.sigma[4]
+    assert "Fv_puck_3 came out negative" in drag_of(found._replace(fit=found.fit._replace(x=pushing)), PUCKS).reason
 
 
 def test_an_imu_too_bad_for_the_motion_does_not_determine_the_payload(run, rng):
@@ -159,40 +185,46 @@ def test_an_imu_too_bad_for_the_motion_does_not_determine_the_payload(run, rng):
         rate_sigma=np.full(3, 2.0),
         specific_force_sigma=np.full(3, 20.0),
     )
-    found = PlanarExiddm(run.vehicle, "imu_base", worse, WIDE, {}, DOUBT).fit()
-    assert "does not determine the payload" in found.reason
+    found = air_bearing_exiddm(run.vehicle, "imu_base", worse, WIDE, {}, PRIOR).fit()
+    assert "does not determine the payload" in drag_of(found, PUCKS).reason
 
 
 def test_an_arm_that_stands_still_fits_nothing(rng):
-    exiddm = PlanarExiddm(vehicle(), "imu_base", noisy(fly(0.0, 3.0), rng), WIDE, {}, DOUBT)
+    exiddm = air_bearing_exiddm(vehicle(), "imu_base", noisy(fly(0.0, 3.0), rng), WIDE, {}, PRIOR)
     with pytest.raises((ConvergenceError, SignalError), match=r"not determine|no centre of mass"):
         exiddm.fit()
 
 
 def test_a_gyro_that_reads_too_much_contradicts_the_joints(run, rng):
     signals = noisy(run, rng)
-    found = PlanarExiddm(run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, DOUBT).fit()
-    assert "contradict" in found.reason
+    found = air_bearing_exiddm(
+        run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, PRIOR
+    ).fit()
+    assert "contradict" in drag_of(found, PUCKS).reason
 
 
 def test_what_cannot_be_used_is_named(run):
     signals = exact(run)
     own = standard_covariance(run.vehicle.chi[:10], 0.01, 1e-3, 0.01)
     with pytest.raises(SignalError, match="the base is free"):
-        PlanarExiddm(vehicle(BaseKind.FREE), "imu_base", signals, WIDE, {}, DOUBT)
+        air_bearing_exiddm(vehicle(BaseKind.FREE), "imu_base", signals, WIDE, {}, PRIOR)
     with pytest.raises(UnknownFrameError, match="no payload link"):
-        PlanarExiddm(vehicle(payload=None), "imu_base", signals, WIDE, {}, DOUBT)
+        air_bearing_exiddm(vehicle(payload=None), "imu_base", signals, WIDE, {}, PRIOR)
     with pytest.raises(UnknownFrameError, match="hand is none"):
-        PlanarExiddm(run.vehicle, "imu_base", signals, WIDE, {"hand": own}, DOUBT)
+        air_bearing_exiddm(run.vehicle, "imu_base", signals, WIDE, {"hand": own}, PRIOR)
     with pytest.raises(UnknownFrameError, match="'puck_4'"):
-        PlanarExiddm(run.vehicle, "imu_base", signals, WIDE, {}, DOUBT._replace(pucks={"puck_4": DragPrior(1.0, 1.0)}))
+        air_bearing_exiddm(
+            run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"puck_4": DragPrior(1.0, 1.0)})
+        )
     with pytest.raises(UnknownFrameError, match="moves with a joint"):
-        PlanarExiddm(run.vehicle, "imu_base", signals, WIDE, {}, DOUBT._replace(pucks={"link_3": DragPrior(1.0, 1.0)}))
+        air_bearing_exiddm(
+            run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"link_3": DragPrior(1.0, 1.0)})
+        )
     with pytest.raises(SignalError, match="joints must be known"):
-        PlanarExiddm(run.vehicle, "imu_base", signals._replace(q=signals.q * np.nan), WIDE, {}, DOUBT)
+        air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(q=signals.q * np.nan), WIDE, {}, PRIOR)
     with pytest.raises(SignalError, match="rates and specific forces"):
-        PlanarExiddm(run.vehicle, "imu_base", signals._replace(rate=signals.rate[:-1]), WIDE, {}, DOUBT)
+        air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(rate=signals.rate[:-1]), WIDE, {}, PRIOR)
     gone = signals.rate.copy()
     gone[: len(gone) // 2 + 1] = np.nan
     with pytest.raises(SignalError, match="no IMU"):
-        PlanarExiddm(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, DOUBT)
+        air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, PRIOR)

@@ -9,13 +9,14 @@ from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.batch import CERTAIN, ImuPrior, NonLinearExiddm
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.regressor.free_rows import measured_base, rough_payload, zero_wrench_rows
 from tests.dynamics.free_flyer_twin import PAYLOAD, URDF, twin
 
 WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 ERRORS = ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
-DOUBT = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
+PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -32,19 +33,19 @@ def ten(body):
 
 
 def test_without_noise_the_payload_is_the_truth(flown, rng):
-    found = NonLinearExiddm(flown.vehicle, "imu_base", ticks(flown.samples(rng, noise=False)), WIDE, {}).fit()
+    found = free_exiddm(flown.vehicle, "imu_base", ticks(flown.samples(rng, noise=False)), WIDE, {}).fit()
     assert found.payload.body.mass_kg == pytest.approx(5.0, rel=1e-5)
     np.testing.assert_allclose(ten(found.payload.body), ten(PAYLOAD), atol=5e-5)
 
 
 def test_with_datasheet_noise_the_error_is_what_the_covariance_says(flown, rng):
     signals = ticks(flown.samples(rng))
-    exiddm = NonLinearExiddm(flown.vehicle, "imu_base", signals, WIDE, {})
+    exiddm = free_exiddm(flown.vehicle, "imu_base", signals, WIDE, {})
     found = exiddm.fit()
     error = ten(found.payload.body) - ten(PAYLOAD)
     chi_squared = error @ np.linalg.solve(found.payload.covariance, error)
     assert chi_squared < 29.6  # 99.9 % of chi-squared with ten degrees
-    assert found.fit.residual_sum / found.freedom == pytest.approx(1.0, abs=0.06)
+    assert found.misfit == pytest.approx(1.0, abs=0.06)
     R, _ = flown.vehicle.pose_in_base("imu_base")
     first = round(0.05 / 0.002) + 4
     momentum = flown.momentum(signals.q[0], signals.dq[0], R @ flown.flight.rate_rad_s[first])
@@ -58,7 +59,7 @@ def test_plain_least_squares_is_biased_where_this_is_not(flown, rng):
     Y, y = zero_wrench_rows(flown.vehicle, signals.q, signals.dq, signals.ddq, base)
     whole = np.isfinite(y).all(axis=1)
     plain = np.linalg.lstsq(Y[whole].reshape(-1, 10), y[whole].ravel())[0]
-    found = NonLinearExiddm(flown.vehicle, "imu_base", signals, WIDE, {}).fit()
+    found = free_exiddm(flown.vehicle, "imu_base", signals, WIDE, {}).fit()
     assert plain[0] < 0.98 * 5.0
     assert abs(found.payload.body.mass_kg - 5.0) < 0.1 * abs(plain[0] - 5.0)
 
@@ -71,30 +72,30 @@ def test_the_rough_start_knows_the_accelerometers_zero(flown, rng):
     np.testing.assert_allclose(rough.centre_of_mass_m, PAYLOAD.centre_of_mass_m, atol=0.01)
 
 
-def test_doubted_sensor_and_links_widen_the_interval_and_it_still_holds(flown, rng):
+def test_uncertain_sensor_and_links_widen_the_interval_and_it_still_holds(flown, rng):
     signals = ticks(flown.samples(rng, ERRORS))
-    certain = NonLinearExiddm(flown.vehicle, "imu_base", signals, WIDE, {}).fit()
+    certain = free_exiddm(flown.vehicle, "imu_base", signals, WIDE, {}).fit()
     links = {
         name: standard_covariance(flown.vehicle.chi[10 * k : 10 * k + 10], 0.01, 1e-3, 0.01)
         for k, name in enumerate(flown.vehicle.links[:-1])
     }
-    doubtful = NonLinearExiddm(flown.vehicle, "imu_base", signals, WIDE, links, DOUBT)
-    found = doubtful.fit()
+    uncertain = free_exiddm(flown.vehicle, "imu_base", signals, WIDE, links, PRIOR)
+    found = uncertain.fit()
     error = ten(found.payload.body) - ten(PAYLOAD)
     assert error @ np.linalg.solve(found.payload.covariance, error) < 29.6
-    assert found.fit.residual_sum / found.freedom == pytest.approx(1.0, abs=0.06)
-    assert certain.fit.residual_sum / certain.freedom > 1.2  # a model that is too sure shows it
+    assert found.misfit == pytest.approx(1.0, abs=0.06)
+    assert certain.misfit > 1.2  # a model that is too sure shows it
     ratio = np.sqrt(np.diag(found.payload.covariance) / np.diag(certain.payload.covariance))
     assert ratio.min() > 1.0
 
 
 def test_derivatives_are_finite_differences(flown, rng):
     links = {"link_5": standard_covariance(flown.vehicle.chi[50:60], 0.01, 1e-3, 0.01)}
-    doubt = DOUBT._replace(stretch=1e-4)
-    exiddm = NonLinearExiddm(flown.vehicle, "imu_base", ticks(flown.samples(rng)), WIDE, links, doubt)
+    imu_prior = PRIOR._replace(clock_rate_error=1e-4)
+    exiddm = free_exiddm(flown.vehicle, "imu_base", ticks(flown.samples(rng)), WIDE, links, imu_prior)
     x = exiddm.parameters(np.array([0.1, -0.2, 0.3]), PAYLOAD)
     x[13:] = 1e-3 * rng.normal(size=x.size - 13)
-    x[-2:] = 1e-5, 1e-6  # s, 1: how the other columns feel delay and stretch is left out of them
+    x[-2:] = 1e-5, 1e-6  # s, 1: how the other columns feel delay and clock rate error is left out of them
     _, J = exiddm.residuals(x, 60)
     for k, name in enumerate(exiddm.names):
         step = 1e-6 * np.eye(x.size)[k]
@@ -106,7 +107,7 @@ def test_ticks_without_an_imu_are_left_out(flown, rng):
     signals = ticks(flown.samples(rng))
     for hole in (slice(100, 220), slice(400, 401)):
         signals.rate[hole] = np.nan
-    exiddm = NonLinearExiddm(flown.vehicle, "imu_base", signals, WIDE, {})
+    exiddm = free_exiddm(flown.vehicle, "imu_base", signals, WIDE, {})
     found = exiddm.fit()
     assert len(exiddm.residuals(found.fit.x)[0]) == 6 * (len(signals.q) - 121)
     assert abs(found.payload.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.payload.covariance[0, 0])
@@ -116,10 +117,10 @@ def test_swapped_axes_are_an_error_or_a_misfit_never_a_number(flown, rng):
     samples = flown.samples(rng)
     wrong = samples._replace(rate_rad_s=samples.rate_rad_s[:, [1, 0, 2]])
     try:
-        found = NonLinearExiddm(flown.vehicle, "imu_base", ticks(wrong), WIDE, {}).fit()
+        found = free_exiddm(flown.vehicle, "imu_base", ticks(wrong), WIDE, {}).fit()
     except (ConvergenceError, SignalError):
         return
-    assert found.fit.residual_sum / found.freedom > 2.0
+    assert found.misfit > 2.0
 
 
 @pytest.mark.parametrize(
@@ -135,7 +136,7 @@ def test_swapped_axes_are_an_error_or_a_misfit_never_a_number(flown, rng):
 def test_names_that_do_not_fit_are_refused(flown, rng, payload, imu, links, message):
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", payload))
     with pytest.raises(UnknownFrameError, match=message):
-        NonLinearExiddm(vehicle, imu, ticks(flown.samples(rng)), WIDE, links, CERTAIN)
+        free_exiddm(vehicle, imu, ticks(flown.samples(rng)), WIDE, links, CERTAIN)
 
 
 def test_samples_off_their_grid_are_refused(flown, rng):

@@ -12,16 +12,17 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.identification.exiddm.batch import CERTAIN, ImuPrior, NonLinearExiddm
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm
-from onboard.identification.exiddm.window import Ticks
+from onboard.identification.exiddm.ticks import Ticks
 from tests.dynamics.free_flyer_twin import BOX, URDF, twin
 
 WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 BIASED = ImuErrors(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
 BIASES = CERTAIN._replace(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
-DOUBT = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
+PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
 CAPTURE_s, RELEASE_s, END_s = 3.0, 7.5, 10.0
 
 
@@ -38,14 +39,14 @@ def recorded(flight, rng, errors=BIASED):
     return tick_signals(*samples[:4], samples[4:], 5, 0.1)
 
 
-def online(signals, held=True, doubt=BIASES, links=()):
+def online(signals, held=True, imu_prior=BIASES, links=()):
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
     covariance = {
         name: standard_covariance(vehicle.chi[10 * k : 10 * k + 10], 0.01, 1e-3, 0.01)
         for k, name in enumerate(vehicle.links[:-1])
         if name in links
     }
-    predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, doubt)
+    predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, imu_prior)
     return RecursiveExiddm(predictor, "imu_base", WIDE, held)
 
 
@@ -78,11 +79,11 @@ def mission():
 def test_it_ends_where_the_maximum_likelihood_of_the_whole_flight_does(held):
     recursive = online(held)
     recursive.update(ticks_of(held))
-    whole = NonLinearExiddm(recursive.predictor.vehicle, "imu_base", held, WIDE, {}, BIASES).fit()
-    found, sigma = recursive.estimate(), np.sqrt(np.diag(whole.fit.covariance))[3:13]
+    whole = free_exiddm(recursive.predictor.vehicle, "imu_base", held, WIDE, {}, BIASES).fit()
+    found, sigma = recursive.estimate(), np.sqrt(np.diag(whole.chi_covariance))
     a_fifth_of_a_sigma = 0.2
-    assert np.abs(recursive.state[PAYLOAD] - whole.fit.x[3:13]).max() < a_fifth_of_a_sigma * sigma.max()
-    assert (np.abs(recursive.state[PAYLOAD] - whole.fit.x[3:13]) < a_fifth_of_a_sigma * sigma).all()
+    assert np.abs(recursive.state[PAYLOAD] - whole.chi).max() < a_fifth_of_a_sigma * sigma.max()
+    assert (np.abs(recursive.state[PAYLOAD] - whole.chi) < a_fifth_of_a_sigma * sigma).all()
     ratio = np.sqrt(np.diag(recursive.covariance))[PAYLOAD] / sigma
     assert ratio.min() > 0.9
     assert ratio.max() < 1.1
@@ -90,9 +91,9 @@ def test_it_ends_where_the_maximum_likelihood_of_the_whole_flight_does(held):
     assert recursive.changes == []
 
 
-def test_with_everything_doubted_the_covariance_stays_positive_and_covers(flown):
+def test_with_everything_uncertain_the_covariance_stays_positive_and_covers(flown):
     signals = recorded(flown.flight, np.random.default_rng(5), ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
-    recursive = online(signals, doubt=DOUBT, links=[f"link_{k}" for k in range(1, 6)] + ["base"])
+    recursive = online(signals, imu_prior=PRIOR, links=[f"link_{k}" for k in range(1, 6)] + ["base"])
     ticks = ticks_of(signals)
     for first in range(0, len(ticks.time_s), 100):
         recursive.update(ticks.part(slice(first, first + 100)))
@@ -292,7 +293,7 @@ def test_the_first_second_is_enough_for_a_start_whatever_is_held(seed):
     motion = free_flyer.JointMotion.draw(rng)
     flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), 1.3)
     signals = recorded(flight, rng, ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
-    recursive = online(signals, doubt=DOUBT, links=[*(f"link_{k}" for k in range(1, 6)), "base"])
+    recursive = online(signals, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"])
     recursive.update(ticks_of(signals))
     found = recursive.estimate()
     assert found is not None
@@ -330,7 +331,7 @@ def test_while_the_arm_is_still_the_payload_is_not_known_and_no_alarm_comes_when
 
 def test_derivatives_of_the_prediction_are_finite_differences(held):
     links = ["link_4", "base"]
-    recursive = online(held, doubt=DOUBT, links=links)
+    recursive = online(held, imu_prior=PRIOR, links=links)
     predictor, ticks = recursive.predictor, ticks_of(held).part(slice(300, 324))
     motion = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
     p = len(predictor.names)

@@ -13,10 +13,10 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors
 from onboard import cli, config
 from onboard.identification.change import Change
-from onboard.identification.exiddm.window import Ticks
+from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.verdict import Level
-from onboard.offline.estimate_again.exiddm_log import longest_held
 from onboard.offline.estimate_again.identify import identify
+from onboard.offline.estimate_again.likelihood_log import longest_held
 from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import BOX, PAYLOAD, Twin, twin
 

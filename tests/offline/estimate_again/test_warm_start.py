@@ -10,7 +10,7 @@ from onboard import cli, config
 from onboard.estimation.rls import SquareRootRls
 from onboard.flight.estimator import Estimator
 from onboard.flight.flight_log import preamble
-from onboard.identification.online import ExiddmIdentifier
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify

@@ -1,0 +1,119 @@
+"""What an IMU shows of a motion: biases, their drift, scale, misalignment, delay and clock rate error.
+
+With u the rate or specific force in the IMU's nominal axes at the tick's middle t (t = 0 where the drift begins):
+
+    u' = u - (delay + rate_error t) du/dt - n rate_error u,   n = 1 for a rate, 2 for a specific force
+    shown = (1 + diag(scale) - hat(misalignment)) u' + bias + drift t
+
+The first line is Taylor's series of a reading that comes late, by a clock that runs otherwise: a rate is angle by time,
+a specific force length by time squared. Terms of second order in the errors are left out.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.kinematics import hat
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.identification.exiddm.parameters import Block
+
+
+class ImuPrior(NamedTuple):
+    """Prior on instrument errors: standard deviations by axis; zero for what is certain."""
+
+    gyro_bias_rad_s: float
+    gyro_drift_rad_s2: float
+    gyro_scale: float
+    gyro_misalignment_rad: float
+    accelerometer_bias_m_s2: float
+    accelerometer_drift_m_s3: float
+    accelerometer_scale: float
+    accelerometer_misalignment_rad: float
+    delay_s: float  # of both, against the joints
+    clock_rate_error: float = 0.0  # how much longer the same time is by their clock than by the joints', relative
+
+
+CERTAIN = ImuPrior(*[0.0] * 9)
+BIASES = ("gyro_bias_rad_s", "accelerometer_bias_m_s2")
+DRIFTS = ("gyro_drift_rad_s2", "accelerometer_drift_m_s3")
+_OF_BOTH = ("delay_s", "clock_rate_error")
+SIZE = 3 * (len(ImuPrior._fields) - len(_OF_BOTH)) + len(_OF_BOTH)
+
+
+def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
+    """The IMU's errors as blocks of unknowns, in the order that :func:`imu_reading` takes them."""
+    blocks = {}
+    for kind, sigma in prior._asdict().items():
+        names = (kind,) if kind in _OF_BOTH else tuple(f"{kind}_{axis}" for axis in "xyz")
+        blocks[kind] = Block(names, np.full(len(names), sigma))
+    return blocks
+
+
+class ImuReading(NamedTuple):
+    """What the IMU shows, rate then specific force in its axes, and how that depends on motion and errors."""
+
+    values: FloatArray  # (n, 6)
+    d_motion: FloatArray  # (n, 6, c) by what the true motion depends on
+    d_errors: FloatArray  # (n, 6, SIZE)
+
+
+def imu_reading(
+    true: FloatArray, d_true: FloatArray, change: FloatArray, time_s: FloatArray, errors: FloatArray
+) -> ImuReading:
+    """The equations at the head of this module, values and derivatives.
+
+    The effect of delay and clock rate error on the other derivatives is left out: it is of second order.
+
+    Args:
+        true: rate and specific force, IMU axes, (n, 6).
+        d_true: derivative of these, (n, 6, c).
+        change: their derivative in time, (n, 6).
+        time_s: t, (n,).
+        errors: in the order of :func:`imu_blocks`, (SIZE,).
+    """
+    n = len(true)
+    delay_s, rate_error = errors[-2:]
+    late = delay_s + rate_error * time_s[:, None]
+    values, d_motion, d_errors = np.empty((n, 6)), np.empty(d_true.shape), np.zeros((n, 6, SIZE))
+    for k, (bias, drift, scale, misalignment) in enumerate(errors[:-2].reshape(2, 4, 3)):
+        rows = slice(3 * k, 3 * k + 3)
+        own = true[:, rows] - late * change[:, rows] - (1 + k) * rate_error * true[:, rows]
+        E = np.eye(3) + np.diag(scale) - hat(misalignment)
+        values[:, rows] = own @ E.T + bias + time_s[:, None] * drift
+        d_motion[:, rows] = E @ d_true[:, rows]
+        columns = d_errors[:, rows, 12 * k : 12 * k + 12]
+        columns[:, :, :3] = np.eye(3)
+        columns[:, :, 3:6] = time_s[:, None, None] * np.eye(3)
+        columns[:, :, 6:9] = own[:, :, None] * np.eye(3)
+        columns[:, :, 9:] = hat(own)
+        d_errors[:, rows, -2] = -change[:, rows] @ E.T
+        d_errors[:, rows, -1] = -(time_s[:, None] * change[:, rows] + (1 + k) * true[:, rows]) @ E.T
+    return ImuReading(values, d_motion, d_errors)
+
+
+def tick_mean(x: FloatArray, samples: int) -> FloatArray:
+    """Means over ticks of a signal known at the middle of every tick and sampled ``samples`` times D in each.
+
+    The mean is the middle value plus ``(1 - 1/D^2) / 24`` of the second difference (Taylor's series to second order);
+    the first and the last tick, which have none, keep their middle values. (n, ...).
+    """
+    c = (1.0 - 1.0 / samples**2) / 24.0
+    out = x.copy()
+    out[1:-1] += c * (x[2:] - 2.0 * x[1:-1] + x[:-2])
+    return out
+
+
+def whitened(
+    values: FloatArray, jacobian: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Predicted less measured in units of its noise, (6 u,), and its derivative, (6 u, p), of the u ticks to use.
+
+    Args:
+        values: predicted, (n, 6).
+        jacobian: of these, (n, 6, p).
+        measured: (n, 6).
+        sigma: of the measured, (n, 6) or (6,).
+        use: which ticks, (n,).
+    """
+    residual = ((values - measured) / sigma)[use].ravel()
+    return residual, (jacobian / sigma[..., None])[use].reshape(residual.size, -1)

@@ -1,0 +1,107 @@
+"""The unknowns of an ExIDDM: what they are called, which of them are estimated, and where each stands in the vector.
+
+Unknowns come in named blocks: the motion's state at the first tick (``start``), the payload's standard parameters
+(``payload``), deviations of other links from the drawing (``links``), what a base has besides (``drag``, ``tilt``), and
+the IMU's errors (:mod:`onboard.identification.exiddm.imu_errors`). An unknown whose sigma is zero is certain: it stays
+zero and is not estimated.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.vehicle import STANDARD, VehicleModel
+from onboard.estimation.arrays import FloatArray, IndexArray
+
+
+class Block(NamedTuple):
+    """Unknowns of one kind."""
+
+    names: tuple[str, ...]
+    sigma: FloatArray  # (k,) before the flight, about zero; zero: certain; NaN: nothing is known
+
+
+class Layout:
+    """All unknowns in a row, and those among them that are estimated.
+
+    Args:
+        blocks: by name, in the order of the unknowns.
+
+    Attributes:
+        names: of the p unknowns that are estimated.
+        sigma: (p,) of these before the flight; NaN where nothing is known.
+        size: of all unknowns.
+        kept: (p,) places of what is estimated among all unknowns.
+    """
+
+    def __init__(self, blocks: Mapping[str, Block]) -> None:
+        ends = np.cumsum([0, *(len(block.names) for block in blocks.values())]).tolist()
+        self._places = {name: slice(a, b) for name, a, b in zip(blocks, ends[:-1], ends[1:], strict=True)}
+        names = [name for block in blocks.values() for name in block.names]
+        sigma = np.concatenate([block.sigma for block in blocks.values()])
+        self.size = len(names)
+        self.kept: IndexArray = np.flatnonzero(sigma != 0.0)
+        self.names = tuple(names[k] for k in self.kept)
+        self.sigma = sigma[self.kept]
+
+    def __getitem__(self, block: str) -> slice:
+        """Where a block stands among all unknowns."""
+        return self._places[block]
+
+    def estimated(self, *blocks: str) -> IndexArray:
+        """Places of blocks in the vector of what is estimated."""
+        inside = [(self.kept >= self[name].start) & (self.kept < self[name].stop) for name in blocks]
+        return np.flatnonzero(np.logical_or.reduce(inside))
+
+    def whole(self, x: FloatArray) -> FloatArray:
+        """All unknowns from those estimated, (p,); zero where certain."""
+        every = np.zeros(self.size)
+        every[self.kept] = x
+        return every
+
+
+class UncertainLinks:
+    """The payload of a vehicle, and the links that are not exactly as drawn.
+
+    Args:
+        vehicle: with a payload link; its standard parameters are the prior of all other links.
+        covariance: of the standard parameters of links by name, (10, 10) each, positive definite (see
+            :func:`onboard.dynamics.payload.standard_covariance`); links that are not named are certain.
+
+    Attributes:
+        indices: of the payload and of these links in ``vehicle.links``.
+        covariances: (10, 10) each.
+        names: of the links' parameters.
+
+    Raises:
+        UnknownFrameError: no payload link, or a covariance of a link that the URDF does not have or of the payload.
+    """
+
+    def __init__(self, vehicle: VehicleModel, covariance: Mapping[str, FloatArray]) -> None:
+        payload = vehicle.spec.payload_link
+        if payload is None:
+            raise UnknownFrameError("this vehicle has no payload link; name one")
+        unknown = set(covariance) - (set(vehicle.links) - {payload})
+        if unknown:
+            raise UnknownFrameError(f"covariances are for links other than the payload; {', '.join(unknown)} is none")
+        others = [k for k, link in enumerate(vehicle.links) if link in covariance]
+        self._vehicle, self._payload = vehicle, vehicle.payload_columns()
+        self._others = (10 * np.repeat(others, 10) + np.tile(np.arange(10), len(others))).astype(np.intp)
+        self.indices = (vehicle.links.index(payload), *others)
+        self.covariances = [covariance[vehicle.links[k]] for k in others]
+        self.names = tuple(f"{kind}_{vehicle.links[k]}" for k in others for kind in STANDARD)
+        self.payload_names = tuple(f"{kind}_{payload}" for kind in STANDARD)
+
+    def chi(self, payload: FloatArray, deviations: FloatArray) -> FloatArray:
+        """Standard parameters of all links, (10 x links,).
+
+        Args:
+            payload: its standard parameters, (10,).
+            deviations: of the uncertain links from the drawing, (10 x uncertain links,).
+        """
+        chi = self._vehicle.chi.copy()
+        chi[self._payload] = payload
+        chi[self._others] += deviations
+        return chi

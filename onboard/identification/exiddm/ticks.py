@@ -1,0 +1,59 @@
+"""Consecutive ticks of a flight: joints, and means of the base IMU with the noise of each."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.ticks import FlightSignals
+from onboard.estimation.arrays import FloatArray
+from onboard.regressor.signals import Signals
+
+
+class Ticks(NamedTuple):
+    """Consecutive ticks."""
+
+    time_s: FloatArray  # (n,)
+    q: FloatArray  # (n, joints) at the middle of each tick; NaN where they are not known
+    dq: FloatArray
+    ddq: FloatArray
+    measured: FloatArray  # (n, 6) means of rate and specific force, IMU axes; NaN for a tick without
+    sigma: FloatArray  # (n, 6) of these
+    joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
+
+    def part(self, which: slice) -> "Ticks":
+        """Some of them."""
+        return Ticks(*(x[which] for x in self))
+
+    def and_then(self, more: "Ticks") -> "Ticks":
+        """These and those."""
+        return Ticks(*(np.concatenate(pair) for pair in zip(self, more, strict=True)))
+
+    @staticmethod
+    def none(joints: int) -> "Ticks":
+        """No ticks."""
+        angles, six = np.zeros((0, joints)), np.zeros((0, 6))
+        return Ticks(np.zeros(0), angles, angles, angles, six, six, np.zeros((0, 2, joints)))
+
+    def flight(self, period_s: float, samples: int) -> FlightSignals:
+        """As one flight, every tick with the median noise.
+
+        Args:
+            period_s: between ticks.
+            samples: of the IMU in each tick.
+        """
+        spread = np.nanmedian(self.sigma, axis=0)
+        rate, force = self.measured[:, :3], self.measured[:, 3:]
+        return FlightSignals(period_s, self.q, self.dq, self.ddq, rate, force, spread[:3], spread[3:], samples)
+
+
+def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
+    """Signals as ticks, their noise inflated for the correlation of neighbours.
+
+    Args:
+        signals: at n ticks; joints without a noise are taken for exact.
+        measured: (n, 6) rate and specific force, NaN where refused.
+    """
+    joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
+    if signals.noise is not None:
+        joint_sigma = signals.noise.inflation * np.stack([signals.noise.dq, signals.noise.ddq], axis=1)
+    return Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma, joint_sigma)

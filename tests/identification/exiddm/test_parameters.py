@@ -1,0 +1,60 @@
+"""Which unknowns are estimated and where they stand, and the IMU's error model against its equation."""
+
+import numpy as np
+import pytest
+
+from onboard.identification.exiddm.imu_errors import CERTAIN, SIZE, ImuPrior, imu_blocks, imu_reading, tick_mean
+from onboard.identification.exiddm.parameters import Block, Layout
+
+
+def test_what_is_certain_is_left_out_and_stays_zero():
+    layout = Layout(
+        {
+            "start": Block(("a", "b"), np.array([np.nan, 0.0])),
+            **imu_blocks(CERTAIN._replace(gyro_scale=0.1, delay_s=1e-3)),
+            "links": Block(("c",), np.ones(1)),
+        }
+    )
+    assert layout.names == ("a", "gyro_scale_x", "gyro_scale_y", "gyro_scale_z", "delay_s", "c")
+    assert layout.size == 2 + SIZE + 1
+    np.testing.assert_array_equal(layout.estimated("start", "links"), [0, 5])
+    np.testing.assert_array_equal(layout.estimated("gyro_bias_rad_s"), [])
+    every = layout.whole(np.arange(1.0, 7.0))
+    assert np.count_nonzero(every) == 6
+    np.testing.assert_array_equal(every[layout["gyro_scale"]], [2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(every[layout.kept], np.arange(1.0, 7.0))
+
+
+def test_a_reading_is_late_by_a_slow_clock_scaled_turned_biased():
+    assert len(ImuPrior._fields) == 10
+    time_s = np.linspace(-2.0, 2.0, 401)
+    true, change = np.zeros((401, 6)), np.zeros((401, 6))
+    true[:, 2], change[:, 2] = np.cos(time_s), -np.sin(time_s)
+    true[:, 3], change[:, 3] = -np.sin(time_s), -np.cos(time_s)
+    delay_s, rate_error = 2e-4, 3e-4
+    by_its_clock = np.asarray((time_s - delay_s) / (1.0 + rate_error))  # when what it shows now was
+    errors = np.zeros(SIZE)
+    errors[-2:] = delay_s, rate_error
+    found = imu_reading(true, np.zeros((401, 6, 1)), change, time_s, errors).values
+    second_order = 2e-6
+    np.testing.assert_allclose(found[:, 2], np.cos(by_its_clock) / (1.0 + rate_error), atol=second_order)
+    np.testing.assert_allclose(found[:, 3], -np.sin(by_its_clock) / (1.0 + rate_error) ** 2, atol=second_order)
+    assert np.abs(found[:, 2] - np.cos(time_s)).max() > 100 * second_order
+    errors[:12] = [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.01, 0.0]  # bias, drift, scale, misalignment
+    errors[-2:] = 0.0
+    found = imu_reading(true, np.zeros((401, 6, 1)), change, time_s, errors).values
+    wz = np.cos(time_s)
+    expected = np.stack([0.1 + time_s - 0.01 * wz, np.full(401, 0.2), 0.3 + 1.5 * wz], axis=1)  # u - m x u
+    np.testing.assert_allclose(found[:, :3], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1, 5, 9])
+def test_a_mean_over_a_tick(samples):
+    period_s, middle = 0.02, 0.02 * np.arange(50)
+    offsets = period_s * (np.arange(samples) - (samples - 1) / 2.0) / samples
+    means = np.sin(20.0 * (middle[:, None] + offsets)).mean(axis=1)
+    found = tick_mean(np.sin(20.0 * middle), samples)
+    fourth_order = 1e-4
+    np.testing.assert_allclose(found[1:-1], means[1:-1], atol=fourth_order)
+    if samples > 1:
+        assert np.abs(np.sin(20.0 * middle) - means)[1:-1].max() > 20 * fourth_order
