@@ -15,12 +15,10 @@ from onboard.identification.change import Change
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
+from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
 from onboard.regressor.signals import Signals
 
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
-BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
-BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
 
 class ExiddmIdentifier:
@@ -102,19 +100,8 @@ class ExiddmIdentifier:
         for k, name in enumerate(self.quantity_names):
             at, wide = (float(body[k]), float(spread[k])) if fine[k] else (np.nan, np.nan)
             said = "" if fine[k] else note
-            quantities.append(
-                QuantityEstimate(
-                    name,
-                    BODY_UNITS[k],
-                    at,
-                    wide,
-                    at - z * wide,
-                    at + z * wide,
-                    float(shrinkage[k]),
-                    bool(fine[k]),
-                    said,
-                )
-            )
+            told = at, wide, at - z * wide, at + z * wide, float(shrinkage[k]), bool(fine[k]), said
+            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told))
         supported = sigma <= SUPPORTED_SHRINKAGE * exiddm.payload_sigma
         return Estimate(
             self.parameter_names,

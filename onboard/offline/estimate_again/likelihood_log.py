@@ -19,10 +19,9 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.rls import Observability
 from onboard.identification.change import Change
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
-from onboard.identification.exiddm.online import BODY, BODY_UNITS
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.observability import subspace
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.verdict import Evidence, verdict
 from onboard.offline.estimate_again.identified import Answer, Identified
