@@ -1,4 +1,4 @@
-"""What a runner needs to know of a device: its name, when to call it, and that it never raises for a bus fault."""
+"""Protocol between a runner and a device: name, pump period, ``start``/``pump``/``stop`` that return batches."""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
@@ -7,54 +7,54 @@ from drivers.records import Batch
 
 
 class Device(Protocol):
-    """A device (or a bus full of them) that turns what its port says into records.
+    """A device (or a bus of devices) that turns bytes from its port into records.
 
-    ``start``, ``pump`` and ``stop`` never raise for what a bus or a device does: a fault is an ``event`` batch, lost
-    samples are a ``gap`` batch, and the device goes on trying. Time is an argument: ``now_ns`` is CLOCK_MONOTONIC of
-    the call, and it only decides deadlines; rows carry the stamps of their port.
+    ``start``, ``pump`` and ``stop`` do not raise on faults of a bus or a device: a fault is an ``event`` batch, lost
+        samples are a ``gap`` batch, and the device retries. ``now_ns`` is CLOCK_MONOTONIC of the call and is used for
+        deadlines only; rows carry the stamps of their port.
     """
 
     @property
     def name(self) -> str:
-        """The name under which it reports events."""
+        """Source name of its events."""
 
     @property
     def period_ns(self) -> int:
-        """Time between two pumps; 0: as soon as it returns, for it waits on its port up to ``timeout_s``.
+        """Time between two pumps, ns; 0: call ``pump`` again at once, it waits on its port up to ``timeout_s``.
 
-        To be asked before every pump: a device whose port fails cannot wait on it and asks for a pause here.
+        Read it before every pump: it is non-zero while a port fails and cannot be waited on.
         """
 
     def start(self, now_ns: int) -> list[Batch]:
-        """Begin setting the device up. Setting up goes on in ``pump``."""
+        """Begin the set-up, which continues in ``pump``."""
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Take what the device has to give. Waits up to ``timeout_s`` where the port can wait."""
+        """Read the device and return its batches. Waits up to ``timeout_s`` if the port can wait."""
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """Silence the device and take what is left, so that what it made is recorded or named as a gap."""
+        """Stop the device and read the rest, so that every sample made is a row or part of a gap."""
 
 
 class SelfTestResult(Protocol):
-    """How a device's own test came out."""
+    """Result of a built-in self test."""
 
     @property
     def worst(self) -> float:
-        """Largest deviation from what the factory measured, relative."""
+        """Largest relative deviation from the factory trim."""
 
 
 @runtime_checkable
 class SelfTesting(Protocol):
-    """A device that can test itself before it is started, at rest."""
+    """A device with a built-in self test, to be run at rest before the start."""
 
     @property
     def name(self) -> str:
         """As of :class:`Device`."""
 
     def self_test(self, wait: Callable[[float], object]) -> SelfTestResult:
-        """Test it; ``wait`` lets that many seconds pass.
+        """Run the self test; ``wait`` sleeps for that many seconds.
 
         Raises:
-            ConfigurationError: this one cannot be tested.
-            DriverError: it failed, or could not be reached.
+            ConfigurationError: it cannot be tested.
+            DriverError: the test failed, or the device did not answer.
         """

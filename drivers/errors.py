@@ -1,8 +1,8 @@
-"""Every error a driver raises on purpose. Anything else out of ``drivers`` is our bug."""
+"""Error tree of ``drivers``. Any other exception raised from this package is a bug in it."""
 
 
 class DriverError(Exception):
-    """Base of them all. The message is a sentence that ends with the remedy."""
+    """Base of all driver errors. The message ends with the remedy."""
 
 
 class FrameError(DriverError, ValueError):
@@ -10,11 +10,11 @@ class FrameError(DriverError, ValueError):
 
 
 class WrongDeviceError(DriverError, LookupError):
-    """Something answers, and it is not the device the configuration names."""
+    """The device that answers is not the one the configuration names."""
 
 
 class NoAnswerError(DriverError, ConnectionError):
-    """Nothing answers at this address or node number."""
+    """No device answers at this address or node number."""
 
 
 class ConfigurationError(DriverError, ValueError):
@@ -38,10 +38,10 @@ class SdoAbortError(DriverError, RuntimeError):
 
 
 class SelfTestError(DriverError, RuntimeError):
-    """A device's own test of itself does not come out as its factory says.
+    """A device's built-in self test deviates from its factory trim.
 
     Attributes:
-        deviations: Relative deviation of each axis, gyro x, y, z, accel x, y, z; empty where they cannot be told.
+        deviations: Relative deviation per axis, gyro x, y, z, accel x, y, z; empty if the chip has no factory trim.
     """
 
     def __init__(self, message: str, deviations: tuple[float, ...]) -> None:

@@ -1,8 +1,8 @@
-"""MARK: a device saw an edge of the sync line, and says at which tick of its own clock.
+"""MARK record: the tick of a device's clock at which it saw an edge of the sync line.
 
-The rules of ``drivers.records`` hold. An IMU flags the sample that the edge fell into (``IMU.sync``); a device that
-latches something on the edge, or stamps it with its own clock, says so in a channel of MARK rows beside its samples.
-With the edge's time on the sync line (PULSE) each mark is one point of that device's clock.
+The rules of ``drivers.records`` apply. An IMU flags the sample during which the edge fell (``IMU.sync``); a device that
+latches a value on the edge, or stamps it with its own clock, writes MARK rows beside its samples. With the edge's time
+on the sync line (PULSE), each mark is one point of that device's clock.
 """
 
 import numpy as np
@@ -11,12 +11,12 @@ MARK = np.dtype(
     [
         ("sequence", "<u8"),
         ("host_ns", "<i8"),
-        ("tick", "<u8"),  # the same clock, unwrapped the same way, as the ticks of the device's samples
+        ("tick", "<u8"),  # same clock and unwrapping as the ticks of the device's samples
         ("pulse", "<u8"),  # the device's own number of the edge, from 1; 0 where it does not count them
         (
             "value_raw",
             "<i8",
-        ),  # what it latched on the edge, in counts of its sample channel; 0 where it latches nothing
+        ),  # value latched on the edge, counts of its sample channel; 0 if none
     ],
     align=True,
 )

@@ -1,7 +1,7 @@
-"""What a device driver needs of a bus, and no more.
+"""Protocols of the buses, as used by the device drivers.
 
-``drivers.transports`` opens real ports behind these; ``hil_sim`` may import this module and nothing else of ours.
-Ports stamp what arrives; nothing above them reads a clock.
+``drivers.transports`` implements them for real ports; of our packages ``hil_sim`` may import this module only. Ports
+stamp arriving data; the layers above do not read a clock.
 """
 
 from typing import NamedTuple, Protocol
@@ -24,7 +24,7 @@ class I2cPort(Protocol):
         """START, address+W, ``data``, repeated START, address+R, ``count`` bytes, STOP: one indivisible transfer."""
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Release the bus."""
 
 
 class CanFrame(NamedTuple):
@@ -46,10 +46,10 @@ class CanPort(Protocol):
         """All frames waiting; waits up to ``timeout_s`` for the first. Empty when none came."""
 
     def mute(self) -> None:
-        """Take no more frames from the bus; those that have arrived can still be received."""
+        """Take no more frames from the bus; those already received can still be read."""
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Release the bus."""
 
 
 class Edge(NamedTuple):
@@ -67,7 +67,7 @@ class PulsePort(Protocol):
         """All edges waiting; waits up to ``timeout_s`` for the first."""
 
     def close(self) -> None:
-        """Give the line back."""
+        """Release the line."""
 
 
 class Driven(NamedTuple):
@@ -78,7 +78,7 @@ class Driven(NamedTuple):
 
 
 class PulseOutputPort(Protocol):
-    """An output line, and the waiting for the instant to set it. Raises OSError when the line is gone."""
+    """An output line that can be set at a given instant. Raises OSError when the line is gone."""
 
     def wait_until(self, instant_ns: int) -> None:
         """Return at CLOCK_MONOTONIC ``instant_ns``, or at once when that has passed."""
@@ -87,11 +87,11 @@ class PulseOutputPort(Protocol):
         """Set the level."""
 
     def close(self) -> None:
-        """Leave the line low and give it back."""
+        """Set the line low and release it."""
 
 
 class SerialPort(Protocol):
-    """What ``serial.Serial`` offers, as it is."""
+    """The part of ``serial.Serial`` that the drivers use."""
 
     @property
     def in_waiting(self) -> int:
@@ -104,4 +104,4 @@ class SerialPort(Protocol):
         """Send ``data``."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""

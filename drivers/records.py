@@ -1,16 +1,16 @@
-"""One NumPy dtype per kind of channel: the ring stores it, the log carries its bytes, the dump names its columns.
+"""One NumPy dtype per kind of channel, used by the ring, the log (row bytes) and the dump (column names).
 
-Rules of the room: little-endian, ``align=True`` (so that a row's own bytes are its CDR body), field name = quantity
-(+ frame) + unit, raw counts beside the scale they were taken with, never a converted value in place of a raw one.
+Rules: little-endian, ``align=True`` (a row's bytes are its CDR body), field name = quantity (+ frame) + unit, raw
+counts beside the scale they were taken with, no converted value in place of a raw one.
 
 Every dtype begins with ``sequence`` and ``host_ns``:
 
 ``sequence``
-    Number of this sample in its channel, from 0. Samples known to be lost are counted too, so a jump in ``sequence``
-    is a gap, and a ``GAP`` record names it.
+    Number of this sample in its channel, from 0. Lost samples are counted too: a jump in ``sequence`` is a gap,
+        described by a ``GAP`` record.
 ``host_ns``
-    ``CLOCK_MONOTONIC`` when the bytes were in the host's hands (for a frame: the kernel's stamp where there is one).
-    It is an arrival time and never the time of the sample.
+    ``CLOCK_MONOTONIC`` of the arrival of the bytes at the host (for a frame the kernel's stamp, if there is one). It is
+    not the time of the sample.
 ``tick``
     The device's own clock: sample number since its start, SYNC number, timer count unwrapped. ``onboard.timebase``
     turns it into vehicle time.
@@ -49,7 +49,7 @@ SCALAR = np.dtype(
         ("value_raw", "<i8"),  # counts, unwrapped where the device's counter wraps
         ("scale", "<f8"),  # `unit` per count
         ("unit", "S8"),  # "rad", "rad/s", "N", "N m", "A", "1"
-        ("sync_counter", "u1"),  # the SYNC counter the sample answered to; 0 where there is none
+        ("sync_counter", "u1"),  # counter of the SYNC the sample answers; 0 where there is none
         ("device_status", "u1"),  # the device's own status byte (CiA 404 6150h), 0 where there is none
         ("status", "u1"),  # SampleStatus
     ],
@@ -83,12 +83,12 @@ class SampleStatus(IntFlag):
 
     OK = 0
     SATURATED = 1
-    NOT_VALID = 2  # the device itself says so, or what it says cannot be: an event tells why
-    AFTER_RESET = 4  # first sample after the device restarted: its tick began again
+    NOT_VALID = 2  # reported by the device, or impossible: an event gives the reason
+    AFTER_RESET = 4  # first sample after a restart of the device: its tick restarted
 
 
 class Severity(IntEnum):
-    """How loud an event is."""
+    """Severity of an event."""
 
     INFO = 0
     WARNING = 1
@@ -103,7 +103,7 @@ class Batch(NamedTuple):
 
 
 def event(now_ns: int, severity: Severity, code: str, source: str, text: str) -> Batch:
-    """An EVENT row as a batch of the channel ``event``; its sequence number is given by whoever writes the channel."""
+    """An EVENT row as a batch of the channel ``event``; its sequence number is set by the writer of the channel."""
     row = np.zeros(1, EVENT)
     row[0] = (0, now_ns, severity, code.encode(), source.encode(), text.encode()[:160])
     return Batch("event", row)

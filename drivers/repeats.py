@@ -1,9 +1,9 @@
-"""Inertial samples that repeat to the bit: a sensor that hangs, and not one that rests.
+"""Detects a stuck inertial sensor by a run of equal samples too long for its noise.
 
-An inertial sensor at rest shows its noise. Two samples further apart than its filter remembers are as good as
-independent, and no axis of them falls into one and the same count with more probability than that count holds of a
-normal distribution about it, erf(1 / (2 sqrt(2) sigma)) for a noise of sigma counts. Six axes multiply, and so do
-samples: a run is too long to be chance where that product is below ``CHANCE``.
+An inertial sensor at rest shows its noise. Samples ``FORGOTTEN`` filter time constants apart are nearly independent,
+and the probability that an axis gives the same count twice is at most erf(1 / (2 sqrt(2) sigma)) for a normal noise of
+sigma counts. The probabilities of the six axes and of successive samples multiply: a run is stuck where the product is
+below ``CHANCE``.
 """
 
 import math
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from drivers.records import IMU, Rows, SampleStatus, Severity
 from drivers.reporter import Reporter
 
-CHANCE = 1e-12  # of a run, from any one sample on: once in thirty years at 1 kHz
+CHANCE = 1e-12  # probability of a run per sample: once in thirty years at 1 kHz
 FORGOTTEN = 3.0  # time constants of a filter
 _ACCEL_AT = IMU.fields["accel_raw"][1] if IMU.fields else 0  # gyro_raw follows at once
 
 
 def longest_run(sigmas: Iterable[float], bandwidth_hz: float, sample_rate_hz: float) -> int:
-    """How many samples in a row may be the same by chance.
+    """Longest run of equal samples that may occur by chance.
 
     Args:
-        sigmas: Noise of each axis, rms, counts: rather too little than too much.
-        bandwidth_hz: Of the filter, the narrowest of all axes.
-        sample_rate_hz: Rather too high than too low.
+        sigmas: Noise of each axis, rms, counts; a lower bound.
+        bandwidth_hz: Narrowest filter bandwidth of all axes.
+        sample_rate_hz: Sample rate; an upper bound.
     """
     chance = math.prod(math.erf(1.0 / (2.0 * math.sqrt(2.0) * sigma)) for sigma in sigmas)
     apart = math.ceil(FORGOTTEN / (2.0 * math.pi * bandwidth_hz) * sample_rate_hz)
@@ -34,47 +34,48 @@ def longest_run(sigmas: Iterable[float], bandwidth_hz: float, sample_rate_hz: fl
 
 
 def _heads(rows: Rows) -> NDArray[np.int64]:
-    """Accel x, y, z and gyro x of each sample as one number, shape (n,): where these differ, samples do."""
+    """Accel x, y, z and gyro x of each sample packed into one integer, for a fast comparison, shape (n,)."""
     return np.ndarray(len(rows), "<i8", rows, _ACCEL_AT, rows.strides)
 
 
 class Repeats:
-    """Watches for samples that repeat, and marks them NOT_VALID.
+    """Marks samples of a run of equal samples NOT_VALID.
 
-    Those of a run that were handed over before it was too long are not marked any more. Saturated samples are no
-    repeats: an axis at its limit shows no noise.
+    Samples passed on before the run became too long stay unmarked. Saturated samples do not count as repeats: an axis
+        at its limit shows no noise.
 
     Args:
-        longest: Samples that may be the same by chance.
-        report: Where it is told.
+        longest: Longest run that may occur by chance, samples.
+        report: Receives the events.
 
     Attributes:
-        stuck: The last sample is one of a run too long.
+        stuck: Whether the last sample belongs to a run that is too long.
     """
 
     def __init__(self, longest: int, report: Reporter) -> None:
         self.stuck = False
         self._report = report
-        self._run = 0  # samples of the run that the last sample is one of
+        self._run = 0  # length of the current run, samples
         self._longest = longest
         self._last: Rows | None = None  # (1,)
 
     def watch(self, rows: Rows, host_ns: int) -> None:
-        """Mark the samples of a batch, at least one, numbered, and tell what began or ended in it."""
+        """Mark the samples of a numbered, non-empty batch; report a run that begins or ends in it."""
         was_stuck = self.stuck
         began = self.mark(rows)
         if began is not None and not was_stuck:
             first = int(rows["sequence"][max(began, 0)]) + min(began, 0)
-            text = f"samples from {first} on are the same to the bit: it hangs, power-cycle it"
+            text = f"samples from {first} on are bit-identical: the sensor hangs, power-cycle it"
             self._report.event(host_ns, Severity.ERROR, "stuck", text)
         if (was_stuck or began is not None) and not self.stuck:
             self._report.event(host_ns, Severity.INFO, "stuck_over", "samples differ again")
 
     def mark(self, rows: Rows) -> int | None:
-        """Mark the samples of a batch, at least one, that follow on those of the batch before.
+        """Mark the samples of a non-empty batch that continues the previous one.
 
         Returns:
-            Where the first run too long began, as an index into ``rows``, negative where that was before them; or None.
+            Start of the first run that is too long, as an index into ``rows`` (negative: in an earlier batch); None if
+            none.
         """
         heads = _heads(rows)
         last, self._last = self._last, rows[-1:]

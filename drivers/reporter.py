@@ -1,4 +1,4 @@
-"""Where a device collects its batches between two calls of its owner: rows, gaps, and events that do not flood."""
+"""Collects a device's batches between two calls: rows, gaps, and rate-limited events."""
 
 from drivers.records import Batch, Rows, Severity, event, gap
 
@@ -6,10 +6,10 @@ REPEAT_NS = 1_000_000_000
 
 
 class Reporter:
-    """Batches waiting to be handed over, in order.
+    """Queue of batches, in order.
 
-    The same event (code and source) is told at most once in ``REPEAT_NS``; what was held back is counted in the next
-    one, and in ``flush``. Nothing is dropped in silence.
+    The same event (code and source) is emitted at most once per ``REPEAT_NS``; suppressed ones are counted in the next
+    one or in ``flush``.
     """
 
     def __init__(self, source: str) -> None:
@@ -19,14 +19,14 @@ class Reporter:
         self._held: dict[tuple[str, str], int] = {}
 
     def event(self, now_ns: int, severity: Severity, code: str, text: str, source: str | None = None) -> None:
-        """Tell an event, or count it when the same one was told less than a second ago.
+        """Emit an event, or count it if the same one was emitted less than ``REPEAT_NS`` ago.
 
         Args:
             now_ns: CLOCK_MONOTONIC, ns.
-            severity: How loud.
+            severity: Severity.
             code: Short name of the kind of event, up to 31 ASCII characters.
             text: A sentence with the remedy; cut at 160 bytes.
-            source: Name of the device, where it is not the reporter's own.
+            source: Name of the device; None: the reporter's own.
         """
         source = self.source if source is None else source
         key = (code, source)
@@ -43,16 +43,16 @@ class Reporter:
     def gap(
         self, now_ns: int, channel: str, first_missing: int, last_missing: int, duration_ns: int, cause: str
     ) -> None:
-        """Name samples ``first_missing..last_missing`` of ``channel`` as lost. Gaps are never held back."""
+        """Record samples ``first_missing..last_missing`` of ``channel`` as lost. Gaps are never suppressed."""
         self._batches.append(gap(now_ns, channel, first_missing, last_missing, duration_ns, cause))
 
     def rows(self, channel: str, rows: Rows) -> None:
-        """Hand over rows, if there are any."""
+        """Add rows; an empty array is ignored."""
         if len(rows):
             self._batches.append(Batch(channel, rows))
 
     def flush(self, now_ns: int) -> None:
-        """Tell how often events were held back since they were last told."""
+        """Emit the counts of suppressed events."""
         for (code, source), held in self._held.items():
             text = f"{held} more of this event since it was last told"
             self._batches.append(event(now_ns, Severity.INFO, code, source, text))

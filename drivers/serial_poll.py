@@ -1,8 +1,8 @@
-"""A device that speaks when it is spoken to: one question, one answer, and a stamp on either side of the sample.
+"""Base of polled serial devices: one request, one answer, stamped before and after.
 
-What the answer says was so at some time between the question and the answer. SCALAR rows of such a device carry both:
-``tick`` is CLOCK_MONOTONIC ns just before the question was written, ``host_ns`` when the last byte of the answer was in
-the host's hands. Half their difference bounds the error of their mean; the device's own filter delay comes on top.
+The value was sampled at some time between request and answer. SCALAR rows carry both stamps: ``tick`` is
+CLOCK_MONOTONIC ns just before the request was written, ``host_ns`` when the last byte of the answer was read. The error
+of their mean is at most half their difference, plus the device's filter delay.
 """
 
 from abc import abstractmethod
@@ -14,13 +14,13 @@ from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SCALAR, Severity
 from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
 
-SETTLE_NS = 10 * MS  # silence to wait for after bytes that made no sense
+SETTLE_NS = 10 * MS  # silence required after invalid bytes
 UNANSWERED_TO_TELL = 5
 UNANSWERED_TO_REOPEN = 20
 
 
 class Value(NamedTuple):
-    """One value out of an answer, as a SCALAR row holds it."""
+    """One value of an answer: the fields of a SCALAR row."""
 
     channel: str
     value_raw: int
@@ -31,16 +31,16 @@ class Value(NamedTuple):
 
 
 class PolledDevice(SerialDevice):
-    """Asks, waits, asks again. Every question is a sample: one that is not answered is named as a gap.
+    """Sends requests and reads answers. Every request is a sample: an unanswered one is recorded as a gap.
 
     Args:
         name: Source of its events.
         open_port: Opens its port.
         clock: CLOCK_MONOTONIC, ns.
         poll_period_ms: Time between two pumps, ms; 0: the port waits.
-        sample_period_ms: Time between two questions, ms; 0: as fast as the link allows.
-        timeout_ms: How long an answer may take, ms.
-        pause_ms: Silence to keep between an answer and the next question, ms.
+        sample_period_ms: Time between two requests, ms; 0: as fast as the link allows.
+        timeout_ms: Longest wait for an answer, ms.
+        pause_ms: Silence between an answer and the next request, ms.
 
     Raises:
         ConfigurationError: A time is out of range.
@@ -63,15 +63,15 @@ class PolledDevice(SerialDevice):
         self._timeout_ns = round(timeout_ms * 1e6)
         self._pause_ns = round(pause_ms * 1e6)
         self._settle_ns = max(self._pause_ns, SETTLE_NS)
-        self._asked_ns: int | None = None  # stamp of the open question
-        self._due_ns = 0  # of the next question by the sample period
-        self._earliest_ns = 0  # of the next question by the silence it needs
+        self._asked_ns: int | None = None  # stamp of the open request
+        self._due_ns = 0  # of the next request by the sample period
+        self._earliest_ns = 0  # of the next request by the required silence
         self._deadline_ns = 0  # of the answer
         self._next = 0  # sequence of the next row, if none is lost before it
-        self._unanswered = 0  # questions, since the last answer
+        self._unanswered = 0  # requests since the last answer
         self._cause = ""
         self._last_ns: int | None = None  # of the last answer
-        self._was_down = False  # there was no port to ask through since the last answer
+        self._was_down = False  # the port was closed since the last answer
 
     @property
     def channels(self) -> Channels:
@@ -84,18 +84,18 @@ class PolledDevice(SerialDevice):
 
     @abstractmethod
     def _question(self, retry: bool) -> bytes:
-        """The next question. ``retry``: the last one was not answered, and its answer may still come."""
+        """The next request. ``retry``: the last one was not answered, and its answer may still arrive."""
 
     @abstractmethod
     def _missing(self) -> int:
-        """How many bytes the answer lacks, at least 1."""
+        """Number of bytes the answer still lacks, at least 1."""
 
     @abstractmethod
     def _answer(self, host_ns: int, data: bytes) -> list[Value] | None:
-        """Bytes after the question: its values, none when it was refused (told by an event); None: more to come.
+        """Take answer bytes: returns values (none, with an event, if the device refused), or None for need more data.
 
         Raises:
-            FrameError: They are not the answer.
+            FrameError: The bytes are not the answer.
         """
 
     def _opened(self, now_ns: int) -> None:
@@ -118,7 +118,7 @@ class PolledDevice(SerialDevice):
                 text = f"{UNANSWERED_TO_TELL} questions without an answer: check power, address, baud rate and wiring"
                 self._report.event(now_ns, Severity.ERROR, "no_answer", text)
             if self._unanswered % UNANSWERED_TO_REOPEN == 0:
-                text = f"{UNANSWERED_TO_REOPEN} questions without an answer ({self._last_error}): port is opened anew"
+                text = f"{UNANSWERED_TO_REOPEN} questions without an answer ({self._last_error}): port is reopened"
                 self._link.drop(now_ns, "silent", text)
                 return False
         if now_ns < max(self._earliest_ns, self._due_ns):
@@ -134,7 +134,7 @@ class PolledDevice(SerialDevice):
     def _receive(self, now_ns: int, chunk: Chunk) -> None:
         if self._asked_ns is None:
             if not self._broken:
-                error = FrameError(f"{len(chunk.data)} bytes that nobody asked for: is another master on the line?")
+                error = FrameError(f"{len(chunk.data)} bytes without a request: is another master on the line?")
                 self._bad_frame(chunk.host_ns, error)
             self._earliest_ns = chunk.host_ns + self._settle_ns
             return
@@ -170,14 +170,14 @@ class PolledDevice(SerialDevice):
         self._last_ns = host_ns
 
     def _lose(self, cause: str) -> None:
-        """The open question, if there is one, will not be answered."""
+        """Give up the open request, if any."""
         if self._asked_ns is not None:
             self._unanswered += 1
             self._cause = self._cause or cause
             self._asked_ns = None
 
     def _name_gap(self, now_ns: int) -> None:
-        """Name the questions without an answer, and those that could not be asked: one at least, without a period."""
+        """Record unanswered and unsent requests as a gap (without a period: at least one)."""
         elapsed_ns = 0 if self._last_ns is None else now_ns - self._last_ns
         lost = self._unanswered
         if self._was_down and self._last_ns is not None:

@@ -1,7 +1,7 @@
-"""A serial port that comes and goes, and what all devices on one have in common.
+"""Serial link that is reopened after a fault, and the base class of devices on one.
 
-A USB adapter that was pulled is another port when it comes back, so a device is given a factory and not a port. The
-port does not stamp: the stamp is taken with the device's clock when a read returns.
+A USB adapter that was unplugged returns as another port, so a device gets a port factory instead of a port. The port
+does not stamp data: the stamp is taken with the device's clock when a read returns.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ BACKOFF_NS = 20_000_000
 LONGEST_BACKOFF_NS = 1_000_000_000
 LONGEST_FRESH_READ_NS = 35_000_000
 LARGEST_FRESH_READ = 4000
-TURNS = 32  # exchanges in one pump, at most
+MOST_EXCHANGES = 32  # largest number of exchanges per pump
 MS = 1_000_000
 
 
@@ -34,8 +34,8 @@ class Chunk(NamedTuple):
     Attributes:
         data: The bytes.
         host_ns: CLOCK_MONOTONIC ns when the read returned.
-        fresh: The last byte had just come then. Not so when the stamp is late (we were preempted in the read) or the
-            kernel may hold more (its line buffer, which is what ``in_waiting`` counts, ends at 4095 bytes).
+        fresh: The last byte had just arrived then. False if the stamp may be late (process preempted in the read) or
+            the kernel may hold more (its line buffer, counted by ``in_waiting``, holds 4095 bytes).
     """
 
     data: bytes
@@ -44,15 +44,15 @@ class Chunk(NamedTuple):
 
 
 class SerialLink:
-    """Opens, reads, writes, and opens again.
+    """Opens, reads, writes and reopens a serial port.
 
-    An OSError of the port closes it, is told once until bytes of sense have come again (``alive``), and the port is
-    opened anew after a back-off that doubles up to a second.
+    An OSError closes the port and is reported once until valid data arrive again (``alive``); the port is reopened
+    after a back-off that doubles up to one second.
 
     Args:
         open_port: Opens the port; raises OSError or DriverError when it cannot.
         clock: CLOCK_MONOTONIC, ns.
-        report: Where faults are told.
+        report: Receives the events.
     """
 
     def __init__(self, open_port: OpenPort, clock: Clock, report: Reporter) -> None:
@@ -67,11 +67,11 @@ class SerialLink:
 
     @property
     def is_open(self) -> bool:
-        """There is a port, as far as we know."""
+        """Whether the port is open."""
         return self._port is not None
 
     def connect(self, now_ns: int) -> bool:
-        """Open the port if it is closed and its time has come; whether it was opened just now."""
+        """Open the port if it is closed and the back-off is over; True if it was opened by this call."""
         if self._port is not None or (self._retry_ns is not None and now_ns < self._retry_ns):
             return False
         try:
@@ -82,7 +82,7 @@ class SerialLink:
         return True
 
     def read(self, now_ns: int, at_least: int) -> Chunk | None:
-        """All bytes waiting; ``at_least`` as many where the port was opened to wait. None: nothing, or a fault."""
+        """Read all waiting bytes (``at_least`` as many if the port has a timeout); None: no data, or a fault."""
         if self._port is None:
             return None
         began_ns = self._clock()
@@ -97,7 +97,7 @@ class SerialLink:
         return Chunk(data, host_ns, fresh) if data else None
 
     def write(self, now_ns: int, data: bytes) -> int | None:
-        """Send ``data``. CLOCK_MONOTONIC ns just before, or None after a fault."""
+        """Send ``data``; returns CLOCK_MONOTONIC ns just before, or None after a fault."""
         if self._port is None:
             return None
         before_ns = self._clock()
@@ -111,7 +111,7 @@ class SerialLink:
         return before_ns
 
     def drop(self, now_ns: int, code: str, text: str) -> None:
-        """Close the port, say why (once for the same code) and open it again later."""
+        """Close the port, report the reason (once per code) and schedule its reopening."""
         self.close()
         if code != self._told:
             self._report.event(now_ns, Severity.ERROR, code, text)
@@ -122,7 +122,7 @@ class SerialLink:
         self._backoff_ns = min(2 * self._backoff_ns, LONGEST_BACKOFF_NS)
 
     def alive(self, now_ns: int) -> None:
-        """Bytes that make sense have come: whatever was wrong is over."""
+        """Valid data arrived: the fault is over."""
         if self._away_since_ns is not None:
             away_ms = (now_ns - self._away_since_ns) // MS
             self._report.event(now_ns, Severity.INFO, "bus_recovered", f"answers again after {away_ms} ms")
@@ -131,7 +131,7 @@ class SerialLink:
         self._backoff_ns = BACKOFF_NS
 
     def close(self) -> None:
-        """Give the port back; that it will not close is no reason to keep it."""
+        """Close the port, ignoring an error of the close."""
         port, self._port = self._port, None
         self._retry_ns = None
         if port is not None:
@@ -150,13 +150,13 @@ class SerialDevice(ABC):
         open_port: Opens its port.
         clock: CLOCK_MONOTONIC, ns, for the stamps of what is read.
         poll_period_ms: Time between two pumps, ms.
-        silence_ms: Without a valid frame for so long, ms, the port is opened anew.
+        silence_ms: Time without a valid frame, ms, after which the port is reopened.
 
     Raises:
         ConfigurationError: A time is out of range.
 
     Attributes:
-        bad_frames: Stretches of bytes that were no frame.
+        bad_frames: Number of runs of invalid bytes.
     """
 
     def __init__(self, name: str, open_port: OpenPort, clock: Clock, poll_period_ms: float, silence_ms: float) -> None:
@@ -182,27 +182,27 @@ class SerialDevice(ABC):
     @property
     @abstractmethod
     def channels(self) -> Channels:
-        """Dtype of every channel it writes, ``gap`` and ``event`` aside."""
+        """Dtype of every channel it writes, except ``gap`` and ``event``."""
 
     def start(self, now_ns: int) -> list[Batch]:
         """Open the port and begin. See ``drivers.device.Device``."""
         self._running = True
         self._heard_ns = now_ns
-        self._turn(now_ns)
+        self._exchange(now_ns)
         return self._report.take()
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Take what has come. How long to wait is the port's own setting; ``timeout_s`` is not used."""
+        """Read the waiting bytes. The port's own timeout applies; ``timeout_s`` is not used."""
         del timeout_s
         if self._running:
-            self._turn(now_ns)
+            self._exchange(now_ns)
         return self._report.take()
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """Take what is left, silence the device, name what is missing, close the port."""
+        """Read the rest, stop the device, record missing samples, close the port."""
         if self._running:
             wanted = self._wanted()
-            for _ in range(TURNS):  # what came while the rest was made rows of, too
+            for _ in range(MOST_EXCHANGES):  # also bytes that arrive meanwhile
                 chunk = self._link.read(now_ns, wanted)
                 if chunk is None:
                     break
@@ -215,7 +215,7 @@ class SerialDevice(ABC):
         self._report.flush(now_ns)
         return self._report.take()
 
-    def _turn(self, now_ns: int) -> None:
+    def _exchange(self, now_ns: int) -> None:
         link = self._link
         if link.connect(now_ns):
             self._connected = True
@@ -223,7 +223,7 @@ class SerialDevice(ABC):
             self._broken = True
             self._last_error = "not a byte"
             self._opened(now_ns)
-        for _ in range(TURNS):
+        for _ in range(MOST_EXCHANGES):
             chunk = link.read(now_ns, self._wanted())
             if chunk is not None:
                 self._receive(now_ns, chunk)
@@ -235,7 +235,7 @@ class SerialDevice(ABC):
 
     @abstractmethod
     def _receive(self, now_ns: int, chunk: Chunk) -> None:
-        """Make rows of what was read."""
+        """Convert the bytes read into rows."""
 
     def _opened(self, now_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is
         """The port has just been opened."""
@@ -244,28 +244,28 @@ class SerialDevice(ABC):
         """The port was lost."""
 
     def _wanted(self) -> int:
-        """How many bytes a port that waits should wait for."""
+        """Number of bytes a port with a timeout waits for."""
         return 1
 
     def _act(self, now_ns: int) -> bool:
-        """Whatever is due; True when something was sent that may already be answered."""
+        """Do what is due; True if something was sent that may already be answered."""
         if now_ns - self._heard_ns > self._silence_ns:
             silent_ms = self._silence_ns // MS
             last = self._last_error
-            text = f"no valid frame for {silent_ms} ms ({last}): check power, wiring, baud rate; port is opened anew"
+            text = f"no valid frame for {silent_ms} ms ({last}): check power, wiring, baud rate; port is reopened"
             self._link.drop(now_ns, "silent", text)
         return False
 
     def _finish(self, now_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is
-        """The last act, before the port is closed."""
+        """Called before the port is closed."""
 
     def _heard(self, now_ns: int) -> None:
-        """A valid frame came."""
+        """A valid frame arrived."""
         self._heard_ns = now_ns
         self._link.alive(now_ns)
 
     def _bad_frame(self, host_ns: int, error: FrameError) -> None:
-        """Bytes were no frame. One event for a stretch of them; the stretch a port is opened into is not told."""
+        """Report invalid bytes, one event per run of them; the first run after opening is not reported."""
         self._last_error = str(error)
         if not self._broken:
             self._broken = True

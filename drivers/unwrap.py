@@ -1,16 +1,16 @@
-"""Counters that wrap at some power of two."""
+"""Unwraps counters that wrap at a power of two."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 def steps(words: NDArray[np.integer], bits: int, before: int) -> NDArray[np.int64]:
-    """Signed steps of a counter, each the shorter way round.
+    """Signed steps of a wrapping counter, each the one of smaller magnitude.
 
     Args:
-        words: What it held, modulo ``2**bits``, signed or unsigned, shape (n,).
+        words: Counter values modulo ``2**bits``, signed or unsigned, shape (n,).
         bits: Its width, up to 63.
-        before: What it held before the first of them; whole turns of it do not matter.
+        before: Value before the first of them, modulo ``2**bits``.
 
     Returns:
         Steps in ``-2**(bits - 1) .. 2**(bits - 1) - 1``, shape (n,).
@@ -25,20 +25,20 @@ def steps(words: NDArray[np.integer], bits: int, before: int) -> NDArray[np.int6
 
 
 def unwrapped(words: NDArray[np.integer], bits: int, before: int, value: int) -> NDArray[np.int64]:
-    """A counter made whole.
+    """Unwrapped values of a counter.
 
     Args:
-        words: As of ``steps``; one at least.
+        words: As in ``steps``; at least one.
         bits: The same.
         before: The same.
-        value: What the whole counter was then.
+        value: Unwrapped value before the first of them.
 
     Returns:
-        ``value`` and the steps since, shape (n,).
+        ``value`` plus the accumulated steps, shape (n,).
     """
     half = 1 << (bits - 1)
     plain = words.tolist()
-    if max(plain) - min(plain) < half:  # it does not wrap among them
+    if max(plain) - min(plain) < half:  # no wrap among these values
         first = value + (plain[0] - before + half) % (2 * half) - half
         whole: NDArray[np.int64] = words.astype(np.int64)
         whole += first - plain[0]

@@ -1,9 +1,9 @@
 """CANopen devices whose process data is bound to SYNC: configured over SDO, read from TPDOs.
 
 Sources: CiA 301 (base), CiA 402 (drives), CiA 404 (measuring devices), CiA 406 (encoders). The ``canopen`` package is
-not used: its SDO client waits on a thread and the wall clock, and time here is an argument. Known warts: expedited SDO
-only, one SYNC producer (``drivers.sync_pulse.generator``, or another node), and a node whose answers are late by a
-whole SYNC period cannot be told from one in time.
+not used: its SDO client waits on a thread and the wall clock, and time here is an argument. Known limits: expedited SDO
+only, one SYNC producer (``drivers.sync_pulse.generator``, or another node); an answer that is late by a whole SYNC
+period is attributed to the next SYNC.
 """
 
 from drivers.canopen_pdo.bus import CanopenBus

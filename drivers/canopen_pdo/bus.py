@@ -1,4 +1,4 @@
-"""A CAN bus of CANopen nodes as one device: dispatches frames, numbers SYNCs, hands rows over once a pump."""
+"""One CAN bus of CANopen nodes as one device: routes frames to nodes, numbers SYNCs, returns rows once per pump."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -24,15 +24,15 @@ from drivers.reporter import Reporter
 
 NodeConfig = Cia402Config | Cia404Config | Cia406Config | CanopenObjectConfig
 
-OVERDUE = 2.5  # SYNC periods without SYNC after which held TPDOs are handed over
-STALLED = 100.0  # SYNC periods without SYNC after which arrival times are looked at as a whole
+OVERDUE = 2.5  # SYNC periods without SYNC after which held TPDOs become rows
+STALLED = 100.0  # SYNC periods without SYNC after which all waiting frames are read before numbering
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
-DRAINS, DRAIN_S = 16, 0.03  # receives at the end, until one is empty
+DRAINS, DRAIN_S = 16, 0.03  # receives in ``stop``, until one is empty
 
 
 def process_data(config: NodeConfig) -> Sequence[ProcessData]:
-    """The process data that a configuration names: one channel, or up to three of a drive."""
+    """Process data named by a configuration: one channel, or up to three for a drive."""
     if isinstance(config, Cia402Config):
         return drive_values(config)
     if isinstance(config, Cia406Config):
@@ -53,11 +53,11 @@ class CanopenBus:
         guards: How nodes without heartbeat are watched.
 
     Attributes:
-        unclaimed: Frames nobody here asked for.
+        unclaimed: Frames with a COB-ID of no configured node or channel.
 
     Raises:
-        ConfigurationError: Two channels of one name, a node number that is none, a guard of no node, or one on a port
-            that sends no remote frames.
+        ConfigurationError: Duplicate channel name, node number outside 1..127, guard of a node without a channel, or
+            guard on a port that sends no remote frames.
     """
 
     def __init__(
@@ -109,11 +109,11 @@ class CanopenBus:
 
     @property
     def period_ns(self) -> int:
-        """0: pump waits on the port. While the port fails, the time to leave between two pumps."""
+        """Time between two pumps, ns; 0: ``pump`` waits on the port. Non-zero only while the port fails."""
         return self._port.period_ns
 
     def start(self, now_ns: int) -> list[Batch]:
-        """Begin setting all nodes up, side by side. See ``drivers.device.Device``."""
+        """Begin the set-up of all nodes in parallel. See ``drivers.device.Device``."""
         self._port.now_ns = self._started_ns = now_ns
         self._port.start()
         for node in self._nodes:
@@ -121,7 +121,7 @@ class CanopenBus:
         return self._report.take()
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Take the frames waiting and hand over what they made; waits up to ``timeout_s`` for the first."""
+        """Receive the waiting frames and return their batches; waits up to ``timeout_s`` for the first frame."""
         self._port.now_ns = now_ns
         self._dispatch(self._receive(timeout_s))
         for node in self._nodes:
@@ -130,7 +130,7 @@ class CanopenBus:
         return self._handed_over()
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """Silence the nodes, take what is left, name what will not come."""
+        """Stop the nodes, read the remaining frames, record unanswered SYNCs as gaps."""
         self._port.now_ns = now_ns
         self._dispatch(self._receive(0.0))
         last = self._sync.tick
@@ -179,7 +179,7 @@ class CanopenBus:
         handlers = self._handlers
         for host_ns, identifier, data, is_error in frames:
             if is_error:
-                self._port.tell_error_frame(host_ns, identifier, data)
+                self._port.report_error_frame(host_ns, identifier, data)
                 continue
             routes = handlers.get(identifier)
             if routes is None:
@@ -195,24 +195,24 @@ class CanopenBus:
             self._report.event(host_ns, Severity.WARNING, "bad_sync", str(error))
             return
         if counter == 0:
-            text = "SYNC carries no counter, losses are told by arrival time alone: write 240 to 1019h of its producer"
+            text = "SYNC carries no counter, losses are counted by arrival time only: write 240 to its 1019h"
             self._report.event(host_ns, Severity.WARNING, "sync_uncounted", text)
         before_tick, before_ns = self._sync.tick, self._sync.host_ns
         tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns)
         self._sync_sent_ns = None
         if self._sync_missed:
             self._sync_missed = False
-            self._report.event(host_ns, Severity.INFO, "sync_recovered", f"SYNC again, number {tick}")
+            self._report.event(host_ns, Severity.INFO, "sync_recovered", f"SYNC received again, number {tick}")
         if self._sync.pause_ns:
             pause_ms = self._sync.pause_ns // 1_000_000
-            text = f"SYNC paused for {pause_ms} ms, none is missing: its producer stood still, or frames were held up"
+            text = f"SYNC paused for {pause_ms} ms, none is missing: its producer paused, or frames were delayed"
             self._report.event(host_ns, Severity.WARNING, "sync_paused", text)
         if before_tick is not None:
             next_tick = before_tick + 1 if restarted else tick
             for channel in self._synchronous:
                 channel.close(before_tick, before_ns, next_tick)
         if restarted and before_tick is not None:
-            text = f"SYNC counter {counter} does not go on from number {before_tick}: its producer began anew"
+            text = f"SYNC counter {counter} does not continue number {before_tick}: its producer restarted"
             self._report.event(host_ns, Severity.ERROR, "sync_restarted", text)
             for channel in self._synchronous:
                 channel.sync_restarted(host_ns, before_tick, tick)
@@ -241,11 +241,10 @@ class CanopenBus:
         return frames
 
     def _all_of_a_stall(self, frames: list[CanFrame]) -> list[CanFrame]:
-        """After a long silence: were SYNCs lost, or only read late?
+        """After a long silence: read all waiting frames to decide whether SYNCs were lost or only read late.
 
-        A port that stamps when it reads (slcan) gives frames that waited the stamp of the end of the wait, which looks
-        like a loss. What is still waiting is fetched; then the first SYNC was sent a period for each that
-        follows it earlier than the last one arrived.
+        A port that stamps at the read (slcan) gives queued frames the stamp of the end of the stall, which looks like a
+        loss. Of n SYNCs in the queue the first was sent at the latest n - 1 periods before the last one arrived.
         """
         for _ in range(MOST_RECEIVES):
             more = self._port.receive(0.0)

@@ -1,4 +1,4 @@
-"""The CAN port of a bus: its faults are told and never raised, its losses and error frames are told too."""
+"""CAN port wrapper: turns faults, lost frames and error frames of a ``CanPort`` into events; never raises."""
 
 from typing import Protocol, runtime_checkable
 
@@ -23,11 +23,11 @@ BUS_OFF = 0x040
 
 @runtime_checkable
 class CountsLostFrames(Protocol):
-    """A port that knows how many frames it could not deliver."""
+    """A port that counts frames it could not deliver."""
 
     @property
     def lost_frames(self) -> int:
-        """Since it was opened."""
+        """Frames lost since the port was opened."""
 
 
 @runtime_checkable
@@ -39,14 +39,14 @@ class AsksForFrames(Protocol):
 
 
 class BusPort:
-    """A ``CanPort`` that keeps its faults to itself.
+    """A ``CanPort`` whose faults become events instead of exceptions.
 
     Args:
         port: The port.
-        report: Where faults, losses and error frames are told.
+        report: Receives events for faults, losses and error frames.
 
     Attributes:
-        now_ns: CLOCK_MONOTONIC of the present pump, for what is told.
+        now_ns: CLOCK_MONOTONIC of the current pump, the time of its events.
     """
 
     def __init__(self, port: CanPort, report: Reporter) -> None:
@@ -59,16 +59,16 @@ class BusPort:
 
     @property
     def period_ns(self) -> int:
-        """0: it waits for frames. While it fails, the time to leave between two pumps."""
+        """Time between two pumps, ns; 0: ``receive`` waits for frames. Non-zero only while the port fails."""
         return 0 if self._failing_since_ns is None else RETRY_NS
 
     @property
     def can_request(self) -> bool:
-        """It sends remote frames."""
+        """Whether the port can send remote frames."""
         return isinstance(self._port, AsksForFrames)
 
     def start(self) -> None:
-        """Frames are to be received from now on."""
+        """Reset the fault state; frames are received from now on."""
         self._counting = self._port if isinstance(self._port, CountsLostFrames) else None
 
     def send(self, identifier: int, data: bytes) -> None:
@@ -79,7 +79,7 @@ class BusPort:
             self._failed(error)
 
     def request(self, identifier: int) -> None:
-        """Send a remote frame that asks for a byte, where the port ``can_request``."""
+        """Send a remote frame of one byte, if the port ``can_request``."""
         if isinstance(self._port, AsksForFrames):
             try:
                 self._port.request(identifier, 1)
@@ -87,7 +87,7 @@ class BusPort:
                 self._failed(error)
 
     def mute(self) -> None:
-        """Receive nothing that is sent from now on."""
+        """Take no more frames from the bus; those already received can still be read."""
         try:
             self._port.mute()
         except OSError as error:
@@ -111,8 +111,8 @@ class BusPort:
             self._report.event(self.now_ns, Severity.INFO, "bus_recovered", f"CAN frames again after {down_ms} ms")
         return frames
 
-    def tell_error_frame(self, host_ns: int, classes: int, data: bytes) -> None:
-        """An error frame came."""
+    def report_error_frame(self, host_ns: int, classes: int, data: bytes) -> None:
+        """Report an error frame as an event."""
         named = [text for bit, text in ERROR_CLASSES.items() if classes & bit]
         severity = Severity.ERROR if classes & BUS_OFF else Severity.WARNING
         text = f"CAN error frame: {', '.join(named) or hex(classes)} ({data.hex()}): check wiring, ends and bit rate"
@@ -121,5 +121,5 @@ class BusPort:
     def _failed(self, error: OSError) -> None:
         if self._failing_since_ns is None:
             self._failing_since_ns = self.now_ns
-            text = f"CAN bus fails ({error}): check that the interface is up; it is tried again"
+            text = f"CAN bus fails ({error}): check that the interface is up; retrying"
             self._report.event(self.now_ns, Severity.ERROR, "bus_error", text)

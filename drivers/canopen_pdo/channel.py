@@ -1,4 +1,4 @@
-"""What becomes of a node's TPDOs: SCALAR rows, numbered, with every one that is missing named."""
+"""TPDOs of a node as numbered SCALAR rows; every missing one is recorded in a gap."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from drivers.reporter import Reporter
 
 
 class Sample(NamedTuple):
-    """A TPDO decoded: raw value, the device's own status byte, why it may not be used."""
+    """A decoded TPDO: raw value, the device's status byte, reasons why it may not be used."""
 
     value_raw: int
     device_status: int = 0
@@ -22,16 +22,16 @@ class Sample(NamedTuple):
 
 
 def position_sample(position: Position, word: int) -> Sample:
-    """A position sample: NOT_VALID where the position cannot be."""
-    value, is_believed = position.place(word)
-    return Sample(value) if is_believed else Sample(value, 0, SampleStatus.NOT_VALID)
+    """A position sample; NOT_VALID where ``Position`` rejects the step."""
+    value, is_accepted = position.place(word)
+    return Sample(value) if is_accepted else Sample(value, 0, SampleStatus.NOT_VALID)
 
 
 class ProcessData(ABC):
-    """One value of one node: how the node is set up for it, and how its TPDO is read.
+    """One value of one node: its set-up sequence and the decoding of its TPDO.
 
     Attributes:
-        name: PdoChannel.
+        name: Channel.
         node: Node number.
         cob_id: COB-ID of the TPDO.
         profile: Low word of 1000h that the node must have; None: any.
@@ -50,10 +50,10 @@ class ProcessData(ABC):
 
     @abstractmethod
     def setup(self) -> Setup:
-        """The SDO transfers that check and set the node up. Raises ConfigurationError when it cannot serve."""
+        """SDO transfers that check and configure the node. Raises ConfigurationError when it cannot be used."""
 
     def rebooted(self) -> None:  # noqa: B027 - a hook that may be left as it is
-        """The node said that it has just booted."""
+        """The node sent its boot-up message."""
 
     @abstractmethod
     def decode(self, data: bytes) -> Sample:
@@ -70,7 +70,7 @@ class PdoChannel(ABC):
 
     Attributes:
         data: The value.
-        live: The node is set up and running; TPDOs before that are not counted as samples.
+        live: The node is set up and operational; earlier TPDOs are ignored.
     """
 
     def __init__(self, data: ProcessData, report: Reporter, sync: SyncCounter) -> None:
@@ -84,7 +84,7 @@ class PdoChannel(ABC):
 
     @property
     def started(self) -> bool:
-        """It has had a first sample."""
+        """Whether a first sample has been received."""
         return self._next > 0
 
     def go_live(self) -> None:
@@ -92,12 +92,12 @@ class PdoChannel(ABC):
         self.live = True
 
     def node_reset(self) -> None:
-        """The node began anew: nothing counts until it is set up again, and its next row says AFTER_RESET."""
+        """The node restarted: TPDOs are ignored until it is set up again; the next row is marked AFTER_RESET."""
         self.live = False
         self._after_reset = self.started
 
     def node_rebooted(self) -> None:
-        """The node said that it has just booted."""
+        """The node sent its boot-up message."""
         self.data.rebooted()
 
     @abstractmethod
@@ -105,15 +105,15 @@ class PdoChannel(ABC):
         """A TPDO arrived."""
 
     def suspect(self, host_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is
-        """The node had trouble: what it sent may be lost."""
+        """The node reported an error: TPDOs may have been lost."""
 
     def check(self, now_ns: int) -> Setup | None:
-        """The SDO transfers that read its value back, where that is due; to be made at once."""
+        """SDO transfers that read the value back, if due now; else None."""
         del now_ns
         return None
 
     def hand_over(self) -> None:
-        """Give the rows gathered to the reporter."""
+        """Pass the collected rows to the reporter."""
         if self._rows:
             rows = np.zeros(len(self._rows), SCALAR)
             rows[:] = self._rows

@@ -1,9 +1,9 @@
 """CiA 402 drive: actual position 6064h, velocity 606Ch and torque 6077h on every SYNC, up to three channels of a node.
 
-The values wanted are mapped side by side into as few TPDOs as hold them, in that order. Known warts: position and
-velocity are in the user's units of the drive (CiA 402-2 lets 608Fh, 6091h, 6092h and 6096h scale them), which it does
-not tell in one way that all drives keep to; the configuration says them, and nothing here can check it. TPDOs that are
-not used stay as the maker set them: an event-driven one that floods the bus is to be switched off by its tool.
+The configured values are mapped in that order into as few TPDOs as hold them. Known limits: position and velocity are
+in the drive's user units (CiA 402-2: scaled by 608Fh, 6091h, 6092h and 6096h), which drives do not report in one common
+way; the scale comes from the configuration and is not checked. Unused TPDOs keep the manufacturer's setting: switch off
+an event-driven one that floods the bus with the drive's tool.
 """
 
 import math
@@ -23,7 +23,7 @@ TWO_PI = 2.0 * math.pi
 
 @dataclass(frozen=True)
 class Cia402Config:
-    """A drive. A channel that is not named is not mapped.
+    """A drive. Values without a channel name are not mapped.
 
     Attributes:
         node: Node number.
@@ -33,8 +33,8 @@ class Cia402Config:
         torque: Channel of 6077h, N m.
         velocity_scale_rad_s: Velocity unit of the drive, rad/s of the joint; None: counts a second.
         rated_torque_N_m: Rated torque of the motor; None: read from 6076h.
-        gear_ratio: Revolutions of the motor in one of the joint, for its torque; negative where they turn oppositely.
-        tpdos: The TPDOs to use, as many as are needed in this order.
+        gear_ratio: Motor revolutions per joint revolution, for the torque; negative where the directions are opposite.
+        tpdos: Numbers of the TPDOs to use, in this order, as many as needed.
     """
 
     node: int
@@ -86,7 +86,7 @@ class Cia402Config:
 
 
 class DriveValue(ProcessData):
-    """One of the three values of a drive: signed counts as sent; a position is made whole by ``Position``.
+    """One of the three values of a drive: signed counts as sent; a position is unwrapped by ``Position``.
 
     Args:
         config: The drive.
@@ -120,10 +120,10 @@ class DriveValue(ProcessData):
             self.scale = self._per_mille(config.rated_torque_N_m or 0.0)
 
     def setup(self) -> Setup:
-        """Read the rated torque where it is needed, map the values to their TPDO.
+        """Read the rated torque if needed, map the values to their TPDO.
 
         Raises:
-            ConfigurationError: The drive does not know its rated torque.
+            ConfigurationError: The rated torque 6076h is 0.
         """
         if self._entry == TORQUE and self._config.rated_torque_N_m is None:
             rated = yield from read_unsigned(RATED_TORQUE)
@@ -143,7 +143,7 @@ class DriveValue(ProcessData):
         return position_sample(self._position, raw) if self._entry == POSITION else Sample(raw)
 
     def _per_mille(self, rated_N_m: float) -> float:
-        """Joint torque of a thousandth of the rated motor torque, N m."""
+        """Joint torque per thousandth of the rated motor torque (unit of 6077h, CiA 402-2), N m."""
         return rated_N_m * 1e-3 * self._config.gear_ratio
 
 

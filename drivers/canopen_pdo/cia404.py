@@ -24,8 +24,8 @@ class Cia404Config:
         name: Channel.
         node: Node number.
         capacity_N: Rated force, N: at or beyond it a sample is marked SATURATED.
-        tare: Zero it (6125h) when it is first set up, where it must be unloaded. A node that reboots forgets its tare,
-            and may be loaded by then: it is not tared again, and its samples are NOT_VALID from there on.
+        tare: Tare the cell (6125h) at the first set-up, when it must be unloaded. A node that reboots loses its tare
+            while it may be loaded: it is not tared again, and its samples are NOT_VALID from there on.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Cia404Config:
 
 
 class LoadCell(ProcessData):
-    """Force, in counts of 10^-digits of the node's unit; the scale to N is read from the node while setting up."""
+    """Force in counts of 10^-digits of the node's unit; the scale to N is read from the node during set-up."""
 
     profile = 0x0194
     unit = "N"
@@ -55,7 +55,7 @@ class LoadCell(ProcessData):
         self._tare_lost |= self._tared
 
     def setup(self) -> Setup:
-        """Read unit and decimal digits, tare it where asked, map value and status to the SYNC TPDO.
+        """Read unit and decimal digits, tare if configured, map value and status to the SYNC TPDO.
 
         Raises:
             ConfigurationError: The process value is not a force in powers of ten of a newton.

@@ -37,7 +37,8 @@ class Cia406Config:
 class Encoder(ProcessData):
     """Joint position, counts; 2 pi / ``counts_per_revolution`` rad a count.
 
-    6004h is unsigned 32 bits and wraps; ``value_raw`` does not. What no joint can have done is NOT_VALID.
+    6004h is an unsigned 32-bit counter and wraps; ``value_raw`` is unwrapped. A step that ``Position`` rejects is
+    NOT_VALID.
     """
 
     profile = 0x0196
@@ -50,15 +51,15 @@ class Encoder(ProcessData):
         self._position = Position(config.counts_per_revolution)
 
     def setup(self) -> Setup:
-        """Check the resolution, silence the event TPDO, map the position to the SYNC TPDO.
+        """Check the resolution, disable the event TPDO, map the position to the SYNC TPDO.
 
         Raises:
-            ConfigurationError: Another resolution than configured, or a TPDO that cannot be silenced.
+            ConfigurationError: The resolution differs from the configuration, or the event TPDO cannot be disabled.
         """
         counts = yield from self._resolution()
         if counts != self._counts:
             raise ConfigurationError(
-                f"encoder has {counts} counts/rev, configured {self._counts}: mend counts_per_revolution, or 6001h"
+                f"encoder has {counts} counts/rev, configured {self._counts}: correct counts_per_revolution, or 6001h"
             )
         cyclic = 0x1800 + CYCLIC_TPDO - 1
         timer_off = yield from attempt(0x6200, 0, 0, 2)
@@ -66,7 +67,7 @@ class Encoder(ProcessData):
         pdo_off = yield from attempt(cyclic, 1, cob_id | frame.NOT_VALID, 4)
         if not timer_off and not pdo_off:
             raise ConfigurationError(
-                "encoder lets its event TPDO1 not be switched off (6200h, 1800h): do it by its tool"
+                "event TPDO1 of the encoder cannot be switched off (6200h, 1800h): use the manufacturer's tool"
             )
         yield from ensure_tpdo(SYNC_TPDO, self.cob_id, 1, (POSITION_MAPPING,))
 
@@ -77,7 +78,7 @@ class Encoder(ProcessData):
         return position_sample(self._position, int.from_bytes(data, "little"))
 
     def _resolution(self) -> Generator[Read | Write, SdoData, int]:
-        """Counts in a revolution: 6001h where the encoder scales (6000h bit 2), else what it physically has, 6501h."""
+        """Counts per revolution: 6001h if scaling is enabled (6000h bit 2), else the physical resolution 6501h."""
         try:
             scaling = (yield from read_unsigned(0x6000)) & SCALING_ENABLED
         except SdoAbortError:

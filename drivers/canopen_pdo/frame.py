@@ -145,18 +145,18 @@ def encode_sdo_write(index: int, subindex: int, data: bytes) -> bytes:
 
 
 def encode_sdo_abort(index: int, subindex: int, code: int) -> bytes:
-    """Notice to the server that we give a transfer up."""
+    """SDO abort: tells the server that the client ends the transfer."""
     return _ABORT.pack(0x80, index, subindex, code)
 
 
 def decode_sdo_reply(data: bytes) -> SdoReply:
     """Answer of an SDO server to a read or a write.
 
-    An object too long for an expedited transfer comes back with abort code ``COMMAND_NOT_KNOWN``: the client is to
-    send that to the server, which waits for segments to be asked for.
+    An object too long for an expedited transfer is returned with abort code ``COMMAND_NOT_KNOWN``, which the client
+    must send to the server to end the segmented transfer.
 
     Raises:
-        FrameError: Not eight bytes, or a command that answers neither.
+        FrameError: Not eight bytes, or not the command of an answer to a read or a write.
     """
     if len(data) != 8:
         raise FrameError(f"{data.hex(' ')} is no SDO: it has eight bytes")
@@ -170,4 +170,4 @@ def decode_sdo_reply(data: bytes) -> SdoReply:
             return SdoReply(index, subindex, b"", COMMAND_NOT_KNOWN, True)
         size = 4 - (command >> 2 & 3) if command & 0x01 else 4
         return SdoReply(index, subindex, data[4 : 4 + size], 0, True)
-    raise FrameError(f"{data.hex(' ')} answers no SDO request: look for a second SDO client on the bus")
+    raise FrameError(f"{data.hex(' ')} is not an SDO answer: look for a second SDO client on the bus")

@@ -1,9 +1,9 @@
-"""Node guarding (CiA 301, 7.2.8.3.2.1): for a node that makes no heartbeat, the master asks whether it lives.
+"""Node guarding (CiA 301, 7.2.8.3.2.1): the master polls a node that has no heartbeat.
 
-Every guard time a remote frame goes to 700h + node, and the node answers with its state and a bit that toggles from one
-answer to the next. An answer whose bit did not toggle is no sign of life: some controllers answer remote frames out of
-a buffer while the program behind them is dead. Only after a question without an answer either bit is right, for the
-question may have been lost, or the answer.
+Every guard time a remote frame goes to 700h + node, and the node answers with its state and a toggle bit that
+alternates between answers. An answer whose bit did not toggle does not count: some controllers answer remote frames
+from a buffer while their program has stopped. After a request without an answer either bit is accepted, because the
+request or the answer may have been lost.
 """
 
 from collections.abc import Callable
@@ -20,8 +20,8 @@ class GuardConfig:
 
     Attributes:
         node: Node number.
-        guard_time_ms: Time between two questions (100Ch).
-        life_time_factor: Questions without a sign of life after which the node is lost (100Dh).
+        guard_time_ms: Time between two requests (100Ch).
+        life_time_factor: Requests without a valid answer after which the node is lost (100Dh).
     """
 
     node: int
@@ -38,15 +38,15 @@ class GuardConfig:
 
 
 class Guard:
-    """Questions to one node, and what its answers are worth.
+    """Sends guarding requests to one node and checks its answers.
 
     Args:
-        config: When to ask, when to give up.
+        config: Guard time and life time factor.
         ask: Sends the remote frame.
 
     Attributes:
         config: The same.
-        unanswered: Questions since the last sign of life.
+        unanswered: Requests since the last valid answer.
     """
 
     def __init__(self, config: GuardConfig, ask: Callable[[], None]) -> None:
@@ -58,16 +58,16 @@ class Guard:
         self._expected: int | None = None  # the bit of the next answer; None: either
 
     def begin(self, now_ns: int) -> None:
-        """The node was set up: ask from now on. Whether it has been guarded before is not known."""
+        """The node was set up: start sending requests. The first toggle bit may have either value."""
         self.unanswered = 0
         self._due_ns = now_ns
         self._waiting = False
         self._expected = None
 
     def poll(self, now_ns: int) -> bool:
-        """Ask, when it is time. False: enough questions have had no answer, the node is lost.
+        """Send a request when it is due. False: ``life_time_factor`` requests had no valid answer, the node is lost.
 
-        Questions are counted and not time, so that a host that did not ask for a while accuses nobody.
+        Requests are counted instead of time, so that a pause of the host does not count as a loss of the node.
         """
         if now_ns < self._due_ns:
             return True
@@ -83,7 +83,7 @@ class Guard:
         return True
 
     def answered(self, data: bytes) -> bool:
-        """An answer; whether it is a sign of life."""
+        """Take an answer; True if its toggle bit is right."""
         toggle = data[0] & TOGGLE
         alive = self._expected is None or toggle == self._expected
         self._expected = toggle ^ TOGGLE

@@ -1,4 +1,4 @@
-"""Any object of any node that comes in a TPDO: a phase, a mode, a motor's current, a joint's torque."""
+"""Any object that a node maps into a TPDO: a phase, a mode, a motor current, a joint torque."""
 
 import struct
 from collections.abc import Generator
@@ -56,7 +56,7 @@ class CanopenObjectConfig:
 
 
 class Reading(NamedTuple):
-    """An object read by SDO: when the answer came, its value, and the counter of its changes where there is one."""
+    """An object read by SDO: arrival time of the answer, value, and change counter if there is one."""
 
     host_ns: int
     sample: Sample
@@ -67,7 +67,7 @@ class MappedObject(ProcessData):
     """The object's value, unscaled, as often as the node sends it.
 
     Attributes:
-        initial: Read while setting up, where it fits in one transfer and is not synchronous.
+        initial: Value read during set-up, if it fits in one transfer and is not synchronous.
         is_readable: It fits in one SDO transfer.
     """
 
@@ -81,13 +81,13 @@ class MappedObject(ProcessData):
         self._struct = struct.Struct(FORMATS[config.format])
         self.is_readable = self._struct.size <= EXPEDITED_BYTES
         self._counter_at: slice | None = None
-        self._turn = 1  # modulus of the counter
+        self._modulus = 1  # modulus of the counter
 
     def setup(self) -> Setup:
         """Check that the TPDO carries the object where the configuration says, and read its present value.
 
         Raises:
-            ConfigurationError: It does not, or it is not sent on SYNC where it has to be.
+            ConfigurationError: The mapping differs, or a synchronous object is not sent on SYNC.
         """
         config = self._config
         mapping = 0x1A00 + config.tpdo - 1
@@ -100,7 +100,7 @@ class MappedObject(ProcessData):
         if mapped.get(8 * config.byte_offset) != wanted:
             raise ConfigurationError(
                 f"TPDO{config.tpdo} has no {config.index:04X}h:{config.subindex:02X} as {config.format} at byte "
-                f"{config.byte_offset}: mend the configuration or {mapping:04X}h"
+                f"{config.byte_offset}: correct the configuration or {mapping:04X}h"
             )
         self._find_counter(mapped)
         if self.synchronous:
@@ -127,7 +127,7 @@ class MappedObject(ProcessData):
 
     def steps(self, before: int, counter: int) -> int:
         """Changes from one value of the counter to another."""
-        return (counter - before) % self._turn
+        return (counter - before) % self._modulus
 
     def read_counter(self) -> Generator[Read | Write, SdoData, int | None]:
         """Part of a sequence: read the counter of changes; None where there is none."""
@@ -154,7 +154,7 @@ class MappedObject(ProcessData):
         for offset_bits, entry in mapped.items():
             if entry >> 8 == wanted:
                 self._counter_at = slice(offset_bits // 8, (offset_bits + (entry & 0xFF)) // 8)
-                self._turn = 1 << (entry & 0xFF)
+                self._modulus = 1 << (entry & 0xFF)
                 return
         counter = f"{config.index:04X}h:{config.counter_subindex:02X}"
         raise ConfigurationError(f"TPDO{config.tpdo} has no {counter}: drop counter_subindex, or map it")

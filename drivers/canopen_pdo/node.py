@@ -1,4 +1,4 @@
-"""One CANopen node seen from the master: set up, started, watched (heartbeat or guarding), set up again on reboot."""
+"""One CANopen node as the master handles it: set-up, start, heartbeat or guarding, set-up again after a reboot."""
 
 from collections.abc import Callable, Sequence
 from enum import Enum, auto
@@ -30,8 +30,8 @@ class _State(Enum):
     OFF = auto()
     SETTING_UP = auto()
     RUNNING = auto()
-    AWAY = auto()  # no answer: try again at the deadline
-    REFUSED = auto()  # not the device we want, or it cannot serve: left alone until it boots
+    AWAY = auto()  # no answer: retried at the deadline
+    REFUSED = auto()  # wrong device or unusable configuration: ignored until it boots
 
 
 class Node:
@@ -43,9 +43,9 @@ class Node:
     Args:
         number: Node number, 1..127.
         channels: Its channels.
-        send: Sends a frame (COB-ID, data) and keeps bus faults to itself.
+        send: Sends a frame (COB-ID, data); does not raise on bus faults.
         report: Where events go.
-        guard: How it is watched where it has no heartbeat.
+        guard: Node guarding, used if it has no heartbeat.
     """
 
     def __init__(
@@ -72,11 +72,11 @@ class Node:
 
     @property
     def source(self) -> str:
-        """Name in its events: that of its first channel."""
+        """Source name of its events: its first channel."""
         return self.channels[0].data.name
 
     def begin(self, now_ns: int) -> None:
-        """Silence the node and set it up."""
+        """Put the node into pre-operational state and start its set-up."""
         for channel in self.channels:
             channel.live = False
         self._state = _State.SETTING_UP
@@ -84,7 +84,7 @@ class Node:
         self._sdo.begin(self._setup(), now_ns)
 
     def stop(self) -> None:
-        """Silence the node."""
+        """Put the node into pre-operational state: it sends no more TPDOs."""
         if self._state is not _State.OFF:
             self._command(NmtCommand.PRE_OPERATIONAL)
         self._sdo.drop()
@@ -117,13 +117,13 @@ class Node:
         if self._guarded_by is None or state is NmtState.BOOT_UP or self._guarded_by.answered(data):
             self._heard_ns = host_ns
         else:
-            text = f"node {self.number}: guarding bit does not toggle: its program stands, or a second node answers"
+            text = f"node {self.number}: guarding bit does not toggle: its program hangs, or a second node answers"
             self._report.event(host_ns, Severity.WARNING, "guard_toggle", text, self.source)
         if self._state is _State.OFF:
             return
         if state is NmtState.BOOT_UP:
             if self._state is _State.RUNNING:
-                text = f"node {self.number} rebooted: set up anew; check its supply"
+                text = f"node {self.number} rebooted: set up again; check its supply"
                 self._report.event(host_ns, Severity.WARNING, "node_rebooted", text, self.source)
             self._told = ""
             for channel in self.channels:
@@ -168,7 +168,7 @@ class Node:
             yield from channel.data.setup()
 
     def _watching(self) -> Setup:
-        """Have it make a heartbeat; where it has none, tell it how it is guarded."""
+        """Configure its heartbeat; if it has none, configure node guarding."""
         self._guarded_by = None
         guard = self._guard
         try:
@@ -176,7 +176,7 @@ class Node:
         except SdoAbortError as error:
             if guard is None:
                 raise ConfigurationError(f"{error}: it makes no heartbeat; configure node guarding for it") from error
-            yield from attempt(0x100C, 0, guard.config.guard_time_ms, 2)  # its own watch over us: it may do without
+            yield from attempt(0x100C, 0, guard.config.guard_time_ms, 2)  # its life guarding of the master: optional
             yield from attempt(0x100D, 0, guard.config.life_time_factor, 1)
             self._guarded_by = guard
 
@@ -189,12 +189,12 @@ class Node:
             code, what = "heartbeat_lost", "heartbeat"
         else:
             return
-        text = f"node {self.number}: no {what} for {silent_ns // 1_000_000} ms: set up anew"
+        text = f"node {self.number}: no {what} for {silent_ns // 1_000_000} ms: set up again"
         self._report.event(now_ns, Severity.ERROR, code, text, self.source)
         self._reset(now_ns)
 
     def _guarded(self, step: Callable[[], None], now_ns: int) -> None:
-        """Take a step of the set-up; what ends it early becomes an event."""
+        """Run a step of the set-up; an error that ends it becomes an event."""
         try:
             step()
         except NoAnswerError as error:
@@ -209,7 +209,7 @@ class Node:
                 self._run(now_ns)
 
     def _check(self, now_ns: int) -> None:
-        """Have values read back that nothing else confirms."""
+        """Start the read-back of a channel that is due."""
         if self._sdo.busy:
             self._checked(lambda: self._sdo.poll(now_ns), now_ns)
             return
@@ -220,7 +220,7 @@ class Node:
                 return
 
     def _checked(self, step: Callable[[], None], now_ns: int) -> None:
-        """Take a step of reading back; what ends it early is told, and the node runs on."""
+        """Run a step of a read-back; an error that ends it becomes an event and the node stays operational."""
         try:
             step()
         except DriverError as error:

@@ -1,7 +1,7 @@
-"""A CANopen SDO client that never waits: a set-up sequence asks, the client sends, retries and gives the answers back.
+"""Non-blocking CANopen SDO client: runs a sequence of reads and writes, with timeouts and retries.
 
-A sequence is a generator that yields ``Read`` and ``Write`` and is sent ``SdoData``; a refusal is thrown into it as
-``SdoAbortError``, so that it may do without what the node does not have.
+A sequence is a generator that yields ``Read`` and ``Write`` and is sent ``SdoData``; an abort is thrown into it as
+``SdoAbortError``, so that it can skip an object that the node does not have.
 """
 
 from collections.abc import Callable, Generator
@@ -54,7 +54,7 @@ def write_unsigned(index: int, subindex: int, value: int, size: int) -> Generato
 
 
 def attempt(index: int, subindex: int, value: int, size: int) -> Generator[Read | Write, SdoData, bool]:
-    """Part of a sequence: write, and say whether the node took it."""
+    """Part of a sequence: write; True if the node accepted it."""
     try:
         yield from write_unsigned(index, subindex, value, size)
     except SdoAbortError:
@@ -74,7 +74,7 @@ def ensure_tpdo(
         mapping: Entries of 1A00h: index << 16 | subindex << 8 | bits.
 
     Raises:
-        SdoAbortError: The node has another mapping and lets nobody change it.
+        SdoAbortError: The node has another mapping and refuses to change it.
     """
     communication, mapped = 0x1800 + number - 1, 0x1A00 + number - 1
     present = []
@@ -102,10 +102,10 @@ class SdoClient:
 
     Args:
         node: Node number.
-        send: Sends a frame (COB-ID, data); it may fail in silence, a request unanswered is sent again.
+        send: Sends a frame (COB-ID, data); may fail without raising, an unanswered request is sent again.
 
     Attributes:
-        malformed: Answers that were no SDO.
+        malformed: Answers that could not be decoded.
     """
 
     def __init__(self, node: int, send: Callable[[int, bytes], None]) -> None:
@@ -130,10 +130,10 @@ class SdoClient:
     def accept(self, data: bytes, host_ns: int) -> None:
         """An SDO answer of the node; the next request goes out.
 
-        Answers to anything but the request under way are left: after a repeated request the node answers twice.
+        Answers to other requests are ignored: after a repeated request the node answers twice.
 
         Raises:
-            DriverError: The sequence has ended with it; what it raised, an SdoAbortError it did not expect included.
+            DriverError: Raised by the sequence, which has ended; includes an SdoAbortError that it did not catch.
         """
         sequence = self._sequence
         if sequence is None:
@@ -177,7 +177,7 @@ class SdoClient:
         )
 
     def drop(self) -> None:
-        """Leave the sequence under way."""
+        """Drop the sequence under way."""
         self._sequence = None
 
     def _refusal(self, code: int) -> SdoAbortError:

@@ -1,4 +1,4 @@
-"""Numbers SYNC messages: their counter repeats after 240, so host time decides how often it went round unseen."""
+"""Unwraps the SYNC counter, which repeats after 240; host time resolves how many rounds were missed."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -6,8 +6,8 @@ from typing import NamedTuple
 from drivers.errors import ConfigurationError
 
 ROUND = 240
-SLACK = 12  # SYNC periods by which arrival time and counter may differ before we say that the producer began anew
-LATE = 3.0  # SYNC periods by which a SYNC is later than its number says: the producer stood still
+SLACK = 12  # SYNC periods between arrival time and counter above which the producer is taken to have restarted
+LATE = 3.0  # SYNC periods by which a SYNC is later than its number: the producer paused
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class SyncConfig:
 
 
 class SyncStep(NamedTuple):
-    """A SYNC numbered. ``lost`` SYNCs before it did not arrive; ``restarted``: the producer's count began anew."""
+    """A numbered SYNC. ``lost`` SYNCs before it did not arrive; ``restarted``: the producer's counter restarted."""
 
     tick: int
     lost: int
@@ -43,14 +43,14 @@ class SyncStep(NamedTuple):
 class SyncCounter:
     """SYNC numbers from SYNC counters.
 
-    A SYNC with counter c has a number congruent to c - 1 modulo 240; the first one seen is given c - 1. (Which round of
-    the producer's own count that was, the coded pulses tell.) A counter of 0 means that the SYNC carries none: then
-    host time alone says how many were lost.
+    A SYNC with counter c has a number congruent to c - 1 modulo 240; the first one seen gets c - 1 (the offset in
+    rounds is resolved later by the coded sync pulses). Counter 0 means that the SYNC carries none: losses are then
+    counted by host time alone.
 
     Attributes:
         period_ns: SYNC period.
-        pause_ns: How long the producer stood still before the SYNC before the last one, where it did; else 0. Only the
-            next one tells: after a host that read late, it comes early.
+        pause_ns: Length of a pause of the producer before the second to last SYNC; else 0. It is known one SYNC later:
+            after a host that only read late, the next SYNC comes early.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -58,7 +58,7 @@ class SyncCounter:
         self.pause_ns = 0
         self._tick: int | None = None
         self._host_ns = 0
-        self._late_ns = 0  # by which the last SYNC came later than its number says
+        self._late_ns = 0  # delay of the last SYNC against its number
 
     @property
     def tick(self) -> int | None:
@@ -67,7 +67,7 @@ class SyncCounter:
 
     @property
     def host_ns(self) -> int:
-        """When the last SYNC arrived."""
+        """CLOCK_MONOTONIC arrival of the last SYNC."""
         return self._host_ns
 
     def silence(self, host_ns: int) -> float:
@@ -80,7 +80,7 @@ class SyncCounter:
         Args:
             counter: Its counter, 1..240, or 0.
             host_ns: When it arrived.
-            sent_ns: When it must have been sent, where that is known to be well before it arrived.
+            sent_ns: Latest time at which it was sent, if known to be well before its arrival.
         """
         if self._tick is None:
             self._tick, self._host_ns = max(counter - 1, 0), host_ns

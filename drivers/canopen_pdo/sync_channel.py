@@ -1,21 +1,21 @@
-"""TPDOs that answer SYNCs: each is given the number of the SYNC it answers, and a SYNC without answer is a gap."""
+"""Synchronous TPDOs: each is assigned the SYNC it answers; a SYNC without an answer is a gap."""
 
 from drivers.canopen_pdo.channel import PdoChannel, ProcessData, Sample
 from drivers.canopen_pdo.sync import ROUND, SyncCounter
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
-SILENT_AFTER = 20  # SYNCs without an answer before an event says so
-LATEST = 400  # SYNCs after a gap of answers in which they may yet come, too late to be told which is which
+SILENT_AFTER = 20  # SYNCs without an answer before an event
+LATEST = 400  # SYNCs after a gap during which late answers to it are discarded
 
 
 class SyncChannel(PdoChannel):
     """One row for each SYNC answered.
 
-    TPDOs are held until the next SYNC, for only then is it known whether a SYNC between was lost. Order decides:
-    what came between SYNC n and n + 1 answers n. Only where SYNCs are missing, host time decides which of them a
-    TPDO answers. ``sequence`` runs with the SYNC number from the first answer on; an answer too many, which is no
-    late one to a SYNC named as unanswered before, is one number more, in a gap of its own.
+    TPDOs are held until the next SYNC, because only then is it known whether a SYNC between was lost. A TPDO between
+    SYNC n and n + 1 answers n; where SYNCs are missing, host time assigns it. ``sequence`` counts with the SYNC number
+    from the first answer on. A surplus TPDO that is not a late answer to a SYNC in a gap takes one more sequence
+    number, recorded as a gap.
 
     Args:
         data: The value.
@@ -28,9 +28,9 @@ class SyncChannel(PdoChannel):
         self._period_ns = sync.period_ns
         self._held: list[tuple[int, bytes]] = []
         self._last_tick = 0  # of the last row
-        self._unanswered = 0  # SYNCs seen since the last row and not answered
+        self._unanswered = 0  # SYNCs seen since the last row without an answer
         self._silent = 0  # the same, since the node went live or answered
-        self._owed = 0  # answers in the last gap, that did not come
+        self._owed = 0  # answers missing in the last gap
         self._owed_tick = 0
         self._reset_since_row = False
 
@@ -40,18 +40,18 @@ class SyncChannel(PdoChannel):
         self._silent = 0
 
     def node_reset(self) -> None:
-        """See ``PdoChannel``. What it answered before is handed over first."""
+        """See ``PdoChannel``. TPDOs held so far become rows first."""
         self.settle()
         super().node_reset()
         self._reset_since_row = self.started
 
     def accept(self, host_ns: int, data: bytes) -> None:
-        """See ``PdoChannel``. An answer to a SYNC before the first one seen is no sample yet."""
+        """See ``PdoChannel``. TPDOs before the first SYNC are ignored."""
         if self.live and self._sync.tick is not None:
             self._held.append((host_ns, data))
 
     def close(self, tick: int, sync_ns: int, next_tick: int) -> None:
-        """The time between SYNC ``tick`` (arrived at ``sync_ns``) and the next one seen, ``next_tick``, is over."""
+        """Assign the TPDOs held between SYNC ``tick`` (arrived at ``sync_ns``) and the next one seen, ``next_tick``."""
         answers = next_tick - tick
         held = self._held
         lowest = max(0, self._last_tick + 1 - tick) if self.started else 0
@@ -74,20 +74,20 @@ class SyncChannel(PdoChannel):
         held.clear()
 
     def settle(self) -> None:
-        """The next SYNC is overdue: hand over what answered the last one, and those we did not see."""
+        """The next SYNC is overdue: assign the held TPDOs to the last SYNC and to unseen ones after it."""
         tick = self._sync.tick
         if self._held and tick is not None:
             periods = (self._held[-1][0] - self._sync.host_ns) // self._period_ns
             self.close(tick, self._sync.host_ns, tick + 1 + max(periods, 0))
 
     def sync_restarted(self, host_ns: int, last: int, tick: int) -> None:
-        """SYNC numbers jump from ``last`` to ``tick``: up to there nothing more will come, between nothing is lost."""
+        """SYNC numbers jump from ``last`` to ``tick``: close the rows up to ``last``; the jump itself is no loss."""
         if self.started and last > self._last_tick:
             self._lose(host_ns, last)
         self._last_tick = tick - 1
 
     def finish(self, now_ns: int, last: int | None) -> None:
-        """Nothing more will come: name the SYNCs up to ``last`` that were not answered; later ones need not be."""
+        """Last call: record the unanswered SYNCs up to ``last`` as a gap."""
         tick = self._sync.tick
         if tick is None or last is None:
             return
@@ -108,7 +108,7 @@ class SyncChannel(PdoChannel):
         self._reset_since_row = False
 
     def _lose(self, now_ns: int, up_to_tick: int) -> None:
-        """Answers to the SYNCs after the last row, up to ``up_to_tick``, are missing."""
+        """Record the missing answers to the SYNCs after the last row, up to ``up_to_tick``, as a gap."""
         lost = up_to_tick - self._last_tick
         cause = "node_reset" if self._reset_since_row else "no_pdo" if self._unanswered else "no_sync"
         first = self._next
@@ -119,7 +119,7 @@ class SyncChannel(PdoChannel):
             self._owed, self._owed_tick = lost, up_to_tick
 
     def _leave(self, host_ns: int, tick: int, extra: int) -> None:
-        """TPDOs that answer no SYNC: late answers to those named as unanswered, or samples that have no time."""
+        """Surplus TPDOs: late answers to SYNCs in the last gap are discarded, others become a gap."""
         text = f"{extra} TPDOs more than SYNCs: the node is slow, or another node sends {self.data.cob_id:03X}h"
         self._report.event(host_ns, Severity.WARNING, "pdo_extra", text, self.data.name)
         late = min(extra, self._owed) if tick - self._owed_tick <= LATEST else 0

@@ -1,4 +1,4 @@
-"""The digitiser as a device: one read is one sample."""
+"""DSC digitiser as a polled device: one read is one sample."""
 
 from drivers.dsc_load_cell.message import Answer, DscLoadCellConfig, decode_number, read_command
 from drivers.errors import FrameError
@@ -12,14 +12,14 @@ REFUSED = b"?"
 class DscLoadCell(PolledDevice):
     """A Mantracourt DSC, as SCALAR rows; see ``drivers.serial_poll`` for their two stamps.
 
-    ``value_raw`` holds the digits as they came, ``scale`` is the power of ten of the last of them. The first answer
-    fixes how many digits there are; one of another form is a bad frame.
+    ``value_raw`` holds the digits as an integer, ``scale`` the power of ten of the last digit. The first answer fixes
+    the number of digits; an answer of another form is a bad frame.
 
     Args:
         name: Channel, and source of its events.
         open_port: Opens its serial port.
         clock: CLOCK_MONOTONIC, ns.
-        config: How to ask it.
+        config: Station, command and timing.
     """
 
     def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: DscLoadCellConfig | None = None) -> None:

@@ -1,7 +1,7 @@
-"""Mantracourt DSC ASCII messages. No port, no clock.
+"""Encodes and decodes Mantracourt DSC ASCII messages. No port, no clock.
 
-A read is ``!001:SOUT?`` CR; its answer a sign, DPB digits, a point, DP digits and CR, of one length always. An action
-or a write is answered by CR alone, a command that is not understood by ``?`` CR or not at all.
+A read is ``!001:SOUT?`` CR; its answer is a sign, DPB digits, a point, DP digits and CR, always of the same length. An
+action or a write is answered by CR alone, an unknown command by ``?`` CR or not at all.
 """
 
 import re
@@ -18,15 +18,15 @@ _NAME = re.compile(r"[A-Z0-9]{1,4}")
 
 @dataclass(frozen=True)
 class DscLoadCellConfig:
-    """How the digitiser is asked, and what it answers in.
+    """Configuration of a DSC digitiser.
 
     Attributes:
-        station: Station number, 1..999 (0 is the broadcast, which nobody answers).
+        station: Station number, 1..999 (0 is the broadcast, which is not answered).
         command: What to read: ``SOUT`` (system output), ``CELL``, ``ELEC``, ``MVV`` ...
-        unit: Unit of what it answers; the system calibration (SGAI, SOFS) decides that.
-        sample_period_ms: Time between two questions; 0: as fast as it answers.
-        timeout_ms: How long an answer may take; not less than the manual's 50 ms, or a late answer would pass for the
-            next.
+        unit: Unit of the answer, set by the system calibration (SGAI, SOFS).
+        sample_period_ms: Time between two requests; 0: as fast as it answers.
+        timeout_ms: Longest wait for an answer; at least the manual's 50 ms, else a late answer is taken for the next
+            one.
         poll_period_ms: How often the port is read; 0: the port waits.
 
     Raises:
@@ -52,14 +52,14 @@ class DscLoadCellConfig:
 
 
 class Number(NamedTuple):
-    """A number as it was sent: ``counts`` times ten to the minus ``decimals``."""
+    """A decimal number as sent: ``counts`` times 10^-``decimals``."""
 
     counts: int
     decimals: int
 
 
 def read_command(station: int, command: str) -> bytes:
-    """The read of a parameter."""
+    """Request that reads a parameter."""
     return f"!{station:03d}:{command}?\r".encode()
 
 
@@ -67,11 +67,11 @@ def decode_number(text: bytes) -> Number:
     """The answer to a read, without its CR.
 
     Raises:
-        FrameError: It is no number.
+        FrameError: The text is not a signed decimal number.
     """
     match = _NUMBER.fullmatch(text)
     if match is None:
-        raise FrameError(f"{text!r} is no number: check baud rate and that nobody else speaks on the line")
+        raise FrameError(f"{text!r} is not a number: check the baud rate; is another master on the line?")
     sign, whole, fraction = match[1], match[2], match[3] or b""
     counts = int(whole + fraction)
     return Number(-counts if sign == b"-" else counts, len(fraction))
@@ -97,7 +97,7 @@ class Answer:
         self._buffer += data
         text, end, rest = self._buffer.partition(b"\r")
         if rest:
-            raise FrameError(f"{rest!r} after the answer: nobody asked for that")
+            raise FrameError(f"{rest!r} after the answer, without a request")
         if end:
             return text
         if len(text) > LONGEST_ANSWER:

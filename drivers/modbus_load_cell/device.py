@@ -1,4 +1,4 @@
-"""The load cell transmitter as a device: one read of 40007 to 40014 is one sample."""
+"""Modbus load cell transmitter as a polled device: one read of 40007 to 40014 is one sample."""
 
 from drivers.modbus_load_cell.frame import Answer, ModbusException, read_request
 from drivers.modbus_load_cell.registers import COUNT, STATUS, ModbusLoadCellConfig, decode_weights
@@ -10,15 +10,15 @@ from drivers.serial_stream import Clock, OpenPort
 class ModbusLoadCell(PolledDevice):
     """A Laumas transmitter, as SCALAR rows; see ``drivers.serial_poll`` for their two stamps.
 
-    After a question without an answer the next one asks for one register more, so that an answer that comes too late
-    cannot pass for its own. ``device_status`` is the low byte of the status register; NOT_VALID says that the cell or
-    the converter has an error, or that the unit is unknown; SATURATED that the capacity is exceeded.
+    After an unanswered request the next one reads one register more, so that a late answer has the wrong length and is
+        rejected. ``device_status`` is the low byte of the status register. NOT_VALID: cell or converter error, or
+        unknown unit; SATURATED: capacity exceeded.
 
     Args:
         name: Channel (or its first part), and source of events.
         open_port: Opens its serial port.
         clock: CLOCK_MONOTONIC, ns.
-        config: How to ask it.
+        config: Address, values, scale and timing.
     """
 
     def __init__(
@@ -27,9 +27,9 @@ class ModbusLoadCell(PolledDevice):
         self.config = ModbusLoadCellConfig() if config is None else config
         periods = self.config.poll_period_ms, self.config.sample_period_ms
         super().__init__(name, open_port, clock, *periods, self.config.timeout_ms, self.config.pause_ms)
-        self._extra = 0  # registers that the question asks for and nobody needs
+        self._extra = 0  # surplus registers in the request, which mark it against a late answer
         self._open = Answer(read_request(self.config.address, STATUS, COUNT))
-        self._said = ""  # unit and scale last told
+        self._said = ""  # unit and scale in the last event
 
     def _value_channels(self) -> tuple[str, ...]:
         values = self.config.values

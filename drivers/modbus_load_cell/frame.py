@@ -59,7 +59,7 @@ def read_request(address: int, register: int, count: int) -> bytes:
     """Function 3: read ``count`` holding registers from wire address ``register`` on (40001 is 0).
 
     Raises:
-        ConfigurationError: An argument that the protocol cannot say.
+        ConfigurationError: An argument outside the range of the protocol.
     """
     if not (1 <= address <= 247 and 0 <= register <= 0xFFFF and 1 <= count <= MOST_REGISTERS):
         raise ConfigurationError(f"address {address}, register {register}, count {count}: use 1..247, 0..65535, 1..125")
@@ -70,7 +70,7 @@ def write_request(address: int, register: int, values: tuple[int, ...]) -> bytes
     """Function 16: write holding registers from wire address ``register`` on.
 
     Raises:
-        ConfigurationError: An argument that the protocol cannot say.
+        ConfigurationError: An argument outside the range of the protocol.
     """
     count = len(values)
     if not (1 <= address <= 247 and 0 <= register <= 0xFFFF and 1 <= count <= 123):
@@ -106,7 +106,8 @@ class Answer:
         """More bytes: the registers read (none for a write) when the answer is whole, None while it is not.
 
         Raises:
-            FrameError: They are not the answer to this request; the line has to be silent before the next one.
+            FrameError: The bytes are not the answer to this request; wait for silence on the line before the next
+                request.
             ModbusException: The device refused.
         """
         self._buffer += data

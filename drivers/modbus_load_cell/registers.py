@@ -1,4 +1,4 @@
-"""The Laumas register map, as far as a load cell driver needs it, and the configuration.
+"""Laumas register map (weights, status, unit) and the configuration of the transmitter.
 
 Wire addresses are the register number less 40001. Status bits: LCB manual, "Status register 1". Division and unit codes
 of 40014: see the head of the package.
@@ -14,7 +14,7 @@ STATUS = 6  # 40007; the first register that is read
 GROSS = 7  # 40008, 40009: high half first
 NET = 9
 DIVISION_UNIT = 13  # 40014: unit code << 8 | division code
-COUNT = DIVISION_UNIT - STATUS + 1  # what one sample reads: 16 bytes, so that the scale is never older than the count
+COUNT = DIVISION_UNIT - STATUS + 1  # registers per sample, 16 bytes: count and scale come from one read
 
 GROSS_NEGATIVE = 1 << 7
 NET_NEGATIVE = 1 << 8
@@ -30,18 +30,18 @@ VALUES = ("gross", "net")
 
 @dataclass(frozen=True)
 class ModbusLoadCellConfig:
-    """How the transmitter is asked, and what its counts are worth.
+    """Configuration of a load cell transmitter.
 
     Attributes:
         address: Modbus address.
-        values: What to record: ``gross``, ``net`` or both. Of one, the channel carries the device's name; of both,
+        values: Values to record: ``gross``, ``net`` or both. One value is recorded on channel ``NAME``, both on
             ``NAME_gross`` and ``NAME_net``.
-        scale: ``unit`` per count; None: by the division and unit that the transmitter says (mass only).
+        scale: ``unit`` per count; None: from the division and unit in register 40014 (mass only).
         unit: Unit of a scaled value; goes with ``scale``.
         sign: Where the sign is: ``status`` (magnitude, sign in the status register), ``twos_complement``, ``positive``.
         baud: Bit rate of the link; it decides the silence between frames. The rate itself stands in the bus URL.
         echo: The adapter hears what it sends.
-        sample_period_ms: Time between two questions; 0: as fast as the link allows.
+        sample_period_ms: Time between two requests; 0: as fast as the link allows.
         timeout_ms: How long an answer may take.
         poll_period_ms: How often the port is read; 0: the port waits.
 
@@ -66,7 +66,7 @@ class ModbusLoadCellConfig:
         if not self.values or not set(self.values) <= set(VALUES) or len(set(self.values)) != len(self.values):
             raise ConfigurationError(f"values = {self.values}: use gross, net, or both")
         if (self.scale is None) != (self.unit is None):
-            raise ConfigurationError("scale and unit go together: give both, or none to take them from the transmitter")
+            raise ConfigurationError("scale and unit go together: give both, or neither to read them from the device")
         if self.unit is not None and len(self.unit.encode()) > 8:
             raise ConfigurationError(f"unit = {self.unit!r}: 8 bytes at most")
         if self.sign not in SIGNS:
@@ -86,10 +86,10 @@ class Weights(NamedTuple):
     Attributes:
         gross: Counts, signed.
         net: Counts, signed.
-        scale: ``unit`` per count; 0 where the transmitter's unit is none of mass and the configuration gives no other.
+        scale: ``unit`` per count; 0 if the transmitter's unit is not a mass and none is configured.
         unit: Unit of a scaled value.
         device_status: Low byte of the status register.
-        status: What is wrong with it.
+        status: Reasons why it may not be used.
     """
 
     gross: int
@@ -101,10 +101,10 @@ class Weights(NamedTuple):
 
 
 def decode_weights(registers: tuple[int, ...], config: ModbusLoadCellConfig) -> Weights:
-    """Registers from 40007 on, ``COUNT`` or more, to a reading.
+    """Decode registers from 40007 on (``COUNT`` or more) to a reading.
 
     Raises:
-        FrameError: They are fewer.
+        FrameError: Fewer than ``COUNT`` registers.
     """
     if len(registers) < COUNT:
         raise FrameError(f"{len(registers)} registers, {COUNT} are needed: read 40007 to 40014")

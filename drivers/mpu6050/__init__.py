@@ -1,7 +1,7 @@
-"""InvenSense MPU-6050 inertial measurement unit on I2C, by its FIFO or its data registers, and clones under its name.
+"""InvenSense MPU-6050 inertial measurement unit (and its clones) on I2C, read from its FIFO or its data registers.
 
-Sources: register map RM-MPU-6000A 4.2, product specification PS-MPU-6000A 3.4. Known warts: one temperature LSB is
-given up for the sync flag; the chip runs up to 1 % off its nominal rate, so rows carry a sample number and no time.
+Sources: register map RM-MPU-6000A 4.2, product specification PS-MPU-6000A 3.4. Known limits: the sync flag replaces one
+temperature LSB; the chip runs up to 1 % off its nominal rate, so rows carry a sample number and no sample time.
 """
 
 from drivers.mpu6050.decode import decode_packets

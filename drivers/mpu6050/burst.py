@@ -1,13 +1,12 @@
-"""Samples one by one out of the data registers, for buses where the FIFO is not to be trusted (clones, long transfers).
+"""Reads single samples from the data registers, for buses where the FIFO is unreliable (clones, long transfers).
 
-One transfer of 15 bytes is one sample: INT_STATUS (3Ah), then 3Bh..48h, which the chip holds still from START to STOP
-(RM 4.18). DATA_RDY there says that the sample is new; reading clears it, so none is taken twice. Polls are a tenth
-shorter than the sample period, so that a chip up to 5 % fast makes at most one sample between two polls in time.
+One transfer of 15 bytes is one sample: INT_STATUS (3Ah), then 3Bh..48h, which the chip does not update between START
+and STOP (RM 4.18). DATA_RDY marks a new sample and is cleared by reading, so none is taken twice. The poll period is
+0.9 sample periods, so that a chip up to 5 % fast makes at most one sample between two punctual polls.
 
-The chip does not count: a new sample is the next one, and how many went by unseen is told by host time over the
-sample period that the stream has shown. Only what has surely been missed is named, for a number too high could
-never be taken back; one too low is mended within a few polls. Known wart: a sample made in the 70 us between START and
-INT_STATUS may be flagged and not yet shown.
+The chip does not number its samples: the number missed is host time divided by the fitted sample period. The lower
+bound is recorded, because a number too high cannot be corrected later; one too low is corrected within a few polls.
+Known limit: a sample made in the 70 us between START and INT_STATUS may be flagged before its data are shown.
 """
 
 from drivers.mpu6050 import registers as reg
@@ -17,14 +16,14 @@ from drivers.mpu6050.registers import Chip, Mpu6050Config
 from drivers.mpu6050.stream import SampleStream
 
 POLL = 0.9  # sample periods
-SLOWEST = 1.05  # nominal sample periods: internal oscillator, before the stream has shown the chip's own
-DOUBT = 0.25  # sample periods by which the fitted clock may be off
-CHECK_EVERY = 32  # samples in time between two looks at the clock
-WARY = 12  # samples after a late poll before it is believed again: polls have been everywhere in the sample period
+SLOWEST = 1.05  # nominal sample periods: internal oscillator, until the period is fitted
+CLOCK_ERROR = 0.25  # error bound of the fitted clock, sample periods
+CHECK_EVERY = 32  # punctual samples between two comparisons with the clock
+RECHECKS = 12  # samples compared with the clock after a late poll: polls then cover the whole sample period
 
 
 class Burst:
-    """The data registers of a chip that has been set up.
+    """Samples from the data registers of a configured chip.
 
     Args:
         config: How the chip was set up.
@@ -34,7 +33,7 @@ class Burst:
     Attributes:
         chip: The die.
         running: Samples are counted.
-        registers: What holds besides the configuration while it runs.
+        registers: Register values besides the configuration while it runs.
     """
 
     registers = reg.BURST_RUNS
@@ -48,7 +47,7 @@ class Burst:
         self._asked_ns = 0  # of the last poll
         self._stamped_ns = 0
         self._unchecked = 0
-        self._wary = 0
+        self._rechecks = 0
 
     @property
     def period_ns(self) -> int:
@@ -56,7 +55,7 @@ class Burst:
         return int(POLL * self._config.sample_period_ns)
 
     def restart(self, now_ns: int, at_least: int = 0) -> None:
-        """Begin with the next new sample, after naming what was surely missed before. Raises OSError."""
+        """Start with the next new sample, after recording the samples certainly missed. Raises OSError."""
         self.running = False
         for register, value in self.registers.items():
             self._bus.write(register, value)
@@ -72,7 +71,7 @@ class Burst:
         self.running = True
 
     def take(self, now_ns: int) -> bool:
-        """Hand over the sample in the registers. False: it is not a new one. Raises OSError."""
+        """Read the data registers and add the sample if it is new; False if not. Raises OSError."""
         reply = self._bus.read(reg.INT_STATUS, 1 + PACKET_BYTES)
         stream, clock = self._stream, self._stream.clock
         is_new = bool(reply.data[0] & reg.DATA_RDY)
@@ -93,17 +92,17 @@ class Burst:
         """Nothing to stop."""
 
     def _missed(self, asked_ns: int) -> int:
-        """Samples surely made before this new one, and after the last one taken."""
+        """Lower bound of the samples made between the last one taken and this new one."""
         stream, nominal_ns = self._stream, self._config.sample_period_ns
         missed = int((asked_ns - self._stamped_ns) // (SLOWEST * nominal_ns)) - 1
         self._unchecked += 1
         if asked_ns - self._asked_ns >= (1.0 + POLL) / 2.0 * nominal_ns:
-            self._wary = WARY
-        if not self._wary and self._unchecked < CHECK_EVERY:
+            self._rechecks = RECHECKS
+        if not self._rechecks and self._unchecked < CHECK_EVERY:
             return missed
-        self._wary = max(self._wary - 1, 0)
+        self._rechecks = max(self._rechecks - 1, 0)
         self._unchecked = 0
         if stream.clock.slope_known:
-            surely_made = stream.clock.surely_produced(asked_ns - int(DOUBT * nominal_ns))
+            surely_made = stream.clock.surely_produced(asked_ns - int(CLOCK_ERROR * nominal_ns))
             missed = max(missed, surely_made - stream.next - 1)
         return missed

@@ -1,4 +1,4 @@
-"""Register access with a bounded number of retries, and what an errno of an I2C transfer means to a person."""
+"""Register access with a bounded number of retries, and messages for the errno of an I2C transfer."""
 
 import errno
 from collections.abc import Callable
@@ -7,14 +7,14 @@ from typing import TypeVar
 from drivers.ports import I2cPort, I2cReply
 
 TRIES = 3
-NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})  # at the address: the device took and gave nothing
+NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})  # at the address: no data were transferred
 _REMEDY = {
     errno.ENXIO: "check its power, wiring and AD0",
     errno.EREMOTEIO: "check its power, wiring and AD0",
     errno.ETIMEDOUT: "SDA may be held low: power-cycle it",
     errno.ENODEV: "the adapter is gone: plug it in",
     errno.ENOENT: "the adapter is gone: plug it in",
-    errno.EBADMSG: "what it says is garbage, check wiring and pull-ups",
+    errno.EBADMSG: "invalid data, check wiring and pull-ups",
     errno.EAGAIN: "arbitration lost: look for another master",
 }
 _T = TypeVar("_T")
@@ -29,10 +29,10 @@ def explain(error: OSError) -> str:
 class RegisterBus:
     """Registers of one device on an I2C bus.
 
-    A failed transfer is tried again at once, ``TRIES`` times in all, but not after a timeout: a bus held low stays so.
+    A failed transfer is repeated at once, ``TRIES`` times in all, but not after a timeout (bus held low).
 
     Attributes:
-        errors: Transfers that failed, those mended by a retry included.
+        errors: Failed transfers, including those whose retry succeeded.
     """
 
     def __init__(self, port: I2cPort, address: int) -> None:
@@ -49,7 +49,7 @@ class RegisterBus:
         return self.read(register).data[0]
 
     def pop(self, register: int, count: int) -> bytes:
-        """``count`` bytes of a FIFO: tried again only where the device has surely given nothing. Raises OSError."""
+        """``count`` bytes of a FIFO; repeated only if the device transferred no data. Raises OSError."""
         transfer = self._port.write_read
         return self._tried(lambda: transfer(self._address, bytes((register,)), count), NOT_ACKNOWLEDGED).data
 

@@ -1,4 +1,4 @@
-"""FIFO bytes of the MPU-6050 into IMU rows. No port, no clock; a burst is decoded at once, never sample by sample.
+"""Decodes MPU-6050 FIFO bytes into IMU rows, all packets of a transfer at once. No port, no clock.
 
 A packet is seven big-endian int16 in register order (RM 4.32, FIFO_R_W): accel x, y, z, temperature, gyro x, y, z.
 """
@@ -11,17 +11,17 @@ from drivers.mpu6050.registers import Mpu6050Config
 from drivers.records import IMU, Rows, SampleStatus
 
 PACKET_BYTES = 14
-TEMPERATURE_JUMP = 400  # counts, 1.2 degC: more than any die does in one sample period
+TEMPERATURE_JUMP = 400  # counts, 1.2 degC: above any die's change in one sample period
 
 _ACCEL, _TEMPERATURE, _GYRO = slice(0, 3), 3, slice(4, 7)
 
 
 def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:
-    """Whole packets as IMU rows; ``sequence``, ``host_ns`` and ``tick`` are left 0 for the device to give.
+    """Whole packets as IMU rows; ``sequence``, ``host_ns`` and ``tick`` are 0 and set by the device.
 
     Args:
         data: Bytes of the FIFO, beginning with a packet.
-        config: What they were sampled with.
+        config: Configuration they were sampled with.
 
     Returns:
         Rows of ``records.IMU``, one a packet. ``sync`` is bit 0 of the temperature (EXT_SYNC_SET = 1), which stays
@@ -48,11 +48,11 @@ def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:
 
 
 def first_misaligned(temperature_raw: NDArray[np.int16], before: int | None) -> int | None:
-    """Place of the first sample whose temperature word cannot be one: the packet boundary has slipped.
+    """Index of the first sample with an impossible temperature step, a sign that the packet boundary slipped.
 
     Args:
         temperature_raw: Temperature words of successive samples, shape (n,).
-        before: The word of the sample before them, None when there is none to compare with.
+        before: Temperature word of the sample before them; None if there is none.
 
     Returns:
         Index of the first sample that differs by more than ``TEMPERATURE_JUMP`` from the one before; None if none.

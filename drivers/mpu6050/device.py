@@ -1,4 +1,4 @@
-"""The MPU-6050 as a device: set up, fetch samples, notice when it lost its mind, or went away."""
+"""MPU-6050 device: set-up, sample transfer, detection of lost configuration and of a missing chip, recovery."""
 
 from collections.abc import Callable
 from enum import Enum, auto
@@ -25,12 +25,12 @@ CHECK_ROUND_NS = 1_000_000_000
 BACKOFF_NS = 20_000_000
 LONGEST_BACKOFF_NS = 1_000_000_000
 LAST_DRAINS = 8
-WATCHED = 11  # registers checked in a round, at the most
+WATCHED = 11  # largest number of registers checked per round
 
 
 class _State(Enum):
     STOPPED = auto()
-    AWAY = auto()  # no answer, or not the answer we want: try again at the deadline
+    AWAY = auto()  # no or wrong answer: retried at the deadline
     RESETTING = auto()
     WAKING = auto()
     RUNNING = auto()
@@ -39,14 +39,14 @@ class _State(Enum):
 class Mpu6050:
     """An MPU-6050 on an ``I2cPort``, as IMU rows on the channel of its name.
 
-    ``sequence`` and ``tick`` are both the sample number since the first start, samples known to be lost included. Rows
-    of one drain share ``host_ns``: the stamp of the FIFO_COUNT read that counted them, at which instant the newest
-    was less than one sample period old. In burst mode each row has the stamp of its own transfer.
+    ``sequence`` and ``tick`` are both the sample number since the first start, lost samples included. Rows of one drain
+        share ``host_ns``: the stamp of the FIFO_COUNT read, when the newest sample was less than one period old. In
+        burst mode each row has the stamp of its own transfer.
 
     Args:
         name: Channel, and source of its events.
         port: The bus.
-        config: How to set it up.
+        config: Ranges, rate, filter, mode.
     """
 
     def __init__(self, name: str, port: I2cPort, config: Mpu6050Config | None = None) -> None:
@@ -78,15 +78,15 @@ class Mpu6050:
 
     @property
     def bus_errors(self) -> int:
-        """Transfers that failed, those that a retry mended included."""
+        """Failed transfers, including those whose retry succeeded."""
         return self._bus.errors
 
     def probe(self) -> Chip:
-        """Ask the chip who it is.
+        """Read WHO_AM_I.
 
         Raises:
-            NoAnswerError: Nothing answers at the address.
-            WrongDeviceError: Something else answers.
+            NoAnswerError: No device answers at the address.
+            WrongDeviceError: Another device answers.
         """
         where = f"{self.name}: I2C {self.config.address:#x}"
         try:
@@ -97,25 +97,25 @@ class Mpu6050:
             return CHIPS[value]
         what = INCOMPATIBLE.get(value, "unknown")
         raise WrongDeviceError(
-            f"{where} has WHO_AM_I {value:#04x} ({what}), MPU-6050 has 0x68: fit that chip or mend the address"
+            f"{where} has WHO_AM_I {value:#04x} ({what}), MPU-6050 has 0x68: fit that chip or correct the address"
         )
 
     def self_test(self, wait: Callable[[float], object]) -> SelfTest:
-        """Have the chip push its own proof masses and compare with what the factory measured: a preflight call.
+        """Preflight self test: electrostatic actuation of the proof masses, response compared with the factory trim.
 
-        The chip keeps the settings it had; it must be at rest for the 1.3 s that this takes.
+        Takes 1.3 s, during which the chip must be at rest; its settings are restored.
 
         Args:
-            wait: Lets that many seconds pass (``time.sleep``).
+            wait: Sleeps for that many seconds (``time.sleep``).
 
         Returns:
             Deviations from the factory trim.
 
         Raises:
             SelfTestError: An axis deviates by more than 14 %, or has no factory trim.
-            ConfigurationError: It is streaming, or it is a clone, whose trim is coded in another way.
-            NoAnswerError: Nothing answers, or it stopped answering on the way.
-            WrongDeviceError: Something else answers.
+            ConfigurationError: It is streaming, or it is a clone with another trim coding.
+            NoAnswerError: No device answers, or it stopped answering during the test.
+            WrongDeviceError: Another device answers.
         """
         if self._state is not _State.STOPPED:
             raise ConfigurationError(f"{self.name} is streaming: stop it, then test it")
@@ -129,13 +129,13 @@ class Mpu6050:
             raise NoAnswerError(f"{where} fails in its self test {explain(error)}") from error
 
     def start(self, now_ns: int) -> list[Batch]:
-        """Probe and reset the chip; ``pump`` goes on from there. See ``drivers.device.Device``."""
+        """Probe and reset the chip; ``pump`` continues the set-up. See ``drivers.device.Device``."""
         self._stream.begin()
         self._begin(now_ns)
         return self._report.take()
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Fetch samples, or take the next step of setting up when its time has come. ``timeout_s`` is not used."""
+        """Read samples, or take the next set-up step when due. ``timeout_s`` is not used."""
         del timeout_s
         try:
             if self._state is _State.RUNNING:
@@ -150,7 +150,7 @@ class Mpu6050:
         return self._report.take()
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """Stop the sampling, take what is left, put the chip to sleep. What cannot be had is named as a gap."""
+        """Stop sampling, read the rest, put the chip to sleep. Samples that cannot be read are a gap."""
         if self._state is _State.RUNNING:
             try:
                 for _ in range(LAST_DRAINS):
@@ -212,7 +212,7 @@ class Mpu6050:
             self._run(now_ns)
 
     def _run(self, now_ns: int) -> None:
-        """Write the configuration, read it back, start the stream."""
+        """Write the configuration, verify it by reading back, start the stream."""
         settings = configuration(self.config, self._chip)
         for register, value in settings.items():
             self._bus.write(register, value)
@@ -235,33 +235,33 @@ class Mpu6050:
 
     @property
     def _expected(self) -> dict[int, int]:
-        """What its registers must hold while samples are counted."""
+        """Register values expected while it runs."""
         return configuration(self.config, self._chip) | self._source.registers if self._source.running else {}
 
     def _take(self, now_ns: int) -> bool:
-        """Fetch what the chip has. False: nothing."""
+        """Read the available samples; False if there are none."""
         took = self._source.take(now_ns)
         if took:
             self._sampled_ns = now_ns
         return took
 
     def _look_into_silence(self, now_ns: int) -> None:
-        """An empty FIFO: between two samples, or because the chip was reset, or sleeps, or is stuck."""
+        """No samples: decide between normal timing and a chip that was reset, sleeps or is stuck."""
         silent_ns = now_ns - self._sampled_ns
         if silent_ns < max(5 * self.config.sample_period_ns, 2 * self.period_ns):
             return
         lost = self._mismatch()
         if lost is not None:
-            self._configure_anew(now_ns, *lost)
+            self._reconfigure(now_ns, *lost)
         elif silent_ns > max(SILENCE_NS, 20 * self.config.sample_period_ns):
-            text = "awake and configured, and makes no samples: it is reset"
+            text = "no samples although awake and configured: the chip is reset"
             self._report.event(now_ns, Severity.ERROR, "no_samples", text)
             self._stream.cause = "no_samples"
             self._stream.after_reset = True
             self._begin(now_ns)
 
     def _check_one_register(self, now_ns: int) -> None:
-        """Each register once in ``CHECK_ROUND_NS``, one at a time: a flipped bit must not scale the data for long."""
+        """Verify one register per call, each once in ``CHECK_ROUND_NS``: limits how long a flipped bit affects data."""
         self._checks += 1
         every = max(1, CHECK_ROUND_NS // (self.period_ns * WATCHED))
         if self._checks % every:
@@ -270,21 +270,21 @@ class Mpu6050:
         register, expected = registers[self._checks // every % len(registers)]
         value = self._bus.byte(register)
         if value != expected:
-            self._configure_anew(now_ns, register, value)
+            self._reconfigure(now_ns, register, value)
 
     def _mismatch(self) -> tuple[int, int] | None:
-        """The first register that does not hold what was written, and what it holds."""
+        """Address and value of the first register that differs from the value written; None if none does."""
         for register, expected in self._expected.items():
             value = self._bus.byte(register)
             if value != expected:
                 return register, value
         return None
 
-    def _configure_anew(self, now_ns: int, register: int, value: int) -> None:
+    def _reconfigure(self, now_ns: int, register: int, value: int) -> None:
         brown_out = register == reg.PWR_MGMT_1 and bool(value & reg.SLEEP)
         cause = "brown_out" if brown_out else "configuration_lost"
         why = (
-            "it was reset, check its supply" if brown_out else f"rows up to 1 s before {self._stream.next} are suspect"
+            "it was reset, check its supply" if brown_out else f"rows up to 1 s before {self._stream.next} may be wrong"
         )
         text = f"register {register:#04x} reads {value:#04x}: {why}"
         self._report.event(now_ns, Severity.ERROR, cause, text)
@@ -300,7 +300,7 @@ class Mpu6050:
         self._stay_away(now_ns, "bus_error", NoAnswerError(text))
 
     def _stay_away(self, now_ns: int, code: str, error: DriverError) -> None:
-        """Tell once, then try again after a back-off that doubles up to a second."""
+        """Report once, then retry after a back-off that doubles up to one second."""
         text = str(error)
         if text != self._told:
             self._report.event(now_ns, Severity.ERROR, code, text)

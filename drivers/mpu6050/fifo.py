@@ -1,4 +1,4 @@
-"""Samples by way of the chip's FIFO: drained once a poll, started anew when it ran over or slipped."""
+"""Reads samples from the chip's FIFO: drained once per poll, restarted after an overflow or a slipped packet."""
 
 import errno
 
@@ -11,13 +11,13 @@ from drivers.mpu6050.stream import SampleStream
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
-MOST_STARTS = 3  # one after the other, when it runs over before it is counted
-FASTEST = 0.8  # of the nominal sample period, more than any oscillator is off
-MOST_COUNTS = 12  # after a gap, until the start of the FIFO is known to a third of a sample
+MOST_STARTS = 3  # restarts in a row if it overflows before the first count
+FASTEST = 0.8  # nominal sample periods: below the shortest period of any chip
+MOST_COUNTS = 12  # count reads after a restart, until its time is known to a third of a sample
 
 
 class Fifo:
-    """The FIFO of a chip that has been set up.
+    """Samples from the FIFO of a configured chip.
 
     Args:
         config: How the chip was set up.
@@ -27,8 +27,8 @@ class Fifo:
 
     Attributes:
         chip: The die.
-        running: It is started, and what it holds is counted.
-        registers: What holds besides the configuration while it runs.
+        running: Samples are counted.
+        registers: Register values besides the configuration while it runs.
     """
 
     registers = reg.FIFO_RUNS
@@ -48,7 +48,7 @@ class Fifo:
         return round(self._config.poll_period_ms * 1e6)
 
     def restart(self, now_ns: int, at_least: int = 0) -> None:
-        """Empty and start it; then name what was lost: what the clock says, ``at_least`` samples. Raises OSError."""
+        """Clear and start the FIFO; record the samples lost by the clock, ``at_least`` as many. Raises OSError."""
         self.running = False
         self._temperature = None
         stream, clock = self._stream, self._stream.clock
@@ -67,14 +67,14 @@ class Fifo:
         self.running = True
 
     def take(self, now_ns: int) -> bool:
-        """Hand over what it holds. False: it was empty. Raises OSError."""
+        """Drain the FIFO; False if it was empty. Raises OSError."""
         reply = self._bus.read(reg.FIFO_COUNT_H, 2)
         count = int.from_bytes(reply.data)
         samples, part = divmod(min(count, self.chip.fifo_bytes), PACKET_BYTES)
         if part or self._is_over(count):
             self._count_again(count, now_ns)
         if self._is_over(count):
-            self._overflow(now_ns, samples + (part > 0), count)  # of a broken packet the rest was overwritten
+            self._overflow(now_ns, samples + (part > 0), count)  # the rest of a partial packet was overwritten
             return True
         if part:
             self._discard(now_ns, "misaligned", samples, f"FIFO holds {count} bytes, no whole packets: it was reset")
@@ -84,7 +84,7 @@ class Fifo:
             return False
         data, broke_off = self._pop(samples * PACKET_BYTES)
         if broke_off is None:
-            try:  # only now, for it may have run over after it was counted
+            try:  # checked again: it may have overflowed after the count
                 if self._bus.byte(reg.INT_STATUS) & reg.FIFO_OFLOW:
                     self._overflow(now_ns, samples + 1, count)
                     return True
@@ -107,14 +107,14 @@ class Fifo:
         return True
 
     def silence(self) -> None:
-        """Let it take no more samples. Raises OSError."""
+        """Disable the FIFO inputs. Raises OSError."""
         self._bus.write(reg.FIFO_EN, 0)
 
     def _begin(self) -> tuple[Onset, bool]:
-        """Empty and start it, and count what it takes until that tells when it began: one count may be stamped late.
+        """Clear and start the FIFO; read its count until the instant of the start is bounded (a stamp may be late).
 
         Returns:
-            When it began, and whether the host was so late that it ran over meanwhile.
+            Bounds of the start, and whether the FIFO has overflowed meanwhile.
         """
         self._bus.write(reg.FIFO_EN, 0)
         self._bus.write(reg.USER_CTRL, 0)
@@ -136,15 +136,15 @@ class Fifo:
         return onset, overrun
 
     def _count_again(self, count: int, before_ns: int) -> None:
-        """Is it true that it slipped or ran over? Then it says so twice. Raises OSError."""
+        """Read the count a second time before acting on a slip or overflow. Raises OSError."""
         reply = self._bus.read(reg.FIFO_COUNT_H, 2)
         self._check_growth(count, int.from_bytes(reply.data), reply.host_ns - before_ns)
 
     def _check_growth(self, before: int, count: int, elapsed_ns: int) -> None:
-        """A count cannot fall, nor grow faster than samples are made: such a one is garbage, and nothing is known.
+        """Reject a count that falls or grows faster than samples are made.
 
         Raises:
-            OSError: It is.
+            OSError: EBADMSG, the count is impossible.
         """
         fastest_ns = FASTEST * self._config.sample_period_ns
         most = before + PACKET_BYTES * (2 + int(elapsed_ns / fastest_ns))
@@ -155,7 +155,7 @@ class Fifo:
         return count > self.chip.fifo_bytes - PACKET_BYTES
 
     def _pop(self, left: int) -> tuple[bytes, OSError | None]:
-        """``left`` bytes in transfers of whole packets; fewer, and the reason, when the bus fails on the way."""
+        """Read ``left`` bytes in transfers of whole packets; returns the bytes and the error that ended it, if any."""
         longest = self._config.max_transfer_bytes // PACKET_BYTES * PACKET_BYTES
         pieces: list[bytes] = []
         while left:
@@ -172,7 +172,7 @@ class Fifo:
         self._discard(now_ns, "fifo_overflow", at_least, text)
 
     def _discard(self, now_ns: int, cause: str, at_least: int, text: str) -> None:
-        """Give up what it holds (``at_least`` samples are lost) and start it anew."""
+        """Discard its content (``at_least`` samples are lost) and restart it."""
         self._stream.cause = self._stream.cause or cause
         self._report.event(now_ns, Severity.WARNING, cause, text)
         self.restart(now_ns, at_least)

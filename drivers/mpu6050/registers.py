@@ -1,4 +1,4 @@
-"""Registers of the MPU-6050 (RM-MPU-6000A 4.2) and what a configuration writes into them."""
+"""Registers of the MPU-6050 (RM-MPU-6000A 4.2) and the values that a configuration writes."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -23,7 +23,7 @@ FIFO_COUNT_H = 0x72
 FIFO_R_W = 0x74
 WHO_AM_I = 0x75
 
-EXT_SYNC_TEMP_OUT_L = 1 << 3  # CONFIG: FSYNC into bit 0 of the temperature, so that no inertial bit is lost
+EXT_SYNC_TEMP_OUT_L = 1 << 3  # CONFIG: FSYNC into bit 0 of the temperature
 FIFO_EN_ALL = 0xF8  # FIFO_EN: temperature, gyro x, y, z, accel
 FIFO_OFLOW = 1 << 4  # INT_ENABLE, INT_STATUS
 USER_FIFO_EN = 1 << 6
@@ -44,12 +44,12 @@ RESERVED_FILTER_CODE = 7
 
 
 class Chip(NamedTuple):
-    """A die that answers at the MPU-6050's address and understands its FIFO."""
+    """A chip at the MPU-6050's address with a compatible FIFO."""
 
     name: str
     fifo_bytes: int
     temperature: str  # degC of its raw temperature word
-    second_accel_config: int | None  # ACCEL_CONFIG_2 apart from its filter code; None: it has no such register
+    second_accel_config: int | None  # ACCEL_CONFIG_2 without its filter code; None: no such register
 
 
 CHIPS = {
@@ -71,7 +71,7 @@ INCOMPATIBLE = {  # their FIFO has another order or count, or their registers li
 
 @dataclass(frozen=True)
 class Mpu6050Config:
-    """How the chip is set up.
+    """Configuration of the chip.
 
     Attributes:
         address: 7-bit I2C address: 0x68, or 0x69 with AD0 high.
@@ -79,9 +79,9 @@ class Mpu6050Config:
         accel_range_g: 2, 4, 8 or 16.
         gyro_range_deg_s: 250, 500, 1000 or 2000.
         filter_code: DLPF_CFG, 0..6.
-        poll_period_ms: How often the FIFO is drained. A burst is read as often as the sample rate asks.
-        max_transfer_bytes: Longest single read; some adapters end at 32, 255 or 4096 bytes.
-        mode: ``fifo``, or ``burst``: one transfer of the data registers a sample.
+        poll_period_ms: Time between two drains of the FIFO. Burst mode polls at the sample rate.
+        max_transfer_bytes: Longest single read; some adapters are limited to 32, 255 or 4096 bytes.
+        mode: ``fifo``, or ``burst``: one transfer of the data registers per sample.
 
     Raises:
         ConfigurationError: A value the chip does not have, or a FIFO that would run over between two drains.
@@ -133,7 +133,7 @@ class Mpu6050Config:
 
 
 def configuration(config: Mpu6050Config, chip: Chip) -> dict[int, int]:
-    """Registers and the values they must hold while the chip runs, in the order they are written."""
+    """Register values while the chip runs, in the order they are written."""
     gyro_rate_hz = 8000 if config.filter_code == 0 else 1000  # RM, register 25
     registers = {
         PWR_MGMT_1: CLOCK_PLL_GYRO_X,

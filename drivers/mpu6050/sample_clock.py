@@ -1,14 +1,15 @@
-"""How many samples a chip has made by a given instant, from what its FIFO counts said so far.
+"""Estimates how many samples a chip has made by a given instant, from FIFO counts and their host stamps.
 
-Serves gap accounting only (vehicle time is made in ``onboard.timebase``). A count read at t that brings the total to
-N says ``t0 + N P <= t < t0 + (N + 1) P``: the newest sample is less than one period old. P is the slope of t over N;
-t0 lies between the bounds that all reads together leave. A late stamp (the host was preempted) can only be later than
-true: lags ``t - N P`` more than a period behind the earliest are such, and are left out. Nor can a read have been made
-before it was asked for, so that instant bounds it from below, however late its stamp is. Where the polls keep to one
-place in the sample period the bounds stay a period apart, and a count may be one off.
+Used for gap accounting only (vehicle time is made in ``onboard.timebase``). A count read at t with total N means ``t0 +
+N P <= t < t0 + (N + 1) P``: the newest sample is less than one period old. P is the slope of t over N; t0 lies within
+the intersection of the bounds of all reads. A stamp can be late (host preempted), never early: lags ``t - N P`` more
+than a period behind the earliest are excluded. The instant of the request is a lower bound of the read, however late
+its stamp. If all polls fall at the same phase of the sample period, the bounds stay one period apart and a count may be
+off by one.
 
-Totals after a gap are what this clock made of it. While the period is not known well enough for that, they begin a
-stretch of their own: the slope is taken within stretches and t0 from the last one, lest a wrong count confirm itself.
+Totals after a gap depend on this clock's own estimate. While the period is not known well enough for that, a new
+segment begins: the slope is fitted within segments and t0 from the last one, so that a wrong count does not confirm
+itself.
 """
 
 import math
@@ -21,26 +22,26 @@ MOST_READS = 1024
 FEWEST_READS = 32
 LATE = 1.2  # periods behind the earliest lag
 TRIMMINGS = 3
-RESIDUAL = 0.3  # samples: a read falls anywhere in a sample period
+RESIDUAL = 0.3  # samples, rms: a read falls at a uniform phase of the sample period
 SPREAD = 2000.0  # samples^2: the slope is known to 0.6 %, and so better than the nominal rate
-SURE = 0.25  # samples by which the count of a gap may be off for its reads to go on the same stretch
-PROMPT = 0.25  # periods a read may take longer than most, to be used for the slope
+SURE = 0.25  # samples: error of a gap's count below which the segment continues
+PROMPT = 0.25  # periods: longest extra duration of a read used for the slope
 FURTHEST_OFF = 0.15  # of the nominal period: the internal oscillator over temperature (PS 6.6)
-NARROW = 0.35  # periods: an onset known that well is known well enough
+NARROW = 0.35  # periods: width at which an onset is accepted
 
 
 class _Fit(NamedTuple):
     period_ns: float
-    spread: float  # samples^2 about the means of the stretches; 0 while the period is the nominal one
-    first_ns: float  # best estimate of t0 + N P for the N of the last read, after its t: between -P and 0 if in time
-    latest_ns: float  # its upper bound, which late stamps do not touch
+    spread: float  # samples^2 about the means of the segments; 0 while the period is nominal
+    first_ns: float  # best estimate of t0 + N P minus t of the last read: between -P and 0 for a punctual stamp
+    latest_ns: float  # its upper bound, unaffected by late stamps
 
 
 class Onset:
-    """When a chip made its last sample before its FIFO was started, from counts read after the start.
+    """Bounds of the instant x of the last sample before a FIFO start, from counts read after the start.
 
-    A count of c read at t, and not before b, says ``b - (c + 1) P < x <= t - c P``. A late stamp widens that interval
-    and never moves it, so the next read in time mends what it spoiled.
+    A count c read between b and t means ``b - (c + 1) P < x <= t - c P``. A late stamp only widens the interval, and
+    the next punctual read narrows it again.
 
     Args:
         before_ns: An instant before the FIFO was started.
@@ -68,49 +69,49 @@ class Onset:
 
     @property
     def settled(self) -> bool:
-        """More reads at once would tell no more: it is known well, or reads take no time."""
+        """Further reads add nothing: the interval is narrow enough, or reads take no (simulated) time."""
         before_ns, host_ns, _ = self.reads[-1]
         return self.latest_ns - self.earliest_ns <= NARROW * self._period_ns or host_ns == before_ns
 
 
 class SampleClock:
-    """Sample total against host time.
+    """Total of samples as a function of host time.
 
     Args:
-        nominal_period_ns: Sample period to go by until the stream has shown its own.
+        nominal_period_ns: Sample period used until it is fitted.
     """
 
     def __init__(self, nominal_period_ns: int) -> None:
         self._period_ns = self._nominal_ns = float(nominal_period_ns)
-        self._reads: deque[tuple[int, int, int, int]] = deque(maxlen=MOST_READS)  # the last: its stretch
-        self._stretch = 0
+        self._reads: deque[tuple[int, int, int, int]] = deque(maxlen=MOST_READS)  # last field: its segment
+        self._segment = 0
 
     def __bool__(self) -> bool:
         return bool(self._reads)
 
     @property
     def slope_known(self) -> bool:
-        """The period is the stream's own and no longer the nominal one."""
+        """Whether the period is fitted from the stream rather than nominal."""
         return bool(self._reads) and self._fit().spread > 0.0
 
     def observe(self, host_ns: int, produced: int, before_ns: int | None = None) -> None:
-        """A count that brings the samples made so far to ``produced``.
+        """Add a count after which ``produced`` samples have been made.
 
         Args:
             host_ns: Its stamp.
             produced: Samples made when it was read.
-            before_ns: When it had not yet been asked for; None: the stamp is taken to be in time.
+            before_ns: Instant before the request; None: the stamp is taken as punctual.
         """
-        self._reads.append((host_ns, produced, host_ns if before_ns is None else before_ns, self._stretch))
+        self._reads.append((host_ns, produced, host_ns if before_ns is None else before_ns, self._segment))
 
     def gap(self, samples: int) -> None:
-        """So many samples were lost by what this clock says: are the totals from here on to be built on?"""
+        """Record a gap of ``samples`` by this clock; begins a new segment if that number is uncertain."""
         spread = self._fit().spread
         if samples * RESIDUAL > SURE * math.sqrt(spread):
-            self._stretch += 1
+            self._segment += 1
 
     def forget_phase(self) -> None:
-        """The chip's sampling began anew: keep the period, drop the reads."""
+        """The chip restarted sampling: keep the period, drop the reads."""
         self._period_ns = self.period_ns()
         self._reads.clear()
 
@@ -124,7 +125,7 @@ class SampleClock:
         return self._made(host_ns, fit, fit.first_ns)
 
     def surely_produced(self, host_ns: int) -> int:
-        """Samples made by ``host_ns`` at the least, whatever the stamps were late by. Needs one read or more."""
+        """Lower bound of the samples made by ``host_ns``, valid for any delay of stamps. Needs one read or more."""
         fit = self._fit()
         return self._made(host_ns, fit, fit.latest_ns)
 
@@ -156,7 +157,7 @@ class SampleClock:
             if len(n) >= FEWEST_READS and square >= SPREAD:
                 slope = float(centred @ t) / square
                 if abs(slope / self._nominal_ns - 1.0) > FURTHEST_OFF:
-                    break  # no chip is: the counts are not to be believed
+                    break  # beyond any chip's tolerance: the counts are rejected
                 period, spread = slope, square
             lags = t - n * period
             earliest_lags = np.full(len(sizes), np.inf)
@@ -167,7 +168,7 @@ class SampleClock:
             t, n, stretch = t[in_time], n[in_time], stretch[in_time]
         latest = float((t_newest - n_newest * period).min())
         on_time = t_newest - n_newest * period <= latest + LATE * period
-        stamped_only = before_newest == t_newest  # nothing but the stamp to go by: leave out what is late
+        stamped_only = before_newest == t_newest  # only the stamps bound it: exclude late ones
         bounds = (before_newest - n_newest * period)[on_time | ~stamped_only]
         earliest = float(bounds.max()) - period
         return _Fit(period, spread, (earliest + latest) / 2.0, latest)

@@ -1,8 +1,8 @@
-"""Self test of the MPU-6050: the chip pushes its own proof masses, and answers as the factory measured, or not.
+"""Self test of the MPU-6050: response to electrostatic actuation compared with the factory trim.
 
-Source: RM-MPU-6000A 4.2, registers 13 to 16 and 27, 28. The response is what the outputs change by when the actuators
+Source: RM-MPU-6000A 4.2, registers 13 to 16 and 27, 28. The response is the change of the outputs when the actuators
 are switched on (gyro at +-250 deg/s, accel at +-8 g); its relative deviation from the factory trim FT must stay within
-14 %. Known warts: the accel trim and the sign of the Y gyro are from memory of that map, not seen on a chip.
+14 %. Known limits: the accel trim formula and the sign of the Y gyro are not verified on a chip.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ WAKE_S = 0.1
 SETTLE_S = 0.25
 READS, READ_EVERY_S = 100, 0.002
 
-QUIET = {  # while the test runs
+QUIET = {  # register values during the test
     reg.PWR_MGMT_1: reg.CLOCK_PLL_GYRO_X,
     reg.PWR_MGMT_2: 0,
     reg.USER_CTRL: 0,
@@ -40,7 +40,7 @@ QUIET = {  # while the test runs
 
 
 class SelfTest(NamedTuple):
-    """Relative deviation of each axis from its factory trim: 0.05 is 5 % more than the factory saw."""
+    """Relative deviation of each axis from its factory trim: 0.05 is 5 % above it."""
 
     gyro_deviation: tuple[float, float, float]
     accel_deviation: tuple[float, float, float]
@@ -52,7 +52,7 @@ class SelfTest(NamedTuple):
 
 
 def factory_trim(codes: bytes) -> NDArray[np.float64]:
-    """What the outputs changed by in the factory.
+    """Factory self-test response (RM registers 13 to 16).
 
     Args:
         codes: Registers 0Dh..10h: SELF_TEST_X, Y, Z, A.
@@ -102,13 +102,13 @@ def run_self_test(name: str, bus: RegisterBus, wait: Callable[[float], object]) 
     """Test the chip and leave its settings as they were, also when the test fails.
 
     Args:
-        name: Of the device, for messages.
+        name: Device name, for messages.
         bus: Its registers.
-        wait: Lets that many seconds pass.
+        wait: Sleeps for that many seconds.
 
     Raises:
         SelfTestError: See ``deviation``.
-        OSError: The bus failed; what could be set back was.
+        OSError: The bus failed; settings are restored as far as possible.
     """
     before = {register: bus.byte(register) for register in QUIET}
     try:
@@ -135,7 +135,7 @@ def run_self_test(name: str, bus: RegisterBus, wait: Callable[[float], object]) 
 
 
 def _put_back(bus: RegisterBus, before: dict[int, int]) -> OSError | None:
-    """Write every register that was changed, the power management last; the last error there was."""
+    """Restore every changed register, power management last; returns the last error."""
     failed: OSError | None = None
     for register in reversed(before):
         try:

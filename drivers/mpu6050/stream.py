@@ -1,4 +1,4 @@
-"""The numbers of a chip's samples: rows out, lost ones named, whichever way the samples are fetched."""
+"""Numbers the samples of a chip, in FIFO and burst mode: rows out, lost samples recorded as gaps."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from drivers.reporter import Reporter
 
 
 class SampleStream:
-    """Numbers samples from the first start on, samples known to be lost included.
+    """Numbers samples from the first start on, lost samples included.
 
     Args:
         name: Channel.
@@ -18,10 +18,10 @@ class SampleStream:
         report: Where rows and gaps go.
 
     Attributes:
-        clock: Sample total against host time.
+        clock: Total of samples as a function of host time.
         next: Number of the next sample.
-        cause: Why samples may be missing from here on; empty while the stream is whole.
-        after_reset: The sampling began anew: the next row says so.
+        cause: Cause of a possible gap before the next sample; empty while the stream is complete.
+        after_reset: The chip restarted: the next row is marked AFTER_RESET.
     """
 
     def __init__(self, name: str, nominal_period_ns: int, repeats: Repeats, report: Reporter) -> None:
@@ -35,12 +35,12 @@ class SampleStream:
         self.after_reset = False
 
     def begin(self) -> None:
-        """A start, perhaps not the first: time passed since the last stop is no gap."""
+        """Begin a run; the time since an earlier stop is not a gap."""
         self.clock = SampleClock(self._nominal_period_ns)
         self.after_reset = self.next > 0
 
     def hand_over(self, rows: Rows, host_ns: int) -> int:
-        """Number the rows and put them out; how many they were."""
+        """Number the rows and pass them on; returns their count."""
         if not len(rows):
             return 0
         rows["sequence"] = rows["tick"] = np.arange(self.next, self.next + len(rows), dtype=np.uint64)
@@ -54,7 +54,7 @@ class SampleStream:
         return len(rows)
 
     def lose(self, now_ns: int, up_to: int) -> None:
-        """Name the samples from the next one up to, not including, ``up_to`` as lost, and go on from there."""
+        """Record samples ``next`` to ``up_to`` - 1 as lost and continue from ``up_to``."""
         if up_to > self.next:
             duration_ns = round((up_to - self.next) * self.clock.period_ns())
             self._report.gap(now_ns, self._name, self.next, up_to - 1, duration_ns, self.cause)

@@ -1,8 +1,8 @@
 """Memsense nIMU inertial measurement unit on RS-422: it streams packets from power-up and takes no commands.
 
 Sources: DOC00290 rev J (packet, table 3; scale factors, table 1; conversion, section 4.3) and, for what it leaves open,
-two public drivers (Gastd/memsense_nano_imu, srv/memsense_imu). Known warts: the 16-bit timer wraps every 0.142 s, so
-host time has to say how many whole turns a loss took; there is no sync input, so its clock has no marks.
+two public drivers (Gastd/memsense_nano_imu, srv/memsense_imu). Known limits: the 16-bit timer wraps every 0.142 s, so
+the number of wraps during a loss comes from host time; there is no sync input, so its clock has no marks.
 """
 
 from drivers.nimu.device import Nimu

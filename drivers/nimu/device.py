@@ -1,4 +1,4 @@
-"""The nIMU as a device: packets in, IMU rows out, lost ones named by the timer."""
+"""nIMU device: packets in, IMU rows out, lost packets found by the packet timer."""
 
 from typing import Any
 
@@ -21,12 +21,12 @@ BANDWIDTH_HZ, HIGHEST_RATE_HZ = 50.0, 303.0  # PSD-0822; packets in a second at 
 
 
 class Nimu(SerialDevice):
-    """A Memsense nIMU, as IMU rows on the channel of its name, magnetometer in SCALAR channels beside it.
+    """A Memsense nIMU: IMU rows on the channel of its name, magnetometer in SCALAR channels.
 
     ``tick`` is the packet timer (2.1701 us, at the start of the X gyro's conversion), unwrapped; ``temperature_raw`` is
-    that of the X gyro (degC = 1.8165e-2 raw + 25). ``filter_code`` and ``sync`` are 0: it has neither. ``status`` is
-    SATURATED beyond the rated range, AFTER_RESET where the timer began anew or may have, NOT_VALID where it stands
-    still or samples repeat to the bit.
+    that of the X gyro (degC = 1.8165e-2 raw + 25). ``filter_code`` and ``sync`` are 0 (it has neither). ``status`` is
+    SATURATED beyond the rated range, AFTER_RESET where the timer restarted or may have, NOT_VALID where the timer
+    stands still or samples repeat exactly.
 
     Args:
         name: Channel of the IMU rows, first part of the magnetometer's channels, source of events.
@@ -41,14 +41,14 @@ class Nimu(SerialDevice):
         self._stream = PacketStream(self.config.checksum_span)
         self._timer = PacketTimer()
         self._next = 0  # number of the next packet, if none is lost before it
-        self._named = 0  # packets of those named as lost already, in a stop
+        self._named = 0  # lost packets already recorded at a stop
         self._last_ns = 0
         self._told_stuck = False
         noise = [ACCEL_NOISE_G / self.config.accel_scale_g] * 3 + [GYRO_NOISE_DEG_S / self.config.gyro_scale_deg_s] * 3
         self._repeats = Repeats(longest_run(noise, BANDWIDTH_HZ, HIGHEST_RATE_HZ), self._report)
         gyro_limit = self.config.gyro_range_deg_s / self.config.gyro_scale_deg_s
         accel_limit = self.config.accel_range_g / self.config.accel_scale_g
-        self._limits = np.minimum(np.repeat([gyro_limit, accel_limit], 3), 32767.0)  # counts, as the words stand
+        self._limits = np.minimum(np.repeat([gyro_limit, accel_limit], 3), 32767.0)  # counts
 
     @property
     def channels(self) -> Channels:
@@ -142,7 +142,7 @@ class Nimu(SerialDevice):
         return rows
 
     def _less_named(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Steps less what a stop has already named as lost; those are in ``_next``."""
+        """Steps minus the packets already recorded as lost at a stop, which are in ``_next``."""
         if not self._named:
             return steps
         steps = steps.copy()

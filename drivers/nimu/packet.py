@@ -1,4 +1,4 @@
-"""nIMU packets: bytes to words, many at once. No port, no clock.
+"""Decodes nIMU packets from bytes to words, many at once. No port, no clock.
 
 DOC00290 rev J, table 3: FF FF FF FF, message size (26h), reserved, message id (14h), timer (big-endian u16, 2.1701 us),
 2 reserved, 2 serial number, payload of big-endian int16 (gyro, accel, magnetometer, temperature, each x, y, z), and a
@@ -32,10 +32,10 @@ _HEADER_WORD = np.frombuffer(HEADER, np.uint8)
 
 @dataclass(frozen=True)
 class NimuConfig:
-    """Which nIMU it is and how it is read.
+    """Configuration of a nIMU.
 
-    The scales go with the ranges (they are 1.5 range / 32768); defaults are those of the 300 deg/s, 2 g model. The baud
-    rate stands in the URL of its bus: the public drivers use 115200, the manual does not say.
+    Scales are 1.5 range / 32768; defaults are those of the 300 deg/s, 2 g model. The baud rate is set in the bus URL:
+    the public drivers use 115200, the manual does not state it.
 
     Attributes:
         accel_range_g: Rated range, g; a sample beyond it is SATURATED.
@@ -44,10 +44,10 @@ class NimuConfig:
         gyro_scale_deg_s: Angular rate per count, deg/s.
         magnetometer: Record the magnetometer too, as SCALAR channels ``NAME_mag_x``, ``_y``, ``_z``.
         magnetometer_scale_gauss: Flux density per count, gauss.
-        checksum_span: What the checksum sums: ``packet`` (all before it; so do the public drivers), ``after_sync``
+        checksum_span: Bytes the checksum covers: ``packet`` (all before it, as in the public drivers), ``after_sync``
             (without the FF FF FF FF), or ``payload`` (one reading of the manual).
         poll_period_ms: How often the port is read; 0: the port waits.
-        silence_ms: Without a packet for so long the port is opened anew.
+        silence_ms: Time without a packet after which the port is reopened.
 
     Raises:
         ConfigurationError: A value out of range.
@@ -72,7 +72,7 @@ class NimuConfig:
 
 
 class Packets(NamedTuple):
-    """Successive packets in words.
+    """Decoded words of successive packets.
 
     Attributes:
         timer: Timer counts, 2.1701 us each, modulo 65536, shape (n,).
@@ -103,9 +103,9 @@ def decode_packets(data: bytes, checksum_span: str = "packet") -> Packets:
 
 
 class PacketStream:
-    """Cuts a byte stream into packets. ``receive`` bytes, then ``take`` until it gives None.
+    """Splits a byte stream into packets: ``receive`` bytes, then ``take`` until it returns None.
 
-    Anything but ``FrameError`` out of ``take`` is our bug.
+    ``take`` raises nothing but ``FrameError``.
 
     Args:
         checksum_span: See ``NimuConfig``.
@@ -117,18 +117,18 @@ class PacketStream:
         self._in_step = False  # the last take found packets where they were expected
 
     def receive(self, data: bytes) -> None:
-        """More bytes have come."""
+        """Append bytes."""
         self._buffer += data
 
     def clear(self) -> None:
-        """Forget the part of a packet that waits for its end: the stream was broken."""
+        """Drop a partial packet: the stream was interrupted."""
         self._buffer = b""
 
     def take(self) -> Packets | None:
         """All whole packets up to the first bad place; None when more bytes are needed.
 
         Raises:
-            FrameError: There is no packet here. What cannot begin one has been thrown away: ``take`` again.
+            FrameError: No packet at this place; bytes that cannot begin one were discarded, call ``take`` again.
         """
         count = min(len(self._buffer) // PACKET_BYTES, MOST_PACKETS if self._in_step else 1)
         whole = count * PACKET_BYTES
@@ -147,7 +147,7 @@ class PacketStream:
         return None
 
     def _skip(self, first: int) -> int:
-        """Drop everything before the next place from ``first`` on where a packet could begin; how many bytes."""
+        """Discard bytes up to the next possible packet start at or after ``first``; returns their count."""
         place = self._buffer.find(HEADER, first)
         if place < 0:
             place = next(
@@ -160,7 +160,7 @@ class PacketStream:
 
 
 def _are_good(matrix: NDArray[np.uint8], span: str) -> NDArray[np.bool_]:
-    """Which of the rows (n, 38) are packets, shape (n,)."""
+    """Which of the rows (n, 38) are valid packets, shape (n,)."""
     header = (matrix[:, : len(HEADER)] == _HEADER_WORD).all(axis=1) & (matrix[:, _ID_AT] == MESSAGE_ID)
     return np.asarray(header & (_sum(matrix, span) == matrix[:, _CHECKSUM_AT]), np.bool_)
 

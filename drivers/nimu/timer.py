@@ -1,8 +1,8 @@
-"""The nIMU's 16-bit timer unwrapped, and how many packets were lost between two.
+"""Unwraps the nIMU's 16-bit timer and counts lost packets.
 
 In an unbroken stream successive packets are one sample period apart and no host time is needed. Where packets are
-missing the timer gives the elapsed time modulo 0.142 s, and the host how many whole turns to add. Only the last packet
-of a read whose stamp is fresh is compared with the host: it has just come, those before it may have waited in a buffer.
+missing the timer gives the elapsed time modulo 0.142 s, and host time the number of wraps. Only the last packet of a
+read with a fresh stamp is compared with host time; earlier ones may have been buffered.
 """
 
 from typing import NamedTuple
@@ -15,19 +15,19 @@ from drivers.unwrap import steps
 
 TURN = 1 << 16
 TURN_NS = TURN * TICK_NS
-REBOOT_NS = 200e6  # a loss this long may hide a restart: whether the timer ran through cannot be shown
+REBOOT_NS = 200e6  # a loss this long may hide a restart of the timer
 PERIOD_PACKETS = 8  # contiguous ones, to learn the period from
 PERIOD_GAIN = 0.05
-MISFIT = 0.25  # of a period: no whole number of samples, so the timer began anew
+MISFIT = 0.25  # fraction of a period: further from a whole number of samples, the timer restarted
 
 
 class PacketTicks(NamedTuple):
-    """Where the packets of one read stand.
+    """Timer positions of the packets of one read.
 
     Attributes:
         ticks: Timer, unwrapped, shape (n,).
         steps: Samples since the packet before, 1 in an unbroken stream, shape (n,).
-        restarted: The timer began anew before this packet, or may have, shape (n,).
+        restarted: The timer restarted, or may have, before this packet, shape (n,).
         stuck: The timer has not moved since the packet before, shape (n,).
     """
 
@@ -38,7 +38,7 @@ class PacketTicks(NamedTuple):
 
 
 class PacketTimer:
-    """Follows one nIMU's timer. The sample period is learnt from the stream."""
+    """Tracks the timer of one nIMU; the sample period is learnt from the stream."""
 
     def __init__(self) -> None:
         self._tick: int | None = None
@@ -59,7 +59,7 @@ class PacketTimer:
             timer: Their timer words, shape (n,).
             broken: Bytes were lost or bad before this packet, shape (n,).
             host_ns: CLOCK_MONOTONIC when the read returned.
-            fresh: The last packet had just come then.
+            fresh: The last packet had just arrived then.
         """
         first = self._tick is None
         since = steps(timer, 16, int(timer[0]) if first else self._timer) % TURN
@@ -87,7 +87,7 @@ class PacketTimer:
         return PacketTicks(ticks.astype(np.uint64), samples, restarted, stuck)
 
     def _missing_turns(self, since: int, host_ns: int) -> int:
-        """Whole turns that the timer made and ``since`` does not show, by the host's clock."""
+        """Number of timer wraps by host time that ``since`` does not contain."""
         if self._reference is None or self._tick is None:
             return 0
         reference_ns, reference_tick = self._reference
@@ -111,5 +111,5 @@ class PacketTimer:
 
     def _samples(self, since: NDArray[np.int64], broken: NDArray[np.bool_]) -> NDArray[np.int64]:
         if self._period is None:
-            return np.where(broken & (since > 0), 2, 1)  # where bytes are lost, a packet is
+            return np.where(broken & (since > 0), 2, 1)  # lost bytes mean a lost packet
         return np.maximum(1, np.rint(since / self._period).astype(np.int64))

@@ -1,7 +1,7 @@
-"""heft's own serial frame for sensor nodes of one's own making: COBS, CRC-16, a descriptor every second.
+"""heft's serial frame for custom sensor nodes: COBS, CRC-16, a descriptor every second.
 
-``docs/node_frame.md`` is the format, ``deploy/node`` an encoder in C. Known warts: a node sends integers only (counts
-and a scale); frames of one port are of one node.
+``docs/node_frame.md`` defines the format, ``deploy/node`` has an encoder in C. Known limits: a node sends integers only
+(counts and a scale); one node per port.
 """
 
 from drivers.node_frame.device import NodeFrame

@@ -1,4 +1,4 @@
-"""A node's frame sequence and clock: 32-bit words on the wire, made whole."""
+"""Unwraps a node's frame sequence and clock, 32-bit words on the wire."""
 
 from typing import NamedTuple
 
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from drivers.unwrap import steps, unwrapped
 
 TURN = 1 << 32
-SLACK_NS = 1_000_000_000  # by which frames may be late: the kernel holds so many
+SLACK_NS = 1_000_000_000  # longest delay of a frame in the kernel's buffer
 
 
 class FrameTicks(NamedTuple):
-    """Where some data frames stand.
+    """Unwrapped positions of data frames.
 
     Attributes:
-        ticks: The node's clock, whole, shape (n,).
+        ticks: The node's clock, unwrapped, shape (n,).
         lost: Frames missing before each, shape (n,).
-        rebooted: The node began anew before this frame, shape (n,).
-        jumped: Its clock did, and the node did not, shape (n,).
-        whole: None of that: each follows on the one before.
+        rebooted: The node restarted before this frame, shape (n,).
+        jumped: The clock jumped without a restart of the node, shape (n,).
+        whole: No loss, restart or jump: each frame continues the one before.
     """
 
     ticks: NDArray[np.int64]
@@ -30,13 +30,14 @@ class FrameTicks(NamedTuple):
 
 
 class NodeCounters:
-    """Follows a node's frame sequence and its clock.
+    """Tracks a node's frame sequence and clock.
 
     Args:
         tick_hz: Nominal rate of the clock.
-        tick: The clock, whole, at ``host_ns``.
-        host_ns: CLOCK_MONOTONIC, about when.
-        sequence: Of the frame before the next one; None: unknown, the next is the first. -1: the node has just begun.
+        tick: The clock, unwrapped, at ``host_ns``.
+        host_ns: CLOCK_MONOTONIC, approximate.
+        sequence: Sequence of the frame before the next one; None: unknown, the next is the first; -1: the node has just
+            started.
     """
 
     def __init__(self, tick_hz: int, tick: int, host_ns: int, sequence: int | None) -> None:
@@ -47,7 +48,7 @@ class NodeCounters:
         self._fresh = True
 
     def is_past(self, sequence: int) -> bool:
-        """Whether a frame of this sequence has been before: the node began anew."""
+        """Whether this sequence lies in the past, so that the node must have restarted."""
         return self._sequence is not None and steps(np.array([sequence]), 32, self._sequence)[0] <= 0
 
     def place(self, sequences: NDArray[np.uint32], words: NDArray[np.uint32], host_ns: int) -> FrameTicks:
@@ -69,7 +70,7 @@ class NodeCounters:
         forward = steps(sequences, 32, before)
         since = steps(words, 32, expected)
         rebooted = forward <= 0
-        lost = np.where(rebooted, sequences, forward - 1)  # of a node that began anew: all since it did
+        lost = np.where(rebooted, sequences, forward - 1)  # after a restart: all frames since then
         for place in np.flatnonzero(rebooted):
             ticks[place:] += int(words[place]) - ticks[place]
         advance_ns = since * self._tick_ns
@@ -82,7 +83,7 @@ class NodeCounters:
         return FrameTicks(ticks, lost.astype(np.int64), rebooted, jumped)
 
     def _follow(self, before: int, sequences: list[int], ticks: list[int], elapsed_ns: int) -> bool:
-        """Whether each frame follows on the one before; nearly always, so this is what is to be fast."""
+        """Whether each frame continues the one before: the fast path of the normal case."""
         return (
             sequences == list(range(before + 1, before + 1 + len(sequences)))
             and ticks[0] >= self._tick

@@ -1,4 +1,4 @@
-"""A node of one's own making as a device: frames in, a SCALAR channel for each of its channels, marks out."""
+"""Custom sensor node device: frames in, one SCALAR channel per node channel and MARK rows out."""
 
 from collections import deque
 from itertools import groupby
@@ -23,16 +23,16 @@ from drivers.records import SCALAR, SampleStatus, Severity
 from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
 from drivers.unwrap import unwrapped
 
-MOST_HELD = 4096  # data frames kept until the descriptor tells what they are
-LONGEST_FRAME_NS = 60e9  # between two frames of a node; what a clock gone wrong says beyond that is no interval
+MOST_HELD = 4096  # data frames held until the first descriptor
+LONGEST_FRAME_NS = 60e9  # longest interval between two frames accepted from the node's clock
 LONGEST_GAP_NS = 1 << 62
 SILENT_AT_STOP_NS = 100 * MS
-NODE_NOT_VALID, NODE_SATURATED = 1, 2  # of the node's status byte; the rest is the node's own
+NODE_NOT_VALID, NODE_SATURATED = 1, 2  # bits of the node's status byte; the others are node-specific
 _SEQUENCE_AT = slice(4, 8)
 
 
 class _Known(NamedTuple):
-    """The node as its last descriptor tells it, and how its data frames are told and read."""
+    """Last descriptor of the node and the derived layout of its data frames."""
 
     descriptor: Descriptor
     counters: NodeCounters
@@ -41,11 +41,11 @@ class _Known(NamedTuple):
     units: list[bytes]  # of its channels
 
     def is_data(self, payload: bytes) -> bool:
-        """Is it a data frame of this node and schema?"""
+        """Whether the payload is a data frame of this node and schema."""
         return payload.startswith(self.prefix) and len(payload) == self.dtype.itemsize
 
     def are_data(self, payloads: list[bytes]) -> bool:
-        """The same of all of them."""
+        """Whether all payloads are data frames of this node and schema."""
         prefix, size = self.prefix, self.dtype.itemsize
         return all([payload.startswith(prefix) and len(payload) == size for payload in payloads])  # noqa: C419 - faster
 
@@ -54,13 +54,13 @@ class NodeFrame(SerialDevice):
     """A node, as SCALAR rows on ``NAME_CHANNEL`` for each of its channels and MARK rows on ``NAME_mark``.
 
     ``tick`` is the node's clock, 64 bits; ``device_status`` its status byte. Lost frames are counted by their sequence.
-    Data frames before the first descriptor wait for it. A mark carries the node's number of the pulse.
+    Data frames before the first descriptor are held until it arrives. A mark carries the node's pulse number.
 
     Args:
         name: First part of its channels, and source of its events.
         open_port: Opens its serial port.
         clock: CLOCK_MONOTONIC, ns.
-        config: Which node.
+        config: Node number and channels.
     """
 
     def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: NodeFrameConfig) -> None:
@@ -70,7 +70,7 @@ class NodeFrame(SerialDevice):
         self._frames = FrameStream()
         self._known: _Known | None = None
         self._held: deque[tuple[int, bytes]] = deque()
-        self._before_held: int | None = None  # sequence before the first one held, where that one was dropped
+        self._before_held: int | None = None  # sequence before the first held frame, if frames were dropped
         self._next = 0  # sequence of the next row, if none is lost before it
         self._marks = 0
         self._pulse = 0
@@ -78,7 +78,7 @@ class NodeFrame(SerialDevice):
         self._after_reset = False
         self._last_ns: int | None = None
         self._frame_ns = 0.0  # between two frames
-        self._named = 0  # rows of those named as lost already, in a stop
+        self._named = 0  # lost rows already recorded at a stop
 
     @property
     def channels(self) -> Channels:
@@ -117,13 +117,13 @@ class NodeFrame(SerialDevice):
         return self._known is not None and self._known.is_data(payload)
 
     def _other(self, now_ns: int, host_ns: int, payload: bytes) -> None:
-        """Anything but a data frame of the known schema."""
+        """Handle any frame but a data frame of the known schema."""
         kind, node = payload[:2]
         if kind not in {DATA, DESCRIPTOR}:
             text = f"frame of kind {kind:#04x}: the node speaks another version of the format"
             self._report.event(host_ns, Severity.ERROR, "version", text)
         elif node != self.config.node:
-            text = f"frame of node {node}, not {self.config.node}: mend the configuration, one node to a port"
+            text = f"frame of node {node}, not {self.config.node}: correct the configuration, one node per port"
             self._report.event(host_ns, Severity.WARNING, "other_node", text)
         elif kind == DESCRIPTOR:
             self._heard(now_ns)
@@ -162,11 +162,11 @@ class NodeFrame(SerialDevice):
         if names != self.config.channels:
             raise WrongDeviceError(
                 f"node {told.node} has channels {', '.join(names)}, not {', '.join(self.config.channels)}: "
-                "flash the right firmware, or mend the configuration"
+                "flash the right firmware, or correct the configuration"
             )
 
     def _adopt(self, host_ns: int, told: Descriptor, *, rebooted: bool) -> None:
-        """The first descriptor, or that of another start of the node: from here on frames are read by this one."""
+        """Use a descriptor (the first one, or one after a restart of the node) for the frames that follow."""
         held, self._held = self._held, deque()
         first_ns = held[0][0] if held else host_ns
         before = -1 if rebooted else self._before_held
@@ -180,7 +180,7 @@ class NodeFrame(SerialDevice):
         self._after_reset |= rebooted
         self._values = [None] * len(told.channels)
         listed = ", ".join(f"{channel.name} [{channel.unit}]" for channel in told.channels)
-        what = "began anew" if rebooted else "describes itself"
+        what = "restarted" if rebooted else "describes itself"
         severity = Severity.WARNING if rebooted else Severity.INFO
         self._report.event(host_ns, severity, "node_reset" if rebooted else "described", f"node {what}: {listed}")
         for stamp_ns, group in groupby(held, lambda pair: pair[0]):
@@ -193,7 +193,7 @@ class NodeFrame(SerialDevice):
                 self._data(stamp_ns, known, run)
 
     def _data(self, host_ns: int, known: _Known, payloads: list[bytes]) -> None:
-        """Data frames of the known schema that arrived together."""
+        """Decode data frames of the known schema that arrived together."""
         frames = np.frombuffer(b"".join(payloads), known.dtype)
         first = self._last_ns is None
         placed = known.counters.place(frames["sequence"], frames["tick"], host_ns)
@@ -228,7 +228,7 @@ class NodeFrame(SerialDevice):
         self._last_ns = host_ns
 
     def _number(self, host_ns: int, placed: FrameTicks, tick_hz: int) -> NDArray[np.int64]:
-        """Sequence numbers of the rows, after naming those lost before them."""
+        """Sequence numbers of the rows, after recording lost ones."""
         ticks = placed.ticks
         if placed.whole:
             first = self._next
@@ -258,14 +258,14 @@ class NodeFrame(SerialDevice):
 
     def _tell(self, host_ns: int, placed: FrameTicks) -> None:
         if placed.rebooted.any():
-            text = "frame sequence began anew: the node was reset, check its supply"
+            text = "frame sequence restarted: the node was reset, check its supply"
             self._report.event(host_ns, Severity.WARNING, "node_reset", text)
         if placed.jumped.any():
             text = "the node's clock jumped and the host's did not: check its crystal and timer code"
             self._report.event(host_ns, Severity.WARNING, "clock_jump", text)
 
     def _unwrapped(self, place: int, words: NDArray[np.integer], reset: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-        """Values of a channel that is a counter; after a reset it counts from what it then holds."""
+        """Unwrapped values of a counter channel; after a reset it restarts from the value then read."""
         word, value = self._values[place] or (int(words[0]), int(words[0]))
         values = unwrapped(words, 8 * words.dtype.itemsize, word, value)
         for at in () if reset is None else np.flatnonzero(reset):

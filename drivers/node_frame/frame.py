@@ -1,4 +1,4 @@
-"""Node frames: bytes to payloads, many at once. No port, no clock. The format is ``docs/node_frame.md``."""
+"""Decodes node frames from bytes to payloads, many at once. No port, no clock. Format: ``docs/node_frame.md``."""
 
 import binascii
 import struct
@@ -37,12 +37,12 @@ WRAPS = 1  # flag of a channel: a counter that wraps at the width of its type
 
 
 class FrameChannel(NamedTuple):
-    """One channel of a node as its descriptor tells it.
+    """One channel in a node's descriptor.
 
     Attributes:
         name: Its name.
         dtype: NumPy type of its values on the wire.
-        wraps: It is a counter; its value is unwrapped.
+        wraps: Whether it is a wrapping counter, to be unwrapped.
         scale: ``unit`` per count.
         unit: Unit of a scaled value.
     """
@@ -55,14 +55,14 @@ class FrameChannel(NamedTuple):
 
 
 class Descriptor(NamedTuple):
-    """What a node says of itself every second.
+    """Descriptor that a node sends every second.
 
     Attributes:
         node: Node number.
-        schema: CRC-16 of the channel list; data frames carry the one they were packed by.
+        schema: CRC-16 of the channel list; repeated in each data frame.
         sequence: Sequence of the next data frame.
         tick: The node's clock, 64 bits.
-        boot: Differs from one start of the node to the next, where it can tell.
+        boot: Differs between starts of the node, if the node can provide that.
         tick_hz: Nominal rate of that clock.
         channels: In the order of the values.
     """
@@ -78,13 +78,13 @@ class Descriptor(NamedTuple):
 
 @dataclass(frozen=True)
 class NodeFrameConfig:
-    """Which node it is.
+    """Configuration of a custom node.
 
     Attributes:
-        channels: Names of its channels in the order of its descriptor; a node that says otherwise is another one.
+        channels: Names of its channels in the order of its descriptor; a node with other channels is refused.
         node: Node number, 0..255.
         poll_period_ms: How often the port is read; 0: the port waits.
-        silence_ms: Without a frame for so long the port is opened anew.
+        silence_ms: Time without a frame after which the port is reopened.
 
     Raises:
         ConfigurationError: A value out of range.
@@ -112,12 +112,12 @@ def decode_frame(data: bytes) -> bytes:
     """One frame without its delimiter: the payload, CRC included.
 
     Raises:
-        FrameError: It is no COBS, or its CRC is wrong.
+        FrameError: Invalid COBS, or wrong CRC.
     """
     try:
         payload: bytes = cobs.decode(data)
     except cobs.DecodeError as error:
-        raise FrameError(f"frame of {len(data)} bytes is no COBS ({error}): bytes were lost or added") from error
+        raise FrameError(f"frame of {len(data)} bytes is not COBS ({error}): bytes were lost or added") from error
     if len(payload) < SHORTEST_PAYLOAD or binascii.crc_hqx(payload, CRC_SEED):
         raise FrameError(f"frame of {len(data)} bytes has a wrong CRC: check wiring and baud rate")
     return payload
@@ -127,19 +127,19 @@ def decode_descriptor(payload: bytes) -> Descriptor:
     """The payload of a descriptor frame, CRC included.
 
     Raises:
-        FrameError: It does not keep to the format.
+        FrameError: The payload violates the format.
     """
     body = payload[_DESCRIPTOR_HEAD.size : -2]
     if len(payload) < _DESCRIPTOR_HEAD.size + _BODY_HEAD.size + 2:
-        raise FrameError(f"descriptor of {len(payload)} bytes: it is cut short, mend the node's encoder")
+        raise FrameError(f"descriptor of {len(payload)} bytes: it is cut short, correct the node's encoder")
     kind, node, schema, sequence, tick, boot = _DESCRIPTOR_HEAD.unpack_from(payload)
     tick_hz, count = _BODY_HEAD.unpack_from(body)
     if kind != DESCRIPTOR or len(body) != _BODY_HEAD.size + count * _CHANNEL.size:
-        raise FrameError(f"descriptor of kind {kind:#04x} with {count} channels in {len(body)} bytes: mend the encoder")
+        raise FrameError(f"descriptor of kind {kind:#04x} with {count} channels in {len(body)} bytes: fix the encoder")
     if schema != binascii.crc_hqx(body, CRC_SEED):
-        raise FrameError(f"schema {schema:#06x} is not the CRC of the channel list: mend the node's encoder")
+        raise FrameError(f"schema {schema:#06x} is not the CRC of the channel list: correct the node's encoder")
     if tick_hz == 0 or count == 0 or tick >= LATEST_TICK:
-        raise FrameError(f"{count} channels, {tick_hz} ticks/s, tick {tick:#x}: mend the node's configuration")
+        raise FrameError(f"{count} channels, {tick_hz} ticks/s, tick {tick:#x}: correct the node's configuration")
     channels = tuple(_channel(*_CHANNEL.unpack_from(body, _BODY_HEAD.size + n * _CHANNEL.size)) for n in range(count))
     return Descriptor(node, schema, sequence, tick, boot, tick_hz, channels)
 
@@ -147,17 +147,17 @@ def decode_descriptor(payload: bytes) -> Descriptor:
 def _channel(code: int, flags: int, mantissa: int, exponent: int, unit: bytes, name: bytes) -> FrameChannel:
     texts = [text.rstrip(b"\0") for text in (name, unit)]
     if code >= len(TYPES) or not all(text.isascii() and text.decode("ascii").isprintable() for text in texts):
-        raise FrameError(f"channel of type {code}, name {name!r}, unit {unit!r}: mend the node's configuration")
+        raise FrameError(f"channel of type {code}, name {name!r}, unit {unit!r}: correct the node's configuration")
     # from decimal text, as the nearest double: 1 and -3 are 0.001 and not 1 * 10 ** -3
     scale = float(f"{mantissa}e{exponent}")
-    wraps = bool(flags & WRAPS) and TYPES[code] != "<i8"  # which never does
+    wraps = bool(flags & WRAPS) and TYPES[code] != "<i8"  # a 64-bit value does not wrap
     return FrameChannel(texts[0].decode("ascii"), TYPES[code], wraps, scale, texts[1].decode("ascii"))
 
 
 class FrameStream:
-    """Cuts a byte stream into frames. ``receive`` bytes, then ``take`` until it gives None.
+    """Splits a byte stream into frames: ``receive`` bytes, then ``take`` until it returns None.
 
-    Anything but ``FrameError`` out of ``take`` is our bug.
+    ``take`` raises nothing but ``FrameError``.
     """
 
     def __init__(self) -> None:
@@ -165,17 +165,17 @@ class FrameStream:
         self._rest = b""
 
     def receive(self, data: bytes) -> None:
-        """More bytes have come."""
+        """Append bytes."""
         *whole, rest = data.split(b"\0")
         if whole:
             whole[0] = self._rest + whole[0]
-            self._frames += filter(None, whole)  # of two delimiters in a row: a node may begin with one
+            self._frames += filter(None, whole)  # skip empty frames: a node may begin with a delimiter
             self._rest = rest
         else:
             self._rest += rest
 
     def clear(self) -> None:
-        """Forget the part of a frame that waits for its end: the stream was broken."""
+        """Drop a partial frame: the stream was interrupted."""
         self._frames.clear()
         self._rest = b""
 
@@ -183,7 +183,7 @@ class FrameStream:
         """Payloads (CRC included) of all whole frames up to the first bad one; None when more bytes are needed.
 
         Raises:
-            FrameError: There is no frame here. The bytes have been thrown away: ``take`` again.
+            FrameError: No valid frame at this place; the bytes were discarded, call ``take`` again.
         """
         payloads: list[bytes] = []
         crc_of = binascii.crc_hqx

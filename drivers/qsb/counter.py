@@ -1,4 +1,4 @@
-"""The QSB's timestamp: 32 bits made whole, and whether it is still the same one."""
+"""Unwraps the QSB's 32-bit timestamp and detects its restarts."""
 
 from typing import NamedTuple
 
@@ -9,16 +9,16 @@ from drivers.qsb.registers import LONGEST_TICK_NS, SHORTEST_TICK_NS
 from drivers.unwrap import steps, unwrapped
 
 TURN = 1 << 32
-BACKWARDS_TICKS = 2  # a line of another stream may be stamped a little earlier than the one before it
-SLACK_NS = 1_000_000_000  # by which lines may be late: the kernel holds so many
+BACKWARDS_TICKS = 2  # a line of another stream may have a slightly earlier stamp
+SLACK_NS = 1_000_000_000  # longest delay of a line in the kernel's buffer
 
 
 class Ticks(NamedTuple):
-    """Ticks of some lines.
+    """Ticks of received lines.
 
     Attributes:
         ticks: Unwrapped timestamps, shape (n,).
-        jump: Place of the first line that the host's clock contradicts: the timestamp began anew. None: none.
+        jump: Index of the first line at which the timestamp restarted, by comparison with host time; None: none.
     """
 
     ticks: NDArray[np.int64]
@@ -26,18 +26,18 @@ class Ticks(NamedTuple):
 
 
 class TickCounter:
-    """Unwraps the timestamp, and notices when it began anew."""
+    """Unwraps the timestamp and detects a restart."""
 
     def __init__(self) -> None:
         self._tick = 0
         self._host_ns: int | None = None
 
     def restart(self) -> None:
-        """The timestamp was cleared: begin with what comes next."""
+        """The timestamp was cleared: restart with the next line."""
         self._host_ns = None
 
     def runs_on(self, stamp: int, host_ns: int) -> bool:
-        """Whether a line with this timestamp, arrived now, fits to those before: the adapter was not reset."""
+        """Whether this timestamp at this arrival time continues the earlier ones (no reset of the adapter)."""
         if self._host_ns is None:
             return False
         return self._fits((stamp - self._tick) % TURN, host_ns - self._host_ns)

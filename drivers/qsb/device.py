@@ -1,4 +1,4 @@
-"""The QSB as a device: set up by echoed commands, position rows and sync marks out of its streams."""
+"""QSB device: set-up by echoed commands, position rows and sync marks from its streams."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -28,16 +28,16 @@ _STREAM, _REFUSED, _UNSUPPORTED = b"sex"
 class Qsb(SerialDevice):
     """A QSB, as SCALAR rows on the channel of its name and MARK rows on ``NAME_mark``.
 
-    ``tick`` is the adapter's timestamp, unwrapped; ``value_raw`` the count, unwrapped; ``scale`` rad. Lines lost are
-    counted by the timestamp. A line has no checksum: a count that no joint can have reached is NOT_VALID. After a reset
-    ``value_raw`` begins with what the counter then holds, and the row says AFTER_RESET; samples lost to the reset are
+    ``tick`` is the adapter's timestamp, unwrapped; ``value_raw`` the count, unwrapped; ``scale`` rad. Lost lines are
+    counted by the timestamp. A line has no checksum: an impossible step of the count is NOT_VALID. After a reset
+    ``value_raw`` restarts from the counter's content and the row is marked AFTER_RESET; samples lost to the reset are
     estimated from host time. A mark's ``value_raw`` is the count latched on the edge.
 
     Args:
         name: Channel, and source of its events.
         open_port: Opens its serial port.
         clock: CLOCK_MONOTONIC, ns.
-        config: How to set it up.
+        config: Resolution, rate, sync edge.
     """
 
     def __init__(self, name: str, open_port: OpenPort, clock: Clock, config: QsbConfig | None = None) -> None:
@@ -50,17 +50,17 @@ class Qsb(SerialDevice):
         self._ticks = TickCounter()
         self._edges = SyncEdges(self.config.sync_edge != "falling")
         self._todo: deque[Command] = deque()
-        self._deadline_ns: int | None = None  # of the reply to the first of them; None: it has yet to be sent
+        self._deadline_ns: int | None = None  # of the reply to the first command; None: not yet sent
         self._tries = 0
         self._after_reset = False
-        self._cause = ""  # why lines may be missing before the next
+        self._cause = ""  # cause of a possible gap before the next line
         self._next = 0  # sequence of the next position row, if none is lost before it
         self._marks = 0
         self._last_tick = 0  # of the last position row
         self._last_ns: int | None = None  # its arrival
         self._count = 0  # modulo 2^32, of the last position row
         self._value = 0  # unwrapped
-        self._named = 0  # rows of those named as lost already, in a stop
+        self._named = 0  # lost rows already recorded at a stop
 
     @property
     def channels(self) -> Channels:
@@ -85,7 +85,7 @@ class Qsb(SerialDevice):
     def _act(self, now_ns: int) -> bool:
         if not self._todo:
             if now_ns - self._heard_ns > self._silence_ns:
-                text = f"no position line for {self._silence_ns // MS} ms ({self._last_error}): it is set up anew"
+                text = f"no position line for {self._silence_ns // MS} ms ({self._last_error}): it is set up again"
                 self._report.event(now_ns, Severity.WARNING, "silent", text)
                 self._heard_ns = now_ns
                 self._set_up("silent")
@@ -114,10 +114,10 @@ class Qsb(SerialDevice):
         self._tries = 0
 
     def _reply(self, now_ns: int, host_ns: int, kind: int, register: int, data: int, stamp: int | None) -> None:
-        """A line while setting up: is it the answer that is waited for?"""
+        """Compare a line during set-up with the expected reply."""
         command = self._todo[0]
         if self._deadline_ns is None or register != command.register:
-            return  # of a stream that a former run left behind
+            return  # a stream left running by an earlier session
         if kind in {_REFUSED, _UNSUPPORTED}:
             what = "refuses" if kind == _REFUSED else "does not know"
             error = ConfigurationError(f"adapter {what} {command.text}: check its model and firmware")
@@ -170,13 +170,13 @@ class Qsb(SerialDevice):
 
     def _greeted(self, host_ns: int) -> None:
         if not self._todo:
-            text = "it says its greeting: it was reset, check its supply"
+            text = "it sent its greeting: it was reset, check its supply"
             self._report.event(host_ns, Severity.WARNING, "device_reset", text)
         self._ticks.restart()
         self._set_up("device_reset" if self._last_ns is not None else "")
 
     def _answers(self, now_ns: int, host_ns: int, lines: Lines) -> int:
-        """Look for answers to the commands; how many lines belong to the setting up."""
+        """Process replies to commands; returns how many lines belong to the set-up."""
         for place in range(len(lines.kind)):
             if not self._todo:
                 return place
@@ -190,13 +190,13 @@ class Qsb(SerialDevice):
     def _streamed(self, now_ns: int, host_ns: int, lines: Lines) -> None:
         complaints = () if lines.positions else np.flatnonzero(np.isin(lines.kind, (_REFUSED, _UNSUPPORTED)))
         for place in complaints:
-            text = f"it complains about register {lines.register[place]:02X}, and nothing was asked of it"
+            text = f"it complains about register {lines.register[place]:02X}, without a command to it"
             self._report.event(host_ns, Severity.WARNING, "complaint", text)
         if not lines.stamped:
             return
         placed = self._ticks.place(lines.stamp, host_ns)
         if placed.jump is not None:
-            text = f"timestamp jumped to {lines.stamp[placed.jump]} and the host's clock did not: it began anew"
+            text = f"timestamp jumped to {lines.stamp[placed.jump]} and the host's clock did not: it restarted"
             self._report.event(host_ns, Severity.WARNING, "clock_jump", text)
         if lines.positions:
             self._heard(now_ns)
@@ -222,7 +222,7 @@ class Qsb(SerialDevice):
         if not self._position.follow(values.tolist()):
             placed = [self._position.place(count) for count in counts.tolist()]
             values = np.array([value for value, _ in placed])
-            rows["status"] = [0 if is_believed else SampleStatus.NOT_VALID for _, is_believed in placed]
+            rows["status"] = [0 if is_accepted else SampleStatus.NOT_VALID for _, is_accepted in placed]
         rows["sequence"] = numbers = self._numbers(host_ns, ticks, jump)
         rows["host_ns"] = host_ns
         rows["tick"] = ticks if ticks[0] >= 0 and jump is None else np.maximum(ticks, 0)
@@ -242,7 +242,7 @@ class Qsb(SerialDevice):
         self._cause = ""
 
     def _numbers(self, host_ns: int, ticks: NDArray[np.int64], jump: int | None) -> NDArray[np.int64]:
-        """Sequence numbers of these lines, shape (n,), after naming those lost before them."""
+        """Sequence numbers of these lines, shape (n,), after recording lost ones."""
         numbers = np.arange(self._next, self._next + len(ticks))
         if jump is None and not self._after_reset and self._last_ns is not None and self._is_dense(ticks.tolist()):
             self._named = 0
@@ -257,7 +257,7 @@ class Qsb(SerialDevice):
         return numbers
 
     def _is_dense(self, ticks: list[int]) -> bool:
-        """Whether no line is missing before any of these; nearly always, so this is what is to be fast."""
+        """Whether no line is missing before any of these: the fast path of the normal case."""
         longest = self._interval + self._jitter
         before = self._last_tick
         for tick in ticks:
@@ -267,7 +267,7 @@ class Qsb(SerialDevice):
         return True
 
     def _lost(self, host_ns: int, ticks: NDArray[np.int64], jump: int | None) -> NDArray[np.int64]:
-        """Lines missing before each of these, shape (n,), less those that a stop has named already."""
+        """Lines missing before each of these, shape (n,), minus those recorded at a stop."""
         interval = self._interval
         since = ticks - np.concatenate(([self._last_tick], ticks[:-1]))
         lost = np.where(since > interval + self._jitter, np.rint(since / interval).astype(np.int64) - 1, 0)

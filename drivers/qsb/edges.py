@@ -1,7 +1,7 @@
-"""Edges of the sync line, out of the CAPTURE and DIGIO lines that one edge makes.
+"""Sync edges from the CAPTURE and DIGIO lines that one edge causes.
 
-CAPTURE is streamed when the latched count changed, DIGIO when the level did. A moving joint makes both lines, one that
-stands still makes the second only, and then the capture is what it was.
+CAPTURE is streamed when the latched count changed, DIGIO when the level did. A moving joint causes both lines; a joint
+at rest causes only the second, and the capture is unchanged.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class Edge(NamedTuple):
 
 
 class SyncEdges:
-    """Makes one edge of the lines that belong together.
+    """Joins the lines of one edge.
 
     Args:
         rising: The edge that latches is the rising one.
@@ -34,14 +34,14 @@ class SyncEdges:
         self._ready: list[Edge] = []
 
     def preset(self, register: int, data: int) -> None:
-        """What a register held when its stream began."""
+        """Set the initial content of a streamed register."""
         if register == CAPTURE:
             self._capture = data
         else:
             self._level = data & 1
 
     def line(self, register: int, data: int, tick: int, host_ns: int) -> None:
-        """A line of the CAPTURE or the DIGIO stream."""
+        """Take a line of the CAPTURE or the DIGIO stream."""
         if register == CAPTURE:
             if data != self._capture:
                 self._capture = data

@@ -1,8 +1,7 @@
-"""QSB lines: ASCII to numbers, many at once. No port, no clock.
+"""Decodes QSB lines from ASCII to numbers, many at once. No port, no clock.
 
-As set up here (EOR = Fh) a line is 26 bytes, ``s 0E 0001F4A2 00001234 !`` CR LF: kind, register, data, timestamp.
-Before that, and from an adapter that was reset, lines come with or without spaces, timestamp, CR and LF; all end with
-``!``.
+As configured here (EOR = Fh) a line is 26 bytes, ``s 0E 0001F4A2 00001234 !`` CR LF: kind, register, data, timestamp.
+Before set-up and after a reset, lines may lack spaces, timestamp, CR and LF; all end with ``!``.
 """
 
 import binascii
@@ -18,7 +17,7 @@ LINE_BYTES = 26
 MOST_LINES = 4096  # in one take
 LONGEST_LINE = 64
 KINDS = b"rwsex"  # read, write, stream; refused (data echoed, not written), unsupported
-GREETING = ord("Q")  # kind given to the line an adapter says when it was reset ("QSB-D  0E!")
+GREETING = ord("Q")  # kind assigned to the line an adapter sends after a reset ("QSB-D  0E!")
 
 _FIXED_AT = [1, 4, 13, 22, 23, 24, 25]
 _FIXED = np.frombuffer(b"    !\r\n", np.uint8)
@@ -38,7 +37,7 @@ _GREETING = re.compile(rb"QSB-[A-Z] *([0-9A-Fa-f]{2})!$")
 
 
 class Lines(NamedTuple):
-    """Successive lines in numbers, each array of shape (n,).
+    """Decoded successive lines, each array of shape (n,).
 
     Attributes:
         kind: Code of the first character, or ``GREETING``.
@@ -46,7 +45,7 @@ class Lines(NamedTuple):
         data: Its value.
         stamp: Timestamp, ticks modulo 2^32; 0 where the line has none.
         stamped: The lines carry timestamps.
-        positions: All are positions that were streamed.
+        positions: All are streamed positions.
     """
 
     kind: NDArray[np.uint8]
@@ -83,9 +82,9 @@ def decode_lines(data: bytes) -> Lines:
 
 
 class LineStream:
-    """Cuts a byte stream into lines. ``receive`` bytes, then ``take`` until it gives None.
+    """Splits a byte stream into lines: ``receive`` bytes, then ``take`` until it returns None.
 
-    Anything but ``FrameError`` out of ``take`` is our bug.
+    ``take`` raises nothing but ``FrameError``.
     """
 
     def __init__(self) -> None:
@@ -93,18 +92,18 @@ class LineStream:
         self._in_step = False  # the last take found 26-byte lines where they were expected
 
     def receive(self, data: bytes) -> None:
-        """More bytes have come."""
+        """Append bytes."""
         self._buffer += data
 
     def clear(self) -> None:
-        """Forget the part of a line that waits for its end: the stream was broken."""
+        """Drop a partial line: the stream was interrupted."""
         self._buffer = b""
 
     def take(self) -> Lines | None:
         """All whole lines up to the first of another form, or that one line; None when more bytes are needed.
 
         Raises:
-            FrameError: There is no line here. The bytes have been thrown away: ``take`` again.
+            FrameError: No valid line at this place; the bytes were discarded, call ``take`` again.
         """
         count = min(len(self._buffer) // LINE_BYTES, MOST_LINES if self._in_step else 1)
         positions = _positions(self._buffer[: count * LINE_BYTES], count) if count else None
@@ -147,7 +146,7 @@ class LineStream:
 
 
 def _positions(data: bytes, count: int) -> Lines | None:
-    """26-byte lines, where all of them are streamed positions: nearly always, so this is what is to be fast."""
+    """Decode 26-byte lines that are all streamed positions, the fast path of the normal case; else None."""
     for at, text in _OF_POSITION:
         if data[at::LINE_BYTES] != text * count:
             return None
@@ -162,7 +161,7 @@ def _positions(data: bytes, count: int) -> Lines | None:
 
 
 def _first_bad(matrix: NDArray[np.uint8]) -> int:
-    """Number of rows (n, 26) before the first that is no line."""
+    """Number of rows (n, 26) before the first that is not a line."""
     good = (matrix[:, _FIXED_AT] == _FIXED).all(axis=1)
     good &= _IS_KIND[matrix[:, 0]] & _IS_HEX[matrix[:, _HEX_AT]].all(axis=1)
     return len(matrix) if good.all() else int(good.argmin())

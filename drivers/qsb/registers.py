@@ -1,4 +1,4 @@
-"""Registers of the QSB ("QSB Command List" v1.28) and the commands that set it up."""
+"""Registers of the QSB ("QSB Command List" v1.28) and its set-up commands."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -33,14 +33,14 @@ LONGEST_INTERVAL = 0xFFFE  # FFFF switches the stream off
 
 
 class Command(NamedTuple):
-    """One command and the reply it must have.
+    """One command and its expected reply.
 
     Attributes:
         text: As sent, without its end.
         kind: First character of the reply: r, w or s.
         register: Register it is about.
-        value: What a write has to be echoed with; None: any value.
-        compulsory: A reply has to come. Streams of what did not change need not answer.
+        value: Expected echo of a write; None: any value.
+        compulsory: Whether a reply is required; a stream of an unchanged register sends none.
     """
 
     text: str
@@ -52,21 +52,21 @@ class Command(NamedTuple):
 
 @dataclass(frozen=True)
 class QsbConfig:
-    """How the adapter is set up, and what a count is worth.
+    """Configuration of the adapter.
 
-    The baud rate stands in the URL of its bus (factory: 230400).
+    The baud rate is set in the bus URL (factory: 230400).
 
     Attributes:
-        counts_per_revolution: Counts in a turn of the joint, quadrature and gear included.
-        counting: Counts in a cycle of the encoder: 1, 2 or 4.
+        counts_per_revolution: Counts per joint revolution, quadrature and gear included.
+        counting: Counts per encoder cycle: 1, 2 or 4.
         count_down: Reverse the direction.
         interval_ticks: Ticks of the timestamp between two lines (1: 512 lines a second).
-        tick_jitter: By how many ticks two successive lines may be too far apart without that one was lost.
+        tick_jitter: Excess ticks between two successive lines that are not taken as a lost line.
         sync_edge: Edge of the sync line (on digital I/O 0) that latches CAPTURE: ``rising``, ``falling``; None: no
             sync line.
         poll_period_ms: How often the port is read; 0: the port waits.
-        silence_ms: Without a position line for so long the adapter is set up anew.
-        reply_timeout_ms: How long a command may take to be answered.
+        silence_ms: Time without a position line after which the adapter is set up again.
+        reply_timeout_ms: Longest wait for the reply to a command.
 
     Raises:
         ConfigurationError: A value the adapter does not have.
@@ -96,7 +96,7 @@ class QsbConfig:
 
     @property
     def interval_ns(self) -> float:
-        """Time between two lines, ns, give or take 1.4 %."""
+        """Time between two lines, ns, within 1.4 %."""
         return self.interval_ticks * (SHORTEST_TICK_NS + LONGEST_TICK_NS) / 2.0
 
 
@@ -111,17 +111,17 @@ def read(register: int) -> Command:
 
 
 def stream(register: int, *, compulsory: bool = True) -> Command:
-    """Stream a register from now on."""
+    """Start the stream of a register."""
     return Command(f"S{register:02X}", "s", register, None, compulsory)
 
 
 def greeting_commands() -> tuple[Command, ...]:
-    """Silence the adapter, have it answer in 26-byte lines, and ask who it is."""
+    """Stop all streams, select 26-byte lines, read model and serial number."""
     return write(COMMAND, STOP_STREAMS), write(EOR, EOR_ALL), read(VERSION)
 
 
 def setup_commands(config: QsbConfig, *, clear_timestamp: bool = True) -> tuple[Command, ...]:
-    """What sets the adapter up, after ``greeting_commands``. The position stream comes last: its first line is data."""
+    """Set-up commands after ``greeting_commands``. The position stream is last: its first line is data."""
     commands = [
         write(MODE, 0),
         write(MDR0, FREE_RUNNING[config.counting], 2),

@@ -1,4 +1,4 @@
-"""The coded sync pulse: the line it comes on, the code that numbers it, and the generator that makes it."""
+"""The coded sync pulse: input device, published code, generator."""
 
 from drivers.sync_pulse.code import intervals, pulse_number, sync_numbers
 from drivers.sync_pulse.device import SyncPulse, SyncPulseConfig

@@ -1,14 +1,14 @@
-"""The published code of the sync pulses: any three intervals in a row tell which pulse it is.
+"""Code of the sync pulses: any three successive intervals identify the pulse number.
 
 The interval before pulse n is ``30 + c[n mod 32768]`` SYNC periods, c being the de Bruijn sequence B(32, 3) over 0..31
 in its lexicographically least form: the Lyndon words whose length divides 3, joined in lexicographic order
 (Fredricksen, Kessler and Maiorana, "Lexicographic compositions and deBruijn sequences", 1977). Every triple occurs
-once in a cycle, so a stream that starts late or misses edges is numbered after three good intervals. Pulse 0 rises
+once in a cycle, so a stream that starts late or misses edges is identified after three good intervals. Pulse 0 rises
 with SYNC number 0; at 200 Hz the intervals are 150..305 ms and the code repeats after 2.07 h.
 
 Pulse n rises a little after the start of its SYNC period: ``(19 n) mod 32`` thirty-seconds of a millisecond, so that
-any 32 in a row fall on all of them. A 1 kHz recorder marks a pulse to the sample; were pulses whole milliseconds apart,
-they would all fall on one place in its sample period, and no number of them would average the quantisation out.
+any 32 in a row fall on all of them. A 1 kHz recorder marks a pulse to one sample; with pulses whole milliseconds apart
+all would fall at the same phase of its sample period, and the quantisation error would not average out.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ SHORTEST_INTERVAL = 30
 
 @cache
 def intervals() -> NDArray[np.int64]:
-    """The intervals of one cycle, SYNC periods, read-only, shape (32768,): entry n stands before pulse n."""
+    """The intervals of one cycle, SYNC periods, read-only, shape (32768,): entry n precedes pulse n."""
     symbols: list[int] = []
     word = [-1]
     while word:  # Duval's generation of Lyndon words up to length 3, in lexicographic order
@@ -42,7 +42,7 @@ def intervals() -> NDArray[np.int64]:
 
 @cache
 def dither_ns() -> NDArray[np.int64]:
-    """How long after the start of its SYNC period each pulse of one cycle rises, ns. Read-only, shape (32768,)."""
+    """Delay of each pulse of one cycle after the start of its SYNC period, ns. Read-only, shape (32768,)."""
     delays = 19 * np.arange(CODE_LENGTH, dtype=np.int64) % 32 * (1_000_000 // 32)
     delays.setflags(write=False)
     return delays
@@ -65,7 +65,7 @@ def cycle_sync_periods() -> int:
 
 @cache
 def _places() -> NDArray[np.int64]:
-    """Place of each triple: entry ``(a * 32 + b) * 32 + c`` is the pulse that ends the intervals a, b, c."""
+    """Pulse number of each triple: entry ``(a * 32 + b) * 32 + c`` is the pulse that ends the intervals a, b, c."""
     symbols = intervals() - SHORTEST_INTERVAL
     keys = (np.roll(symbols, 2) * SYMBOLS + np.roll(symbols, 1)) * SYMBOLS + symbols
     places = np.empty(CODE_LENGTH, np.int64)
@@ -80,8 +80,8 @@ def pulse_number(intervals_in_sync_periods: Sequence[int]) -> int | None:
         intervals_in_sync_periods: Three or more intervals between successive pulses, none missing, SYNC periods.
 
     Returns:
-        The pulse number, or None when the intervals are fewer than three or are no stretch of the code: an edge was
-        missed or added, or something else drives the line.
+        The pulse number, or None for fewer than three intervals or intervals that do not occur in the code (missed or
+        extra edge, other signal on the line).
     """
     symbols = [interval - SHORTEST_INTERVAL for interval in intervals_in_sync_periods]
     if len(symbols) < WORD or not all(0 <= symbol < SYMBOLS for symbol in symbols):

@@ -1,4 +1,4 @@
-"""The sync line as a device: edges in, PULSE rows out, lost edges named."""
+"""Sync line device: edges in, PULSE rows out, lost edges recorded as gaps."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ _WRAP = 1 << 32
 
 @dataclass(frozen=True)
 class SyncPulseConfig:
-    """What the line is told by.
+    """Configuration of the sync line.
 
     Attributes:
         sync_period_ms: SYNC period, ms: pulse intervals are whole numbers of it.
@@ -26,8 +26,8 @@ class SyncPulseConfig:
 class SyncPulse:
     """Rising edges of the sync line as PULSE rows; its channel carries its name.
 
-    ``sequence`` follows the line's own number, so edges that the kernel dropped are a jump in it and a GAP row with
-    cause ``edge_lost``. A line number that goes back says that the line was requested anew: an event, no gap.
+    ``sequence`` follows the line's own number, so edges dropped by the kernel appear as a jump and a GAP row with cause
+    ``edge_lost``. A line number that goes back means that the line was requested again: an event, not a gap.
     """
 
     def __init__(self, name: str, port: PulsePort) -> None:
@@ -40,16 +40,16 @@ class SyncPulse:
 
     @property
     def period_ns(self) -> int:
-        """0: pump waits on the line. While the line fails, the time to leave between two pumps."""
+        """Time between two pumps, ns; 0: ``pump`` waits on the line. Non-zero only while the line fails."""
         return RETRY_NS if self._failing else 0
 
     def start(self, now_ns: int) -> list[Batch]:
-        """Nothing to set up: edges since the line was opened wait in it and come with the first pump."""
+        """No set-up: edges since the line was opened are queued and returned by the first pump."""
         del now_ns
         return []
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Edges waiting, as one batch; waits up to ``timeout_s`` for the first."""
+        """Return the waiting edges as one batch; waits up to ``timeout_s`` for the first."""
         edges = self._receive(now_ns, timeout_s)
         rows = np.zeros(len(edges), PULSE)
         for place, edge in enumerate(edges):
@@ -58,7 +58,7 @@ class SyncPulse:
         return self._report.take()
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """The edges left."""
+        """Return the remaining edges."""
         batches = self.pump(now_ns)
         self._report.flush(now_ns)
         return batches + self._report.take()
@@ -78,7 +78,7 @@ class SyncPulse:
         return edges
 
     def _number(self, edge: Edge) -> int:
-        """The sequence number of this edge, after naming those lost before it."""
+        """Sequence number of this edge, after recording lost ones before it."""
         last, self._last = self._last, edge
         if last is not None:
             lost = (edge.line_sequence - last.line_sequence) % _WRAP - 1
@@ -89,7 +89,7 @@ class SyncPulse:
                     self._report.gap(edge.host_ns, self.name, first, first + lost - 1, duration_ns, "edge_lost")
                     self._sequence += lost
             else:
-                text = f"line number {edge.line_sequence} after {last.line_sequence}: the line was requested anew"
+                text = f"line number {edge.line_sequence} after {last.line_sequence}: the line was requested again"
                 self._report.event(edge.host_ns, Severity.WARNING, "line_restarted", text)
         self._sequence += 1
         return self._sequence - 1

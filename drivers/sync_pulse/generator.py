@@ -1,12 +1,11 @@
-"""The other end of the sync line: pulses of the published code on an output line, and CANopen SYNC beside them.
+"""Sync pulse generator: pulses of the published code on an output line, and CANopen SYNC messages.
 
-The schedule is pure: when pulse n is to rise, when SYNC k is to be sent. The device keeps to it as well as its host
-lets it and records when each really went out; nobody is to take the schedule for the time of an edge. An edge or a SYNC
-that is overdue by a whole SYNC period would be taken for the next one, and is left out and named instead.
+The schedule gives the nominal time of pulse n and of SYNC k. The device records when each was really sent; use that
+record, not the schedule, as the time of an edge. An edge or a SYNC overdue by a whole SYNC period would be mistaken for
+the next one: it is skipped and recorded as a gap.
 
-Known wart: Linux without PREEMPT_RT wakes us 50 us to some milliseconds late. ``onboard.timebase`` takes an edge more
-than 0.2 ms off its place for a spurious one; where that happens often, a timer peripheral or a microcontroller should
-make the pulses.
+Known limit: Linux without PREEMPT_RT wakes a process 50 us to some milliseconds late. ``onboard.timebase`` rejects an
+edge more than 0.2 ms off its place; if that happens often, use a timer peripheral or a microcontroller.
 """
 
 from collections.abc import Callable
@@ -38,7 +37,7 @@ class ScheduledPulse(NamedTuple):
 
 
 class PulseSchedule:
-    """When the pulses of the code rise.
+    """Nominal times of the pulses and SYNCs.
 
     Args:
         start_ns: When SYNC 0 is sent and pulse 0 rises, CLOCK_MONOTONIC.
@@ -50,11 +49,11 @@ class PulseSchedule:
         self.sync_period_ns = sync_period_ns
 
     def sync_ns(self, number: int) -> int:
-        """When SYNC ``number`` is to be sent."""
+        """Nominal time of SYNC ``number``, ns."""
         return self.start_ns + number * self.sync_period_ns
 
     def pulse(self, number: int) -> ScheduledPulse:
-        """Pulse ``number``; the code repeats after 32768, the count goes on."""
+        """Pulse ``number``; the code repeats after 32768 pulses, the number does not."""
         cycle, place = divmod(number, CODE_LENGTH)
         sync_number = cycle * cycle_sync_periods() + int(sync_numbers()[place])
         return ScheduledPulse(number, sync_number, self.sync_ns(sync_number) + int(dither_ns()[place]))
@@ -62,13 +61,13 @@ class PulseSchedule:
 
 @dataclass(frozen=True)
 class PulseGeneratorConfig:
-    """The pulses.
+    """Configuration of the pulses.
 
     Attributes:
         sync_period_ms: SYNC period, ms: above the dither of 1 ms.
-        width_ms: How long a pulse stays high: below the sample period of every recorder on the line, so that it marks
-            one sample, and above what its input filters swallow.
-        sync_name: Channel of the SYNCs sent, where there is a CAN port.
+        width_ms: Pulse width: below the sample period of every recorder on the line, so that it marks one sample, and
+            above the time constants of their input filters.
+        sync_name: Channel of the SYNCs sent, if there is a CAN port.
     """
 
     sync_period_ms: float = 5.0
@@ -93,7 +92,7 @@ class PulseGeneratorConfig:
 
 
 class _Output:
-    """Rows of one output, numbered as scheduled; numbers that did not go out become gaps."""
+    """Rows of one output, numbered as scheduled; numbers that were not sent become gaps."""
 
     def __init__(self, channel: str, dtype: DTypeLike, report: Reporter) -> None:
         self._channel = channel
@@ -106,7 +105,7 @@ class _Output:
         self.latest_ns = 0
 
     def went_out(self, late_ns: int, *row: int) -> None:
-        """``next`` went out, ``late_ns`` after its time; ``row`` without its sequence."""
+        """``next`` was sent ``late_ns`` after its nominal time; ``row`` lacks its sequence."""
         self.close(row[0])
         self._rows.append((self.next, *row))
         self.next += 1
@@ -114,20 +113,20 @@ class _Output:
         self.latest_ns = max(self.latest_ns, late_ns)
 
     def failed(self, now_ns: int, cause: str, count: int = 1) -> None:
-        """``count`` from ``next`` on do not go out."""
+        """``count`` numbers from ``next`` on are not sent."""
         if self._lost is None:
             self._lost = self.next, cause, now_ns
         self.next += count
 
     def close(self, now_ns: int) -> None:
-        """Name what did not go out."""
+        """Record the numbers not sent as a gap."""
         if self._lost is not None:
             first, cause, since_ns = self._lost
             self._report.gap(now_ns, self._channel, first, self.next - 1, max(now_ns - since_ns, 0), cause)
             self._lost = None
 
     def hand_over(self) -> None:
-        """Give the rows to the reporter."""
+        """Pass the rows to the reporter."""
         if self._rows:
             rows = np.zeros(len(self._rows), self._dtype)
             rows[:] = self._rows
@@ -144,10 +143,10 @@ class PulseGenerator:
 
     Args:
         name: Channel, and source of its events.
-        line: The output; it does the waiting.
+        line: The output; its ``wait_until`` paces the pulses.
         clock: CLOCK_MONOTONIC, ns.
         config: The pulses.
-        can: Where SYNC is sent; a port of its own, for what it receives is thrown away.
+        can: Port that sends SYNC; a dedicated one, frames it receives are discarded.
     """
 
     def __init__(
@@ -176,11 +175,11 @@ class PulseGenerator:
 
     @property
     def period_ns(self) -> int:
-        """0: pump waits for what is due next."""
+        """0: ``pump`` waits for the next pulse or SYNC."""
         return 0
 
     def start(self, now_ns: int) -> list[Batch]:
-        """Pulse 0 and SYNC 0 are to go out a few SYNC periods from now. Every start begins the code anew."""
+        """Schedule pulse 0 and SYNC 0 a few SYNC periods from now. Every start restarts the code."""
         self._begin()
         start_ns = now_ns + LEAD_SYNC_PERIODS * self.config.sync_period_ns
         self.schedule = PulseSchedule(start_ns, self.config.sync_period_ns)
@@ -189,7 +188,7 @@ class PulseGenerator:
         return self._report.take()
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Send what is due up to ``timeout_s`` from now, each when its time has come."""
+        """Send the pulses and SYNCs due up to ``timeout_s`` from now, each at its time."""
         schedule = self.schedule
         if schedule is None:
             return []
@@ -216,7 +215,7 @@ class PulseGenerator:
         return self._report.take()
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """Leave the line low; say how well the schedule was kept."""
+        """Set the line low; report the largest delays."""
         if self.schedule is not None:
             if self._fall_due_ns is not None:
                 self._fall()
@@ -299,7 +298,7 @@ class PulseGenerator:
             self._report.event(now_ns, Severity.INFO, "bus_recovered", f"{where} works again")
 
     def _discard_received(self) -> None:
-        """What other nodes say is not for us, and must not pile up. A port that fails is told when SYNC is sent."""
+        """Discard frames of other nodes. A failing port is reported when SYNC is sent."""
         if self._can is not None:
             try:
                 self._can.receive(0.0)

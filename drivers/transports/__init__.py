@@ -1,7 +1,7 @@
-"""Opens buses by URL: the only room that imports smbus2, can, serial and gpiod, and the only one that stamps arrivals.
+"""Opens buses by URL. The only package that imports smbus2, can, serial and gpiod and that stamps arrivals.
 
-Rule of the room: thin, no decisions. A port moves bytes, stamps them with the clock it was given and turns whatever
-its library raises into OSError. Bus libraries are imported when a port is opened, never before.
+A port transfers bytes, stamps them with the given clock and turns its library's exceptions into OSError; it makes no
+decisions. Bus libraries are imported when a port is opened.
 """
 
 from collections.abc import Callable
@@ -85,7 +85,7 @@ def open_pulse(url: str, clock: Clock) -> PulsePort:
 
     Raises:
         UrlError: The URL is not one of these.
-        OSError: The line or socket cannot be had.
+        OSError: The line or socket cannot be opened.
     """
     bus = parse(url, PULSE_URLS)
     if bus.kind == "gpio":
@@ -111,7 +111,7 @@ def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
 
     Raises:
         UrlError: The URL is not one of these.
-        OSError: The line cannot be had.
+        OSError: The line cannot be opened.
     """
     bus = parse(url, PULSE_OUTPUT_URLS)
     if bus.kind == "gpio-out+unix":
@@ -129,7 +129,7 @@ def open_serial(url: str) -> SerialPort:
 
     Args:
         url: ``serial:///dev/ttyUSB0?baud=115200``; options ``parity`` (N, E, O), ``stop_bits`` (1, 2) and
-            ``timeout_s`` (how long a read waits for its first byte, default 0: not at all).
+            ``timeout_s`` (how long a read waits for its first byte; default 0: no wait).
 
     Raises:
         UrlError: The URL is not of this form.

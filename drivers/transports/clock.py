@@ -1,4 +1,4 @@
-"""From the wall clock the kernel stamps with to the monotonic clock everything else is in."""
+"""Offset between CLOCK_REALTIME (stamps of the kernel) and CLOCK_MONOTONIC (all other times)."""
 
 import time
 from collections.abc import Callable
@@ -10,10 +10,10 @@ TRIES = 4
 def realtime_minus_monotonic(
     clock: Callable[[], int], realtime: Callable[[], int] = time.time_ns, tries: int = TRIES
 ) -> int:
-    """CLOCK_REALTIME minus CLOCK_MONOTONIC, ns, by reading one between two readings of the other.
+    """CLOCK_REALTIME minus CLOCK_MONOTONIC, ns, from a reading of one between two readings of the other.
 
     Preemption can only widen the bracket, so the narrowest of up to ``tries`` brackets is taken; its half width bounds
-    the error. Taken anew at every receive, a step of the wall clock spoils no stamp but those in flight.
+    the error. It is measured at every receive, so that a step of the wall clock affects only stamps in flight.
 
     Args:
         clock: CLOCK_MONOTONIC, ns.

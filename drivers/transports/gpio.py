@@ -9,7 +9,7 @@ from gpiod.line import Edge as EdgeKind
 
 from drivers.ports import Edge
 
-_EVENT_BUFFER = 256  # events the kernel keeps for us: a minute of pulses
+_EVENT_BUFFER = 256  # events queued by the kernel: a minute of pulses
 
 
 class GpiodPort:
@@ -40,5 +40,5 @@ class GpiodPort:
         return [Edge(event.timestamp_ns, host_ns, event.line_seqno) for event in events]
 
     def close(self) -> None:
-        """Give the line back."""
+        """Release the line."""
         self._request.release()

@@ -9,13 +9,13 @@ from gpiod.line import Direction, Value
 
 from drivers.ports import Driven
 
-SPIN_NS = 150_000  # the end of a wait is spent reading the clock: waking up takes the kernel 50 us or more
+SPIN_NS = 150_000  # the end of a wait is a busy loop on the clock: a kernel wake-up takes 50 us or more
 
 
 def wait_until(
     instant_ns: int, clock: Callable[[], int], sleep: Callable[[float], object] = time.sleep, spin_ns: int = SPIN_NS
 ) -> None:
-    """Return at ``instant_ns``, or at once when that has passed. How late it became, the caller's stamps tell."""
+    """Return at ``instant_ns``, or at once when that has passed; the delay is not returned."""
     left_ns = instant_ns - clock()
     if left_ns > spin_ns:
         sleep((left_ns - spin_ns) * 1e-9)
@@ -49,7 +49,7 @@ class GpiodOutput:
         return Driven(before_ns, self._clock())
 
     def close(self) -> None:
-        """Leave the line low and give it back."""
+        """Set the line low and release it."""
         try:
             self._request.set_value(self._line, Value.INACTIVE)
         finally:

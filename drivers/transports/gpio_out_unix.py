@@ -13,7 +13,7 @@ _EDGE = struct.Struct("<qI")
 class UnixPulseOutput:
     """A ``PulseOutputPort`` whose rising edges go to the Unix datagram socket that a ``gpio+unix`` port has bound.
 
-    A line drives whether anybody looks or not: edges nobody takes are counted.
+    Edges are sent without waiting for a receiver; those not delivered are counted.
 
     Args:
         path: The socket.

@@ -18,7 +18,7 @@ class UnixPulsePort:
     """A ``PulsePort`` that binds a Unix datagram socket; a socket left there by an earlier run is replaced.
 
     Attributes:
-        damaged: Datagrams that were no edge.
+        damaged: Datagrams of the wrong size.
     """
 
     def __init__(self, path: str, clock: Callable[[], int]) -> None:

@@ -15,15 +15,15 @@ ADAPTER_GONE = frozenset({errno.ENODEV, errno.ESHUTDOWN, errno.EBADF})
 class SmbusPort:
     """An ``I2cPort`` on ``/dev/i2c-N``.
 
-    Every transfer is one I2C_RDWR call, so a write and its read are joined by a repeated start and no other process
-    comes between; SMBus block reads would end at 32 bytes. Errors are the kernel's, with its errno.
+    Every transfer is one I2C_RDWR call, so a write and its read are joined by a repeated start and no other process can
+    interleave; SMBus block reads are limited to 32 bytes. Errors carry the kernel's errno.
 
-    An adapter that was unplugged takes its node with it, and comes back as another one of that name. A transfer whose
-    error says so, or after which the node is gone or is another one, drops the old node; the next transfer opens it
-    anew. (ENXIO alone does not tell: some controllers answer it for an address that nobody acknowledges.)
+    An unplugged adapter removes its node and returns as another one of that name. After a transfer whose errno shows
+    this, or after which the node is missing or replaced, the old node is closed and the next transfer reopens it.
+    (ENXIO alone is not enough: some controllers return it for an address without acknowledge.)
 
     Attributes:
-        reopened: How often the node was opened anew.
+        reopened: Number of times the node was reopened.
     """
 
     def __init__(self, path: str, clock: Callable[[], int]) -> None:
@@ -59,14 +59,14 @@ class SmbusPort:
         try:
             bus.i2c_rdwr(*messages)
         except OSError as error:
-            if error.errno == errno.EBADF:  # its number may be another file's by now
+            if error.errno == errno.EBADF:  # its descriptor may belong to another file by now
                 bus.fd = None
             if error.errno in ADAPTER_GONE or self._is_another_node():
                 self.close()
             raise
 
     def _is_another_node(self) -> bool:
-        """The node that was opened had a name, and it is gone or another's."""
+        """Whether the opened node's name is gone or names another node."""
         now = _status(self._path)
         return self._node is not None and (now is None or not os.path.samestat(now, self._node))
 
@@ -79,7 +79,7 @@ def _status(path: str) -> os.stat_result | None:
 
 
 def _opened(path: str) -> SMBus:
-    """The node, opened; nothing is left open when that fails. Raises OSError."""
+    """Open the node; no descriptor stays open on failure. Raises OSError."""
     bus = SMBus()
     try:
         bus.open(path)

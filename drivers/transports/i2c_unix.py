@@ -20,9 +20,9 @@ _WRITE, _WRITE_READ = 0, 1
 class UnixI2cPort:
     """An ``I2cPort`` on a Unix stream socket.
 
-    It connects at the first transfer and again after a broken connection, so the other side may come late or start
-    anew: while it is away, a transfer raises OSError as an absent device does. A reply that does not come raises
-    OSError(ETIMEDOUT) and drops the connection, for the stream is no longer in step.
+    It connects at the first transfer and again after a broken connection, so the server may start late or restart;
+    meanwhile a transfer raises OSError as an absent device does. A missing reply raises OSError(ETIMEDOUT) and closes
+    the connection, because a late reply would be taken for the next one.
     """
 
     def __init__(self, path: str, clock: Callable[[], int], timeout_s: float = 1.0) -> None:

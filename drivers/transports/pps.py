@@ -12,15 +12,15 @@ from drivers.transports.clock import realtime_minus_monotonic
 # linux/pps.h: struct pps_fdata = pps_kinfo (two sequences, assert and clear stamp, mode), then the timeout, a pps_ktime
 _FDATA = struct.Struct("=II qiI qiI i4x qiI")
 PPS_FETCH = 3 << 30 | struct.calcsize("P") << 16 | ord("p") << 8 | 0xA4  # _IOWR('p', 0xa4, struct pps_fdata *)
-SHORTEST_WAIT_NS = 10_000_000  # one tick at 100 Hz: the kernel rounds down, and what is less does not wait at all
+SHORTEST_WAIT_NS = 10_000_000  # one tick at 100 Hz: the kernel rounds down to 0 below that
 
 
 class PpsPort:
     """A ``PulsePort`` on ``/dev/ppsN``: assert edges, stamped in the interrupt with CLOCK_REALTIME.
 
     The stamp is moved to CLOCK_MONOTONIC by an offset taken at the receive. The kernel keeps the last edge only, so a
-    receive gives at most one; ``line_sequence`` is the kernel's assert sequence, in which those before it are missing.
-    Edges from before the port was opened are not given.
+    receive returns at most one; ``line_sequence`` is the kernel's assert sequence, so missed edges appear as a jump.
+    Edges before the port was opened are not returned.
     """
 
     def __init__(self, path: str, clock: Callable[[], int]) -> None:

@@ -1,4 +1,4 @@
-"""Serial ports by pyserial. Its SerialException is an OSError already, so the port needs nothing around it."""
+"""Opens serial ports with pyserial. Its SerialException is an OSError, so no wrapper is needed."""
 
 import contextlib
 
@@ -9,9 +9,9 @@ from drivers.transports.url import BusUrl
 
 
 def open_port(url: BusUrl) -> serial.Serial:
-    """Open the tty of ``url`` for us alone, non-blocking unless it asks for a timeout.
+    """Open the tty of ``url`` exclusively, non-blocking unless a timeout is given.
 
-    USB adapters hold bytes back for 16 ms by default; where the driver offers its low-latency mode it is switched on.
+    USB adapters delay bytes by up to 16 ms by default; the low-latency mode is switched on where the driver offers it.
 
     Args:
         url: ``baud``, ``parity`` (N, E, O), ``stop_bits`` (1, 2), ``timeout_s``.

@@ -1,4 +1,4 @@
-"""Bus URLs: what names a transport, and what every transport needs of it."""
+"""Parses bus URLs and checks them against the known transports."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from drivers.errors import UrlError
 
 @dataclass(frozen=True)
 class BusUrl:
-    """A bus URL in parts.
+    """Parts of a bus URL.
 
     Attributes:
         text: The URL as it was given.
         kind: The scheme: ``i2c``, ``can+slcan``.
-        host: What stands between ``//`` and the path: an interface or channel name.
+        host: Part between ``//`` and the path: an interface or channel name.
         path: The path: a device node or socket.
         options: The query, names and values.
     """
@@ -59,14 +59,14 @@ class BusUrl:
 
 
 def parse(text: str, kinds: Mapping[str, tuple[str, ...]]) -> BusUrl:
-    """Take a bus URL apart and check it against the transports at hand.
+    """Parse a bus URL and check it against the known transports.
 
     Args:
         text: The URL.
-        kinds: Schemes that may be opened here; for each ``"host"`` or ``"path"`` (the part it needs), then its options.
+        kinds: Allowed schemes; for each ``"host"`` or ``"path"`` (the required part), then its options.
 
     Raises:
-        UrlError: Unknown scheme or option, or a part is missing. The message says what would be right.
+        UrlError: Unknown scheme or option, or a missing part. The message gives the correct form.
     """
     parts = urlsplit(text)
     if parts.scheme not in kinds:

@@ -14,7 +14,7 @@ The load cell is MuJoCo's torque sensor at the arm's own origin: the moment abou
 output flange exerts on everything beyond it. Friction, ripple, rotor inertia and servo act on the joint, proximal to
 it; stops, drag and ejection act on the arm, distal to it. Left out: the compliance of the gear and of the cell (a
 resonance near 100 Hz would change the acceleration of a fast sweep by 3e-4), and the rotor's reaction on the rocket.
-Known wart: forces that hang on the joint angle (drag's lever, ripple) foresee it along a straight line for one chunk.
+Known limit: forces that hang on the joint angle (drag's lever, ripple) foresee it along a straight line for one chunk.
 """
 
 from collections.abc import Iterator

@@ -12,7 +12,7 @@ All that is kept are sums by blocks of time, so the recursion is exact under eve
 made honest as that of the least squares is: by taking out one block after the other. Rows go into the least squares as
 well: its innovations are what gates look at, and its answer is what this one is shown against.
 
-Known warts: sums of products lose half the digits that a triangle keeps; ten parameters or some dozen, in units of
+Known limits: sums of products lose half the digits that a triangle keeps; ten parameters or some dozen, in units of
 their prior, do not need them. An estimate without information along a direction is the prior's; with instruments that
 have nothing to do with the rows it is nothing, and its interval says so.
 """

@@ -12,7 +12,7 @@ linear filter, and of its poles D two kernels are made for :class:`onboard.estim
 As windows they serve samples at any times, of all channels at whatever rates, with gaps refused and the noise of every
 derivative known. What they leave out is what the filter remembers from beyond the window, some 1e-4.
 
-Known warts: a tick lies in the middle of its window, so what the filter says is of an instant 0.42 widths after it,
+Known limits: a tick lies in the middle of its window, so what the filter says is of an instant 0.42 widths after it,
 0.08 before the newest sample, in all channels alike. The filter's second moment about that is not zero: products of
 filtered signals are wrong by the square of its width, where kernels with samples on both sides are by the fourth power.
 """

@@ -9,7 +9,7 @@ with B the B-spline of order 8 stretched over the full width W and ``mu_2 = W^2 
 moment of h is therefore zero: h passes cubics unchanged, and products of smoothed signals (the rows are not linear in
 the rates) are wrong by the fourth power of the width only, not by the second.
 
-Known warts: the kernel is centred, so a tick can be made only when samples up to half a width after it have arrived
+Known limits: the kernel is centred, so a tick can be made only when samples up to half a width after it have arrived
 (fixed-lag smoothing). It is 3 dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 """
 

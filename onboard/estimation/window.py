@@ -7,7 +7,7 @@ front stack. When that is empty the back stack is turned over, which merges ever
 constant number of merges, and every triangle in use was made from rows of the window by orthogonal transformations
 alone. Downdating, which subtracts, would lose digits with every step.
 
-Known warts: the step that turns the stack over takes as many merges as the window has blocks (10 us each at ten
+Known limits: the step that turns the stack over takes as many merges as the window has blocks (10 us each at ten
 parameters); the others take three.
 """
 

@@ -392,7 +392,7 @@ def test_a_count_that_cannot_be_is_asked_for_again_and_loses_nothing(flight, cou
     flight.fly(100)
     flight.stop()
     assert codes(flight.batches).count("bus_error") == 1
-    assert "what it says is garbage" in texts(flight.batches, "bus_error")[0]
+    assert "invalid data" in texts(flight.batches, "bus_error")[0]
     assert len(flight.check()) == flight.chip.written
 
 

@@ -500,6 +500,6 @@ def test_a_unit_that_hangs_and_still_sends_is_named_and_its_samples_are_not_vali
     rows = flight.rows()
     bad = rows["sequence"][(rows["status"] & SampleStatus.NOT_VALID) != 0]
     assert set(range(108, 150)) <= set(bad.tolist()) <= set(range(100, 150))
-    assert texts(flight.batches, "stuck")[0].startswith("samples from 100 on are the same to the bit")
+    assert texts(flight.batches, "stuck")[0].startswith("samples from 100 on are bit-identical")
     assert codes(flight.batches).count("stuck_over") == 1
     assert not len(of(flight.batches, "gap"))

@@ -102,7 +102,7 @@ def test_a_chip_that_hangs_is_named_and_its_samples_are_not_valid(clock, mode):
     rows = whole(batches, "imu")
     bad = rows["sequence"][(rows["status"] & SampleStatus.NOT_VALID) != 0]
     assert set(range(500 + most_repeats(config), 700)) <= set(bad.tolist()) <= set(held)
-    assert texts(batches, "stuck")[0].startswith("samples from 500 on are the same to the bit")
+    assert texts(batches, "stuck")[0].startswith("samples from 500 on are bit-identical")
     assert [code for code in codes(batches) if code.startswith("stuck")] == ["stuck", "stuck_over"]
     assert not len(of(batches, "gap"))
 
