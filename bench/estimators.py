@@ -313,7 +313,7 @@ def an_hour(model: VehicleModel, rng: np.random.Generator) -> None:
     for first in range(0, HOUR_TICKS, 600):
         Y, y = chunk.regressor(chunk.ticks.motion)
         recursion.add(np.repeat(first / 200 + np.arange(600) / 200, M), Y, y, chunk.sigma)
-    recursion.honest()
+    recursion.block_jackknife()
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"one hour at 200 Hz offline: {seconds:.1f} s (bar 20), peak memory of this process {peak:.0f} MB (bar 300)")

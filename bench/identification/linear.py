@@ -21,7 +21,7 @@ from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import VehicleModel
-from onboard.estimation.consistency import HonestEstimate
+from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.base_parameters import base_parameters
@@ -99,9 +99,9 @@ def feed(one: Identifier, signals: Signals) -> None:
         one.update(step, np.ones(n, bool), np.zeros(n, np.int64))
 
 
-def _answer(honest: HonestEstimate, truth: RigidBody) -> Answer:
-    true, found = standard_of(truth), honest.mean
-    interval = honest.combination(np.eye(10))
+def _answer(jackknife: JackknifeEstimate, truth: RigidBody) -> Answer:
+    true, found = standard_of(truth), jackknife.mean
+    interval = jackknife.combination(np.eye(10))
     inside = ((interval.low <= true) & (true <= interval.high)).astype(float)
     m, c = found[0], found[1:4] / found[0]
     xx, xy, yy, xz, yz, zz = found[4:]
@@ -122,8 +122,8 @@ def fly(mass: int, smoothing_s: float, seed: int) -> tuple[Answer, ...]:
     feed(one, signals)
     plain = identifier(model, False, smoothing_s)
     feed(plain, signals._replace(noise=None, sigma=_mean_sigma(plain, signals, truth)))
-    corrected = HonestEstimate(one.rls, one.blocks)
-    return _answer(plain.honest(), truth), _answer(corrected, truth), _answer(one.honest(), truth)
+    corrected = JackknifeEstimate(one.rls, one.blocks)
+    return _answer(plain.block_jackknife(), truth), _answer(corrected, truth), _answer(one.block_jackknife(), truth)
 
 
 def _mean_sigma(one: Identifier, signals: Signals, truth: RigidBody) -> Floats:

@@ -1,5 +1,5 @@
-"""Estimation on arrays: smoothing, gates, square-root RLS, and intervals that cover.
+"""Estimation on arrays: smoothing, gates, square-root RLS, change detection, jackknife intervals.
 
-The rule of the room: NumPy, SciPy and filterpy only, nothing of ours, no clock, no file. Times are seconds on whatever
-axis the caller keeps; every error out of here is an :class:`~onboard.estimation.errors.EstimationError`.
+Uses NumPy, SciPy and filterpy only; no clock, no files. Times are seconds on the caller's time axis. Every error raised
+here is an :class:`~onboard.estimation.errors.EstimationError`.
 """

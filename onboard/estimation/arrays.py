@@ -1,4 +1,4 @@
-"""Names of the array types that signatures use; shapes stand in docstrings and at line ends."""
+"""Type aliases of arrays; shapes are given in docstrings and at line ends."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Sums over rows by blocks of time, in constant memory."""
+"""Sums over rows per block of time, in constant memory."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,19 +8,19 @@ from onboard.estimation.errors import RowError
 
 
 class TimeBlocks:
-    """Arrays of sums, one slot a block; when all slots are taken, neighbours are merged and blocks last twice as long.
+    """Arrays of sums, one slot per block; when all slots are used, neighbours are merged and the block length doubles.
 
     Args:
-        block_s: first length of a block; take five kernel widths or more.
+        block_s: first length of a block; five kernel widths or more.
         capacity: blocks kept before neighbours are merged.
         shapes: of the sums of one block.
 
     Attributes:
-        block_s: length of a block now.
+        block_s: current length of a block.
         sums: the arrays, (capacity, *shape) each.
 
     Raises:
-        RowError: a length that is not positive, or a capacity below four.
+        RowError: block length not positive, or capacity below four.
     """
 
     def __init__(self, block_s: float, capacity: int, *shapes: tuple[int, ...]) -> None:
@@ -34,14 +34,14 @@ class TimeBlocks:
 
     @property
     def count(self) -> int:
-        """Blocks that hold rows."""
+        """Number of blocks that hold rows."""
         return len(self._slots)
 
     def split(self, times_s: FloatArray) -> list[tuple[int, slice | NDArray[np.intp]]]:
-        """Slots, and which of the rows go there; slots stay what they are until the next call.
+        """Slots and the rows that belong to each; slot numbers are valid until the next call.
 
         Args:
-            times_s: (m,) on any axis that does not jump.
+            times_s: (m,) on any continuous time axis.
         """
         first, last = float(times_s.min()), float(times_s.max())
         while True:
@@ -61,12 +61,12 @@ class TimeBlocks:
         return [(self._slots[number], np.flatnonzero(index == number)) for number in wanted]
 
     def fade(self, factor: float) -> None:
-        """Multiplies the weight of all rows so far by ``factor``, as the estimator does that forgets."""
+        """Multiplies the weight of all rows so far by ``factor`` (exponential forgetting)."""
         for part in self.sums:
             np.multiply(part, factor, out=part)
 
     def keep_from(self, newest_s: float, blocks: int) -> None:
-        """Drops all but the block of ``newest_s`` and so many before it, as the estimator does that has a window."""
+        """Drops all but the block of ``newest_s`` and ``blocks`` before it (sliding window)."""
         first = int(newest_s // self.block_s) - blocks
         kept = [index for index in self._slots if index >= first]
         if len(kept) < self.count:
@@ -77,7 +77,7 @@ class TimeBlocks:
         self._regroup({index: index // 2 for index in self._slots})
 
     def _regroup(self, groups: dict[int, int]) -> None:
-        """Adds up blocks by the new index of each; those without one are dropped."""
+        """Adds each block to its new index; blocks without one are dropped."""
         slots: dict[int, int] = {}
         sums = [np.zeros_like(part) for part in self.sums]
         for index, group in groups.items():

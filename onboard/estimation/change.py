@@ -1,9 +1,8 @@
-"""Has something changed? Innovations that are too large for too long, at a stated rate of false alarms.
+"""Change detection: chi-squared test on sums of innovations over several windows, at a stated false alarm rate.
 
-As long as nothing has changed the whitened innovations of a filter are independent and of unit variance, so their sum
-of squares over any window is chi-squared. An alarm is a sum over the newest 1, 2, 4 .. batches that would be exceeded
-by chance no more often than stated. One tick alone never alarms: what a single one can add is bounded, since a glitch
-is no change.
+Without a change the whitened innovations of a filter are independent with unit variance, so their sum of squares over
+any window is chi-squared. An alarm is a sum over the newest 1, 2, 4 .. batches whose chance probability is below the
+stated rate. The contribution of a single tick is bounded, so that one outlier does not raise an alarm.
 """
 
 from collections import deque
@@ -16,27 +15,27 @@ from scipy.special import chdtrc, chdtri
 from onboard.estimation.arrays import FloatArray
 
 _WINDOWS = (1, 2, 4, 8)
-_SUSPICION = 1e-4  # by chance, of one batch
-_GLITCH = 10.0  # times as likely by chance as an alarm: what a single tick counts for at most
+_SUSPICION = 1e-4  # chance probability of one batch below which it is suspect
+_GLITCH = 10.0  # bound on one tick: chance probability of an alarm times this
 
 
 class Detection(NamedTuple):
-    """What one batch of innovations says."""
+    """Test result of one batch of innovations."""
 
-    glitches: NDArray[np.bool_]  # (n,) ticks that are beyond belief alone
-    suspect: bool  # keep this batch out of the estimate until more is known
+    glitches: NDArray[np.bool_]  # (n,) ticks that are outliers on their own
+    suspect: bool  # hold this batch back until the next ones are tested
     alarm: bool
-    score: float  # sum of squares per degree of freedom, of the window that is least likely
+    score: float  # sum of squares per degree of freedom of the least likely window
     batches: int  # in that window
 
 
 class ChangeDetector:
-    """Watches the innovations of a filter.
+    """Tests the innovations of a filter batch by batch.
 
     Args:
-        false_alarms_per_hour: at most, while the filter is what it says.
-        batches_per_hour: how often :meth:`check` is called.
-        width: of a tick's innovation.
+        false_alarms_per_hour: upper bound while the filter's model holds.
+        batches_per_hour: rate of calls of :meth:`check`.
+        width: components of a tick's innovation.
     """
 
     def __init__(self, false_alarms_per_hour: float, batches_per_hour: float, width: int) -> None:
@@ -46,11 +45,11 @@ class ChangeDetector:
         self._recent: deque[tuple[float, int]] = deque(maxlen=max(_WINDOWS))
 
     def forget(self) -> None:
-        """Begin anew: the filter did."""
+        """Clear the history after a reset of the filter."""
         self._recent.clear()
 
     def check(self, squares: FloatArray) -> Detection:
-        """Takes in the next batch.
+        """Tests the next batch.
 
         Args:
             squares: of the whitened innovation of each tick, summed over its channels, (n,).

@@ -1,26 +1,25 @@
-"""Intervals that cover: what the formal covariance of a least squares leaves out, put back from the data.
+"""Block-jackknife covariance and intervals of a least squares, corrected for regressor noise and common causes.
 
-The formal covariance ``(Y' W Y)^-1`` holds for independent row errors of the stated sigma and an exact regressor. Ours
-are neither: the smoothing kernel correlates neighbouring rows, vibration and friction have colours of their own, a
-sigma from a data sheet is a promise, and the regressor is made of measured signals. Four corrections:
+The formal covariance ``(Y' W Y)^-1`` holds for independent row errors of the stated sigma and an exact regressor. Here
+the smoothing kernel correlates neighbouring rows, vibration and friction are coloured, a data-sheet sigma may be wrong,
+and the regressor is made of measured signals. Four corrections:
 
 1. *Regressor noise*: noise in Y makes ``Y' W Y`` too large by a known amount N, and the estimate too small
-   (attenuation). N comes with the rows (``noise`` of :meth:`BlockScores.add`) and is taken out:
-   ``chi = (Lambda - N)^-1 (Y' W y - n)``, n for noise that the left-hand sides share. What N itself is not known to is
-   carried into the interval. A direction whose information is nearly all noise is given back to the prior.
+   (attenuation). N comes with the rows (``noise`` of :meth:`BlockScores.add`) and is subtracted:
+   ``chi = (Lambda - N)^-1 (Y' W y - n)``, n for noise that the left-hand sides share. The uncertainty of N is
+   added to the interval. A direction whose information is nearly all noise falls back to the prior.
 2. *Rows*: a delete-one-block jackknife. Rows are summed into blocks of time longer than the kernel;
-   ``H_b = Y' W Y - N`` and ``g_b = Y' W y`` of a block are all that is kept, so the score of every block at the *final*
+   only ``H_b = Y' W Y - N`` and ``g_b = Y' W y`` of a block are kept, so the score of every block at the *final*
    estimate, ``s_b = g_b - H_b chi``, is exact without going back to the rows. Leaving block b out moves the estimate by
-   ``-(Lambda - N - H_b)^-1 s_b``, and the spread of these moves is the covariance, whatever the errors inside a block
-   do. (The block form of MacKinnon and White's HC3: it errs to the wide side when a few blocks carry the information,
-   where the plain block sandwich errs to the narrow one.) When the store is full, neighbours are merged and blocks
-   become twice as long, so memory is constant and the blocks outgrow slower and slower errors.
-3. *Few blocks*: Student's t, with the degrees of freedom of the blocks that carry the information on the quantity asked
-   for (Satterthwaite on each block's share).
-4. *Common causes*: considered parameters (a load cell's scale, its lever) move all masses together, and no amount of
-   rows averages them out; their part is added in quadrature by the sensitivities the RLS carries.
+   ``-(Lambda - N - H_b)^-1 s_b``, and the spread of these moves is the covariance, for any correlation within a block.
+   (Block form of the HC3 of MacKinnon and White, J. Econometrics 29 (1985) 305: too wide when a few blocks carry the
+   information, where the plain block sandwich is too narrow.) When the store is full, neighbours are merged and the
+   block length doubles: memory is constant, and blocks become longer than slow errors.
+3. *Few blocks*: Student's t, with Satterthwaite's degrees of freedom from each block's share of the information on the
+quantity. 4. *Common causes*: considered parameters (scale or lever of a load cell) shift all rows together and do not
+average out; their part is added in quadrature through the sensitivities of the RLS (Schmidt's consider covariance).
 
-The formal covariance stays as a floor: a lucky short run may not claim to be better than its sensors.
+The formal covariance remains a lower bound, because a short run may show too little scatter by chance.
 """
 
 import math
@@ -35,7 +34,7 @@ from onboard.estimation.blocks import TimeBlocks
 from onboard.estimation.errors import RowError
 from onboard.estimation.rls import SquareRootRls
 
-_MOST_NOISE = 0.9  # of the information along a direction that may be noise before it is given back to the prior
+_MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
 
 
 class Interval(NamedTuple):
@@ -49,11 +48,11 @@ class Interval(NamedTuple):
 
 
 class BlockScores(TimeBlocks):
-    """Normal equations by blocks of time, in constant memory.
+    """Normal equations per block of time, in constant memory.
 
     Args:
         parameters: p.
-        block_s: first length of a block; take five kernel widths or more.
+        block_s: first length of a block; five kernel widths or more.
         capacity: blocks kept before neighbours are merged.
 
     Raises:
@@ -75,26 +74,26 @@ class BlockScores(TimeBlocks):
 
     @property
     def noise_by_block(self) -> FloatArray:
-        """What regressor noise has added to ``Y' W Y`` of each block, (b, p, p)."""
+        """Contribution of regressor noise to ``Y' W Y`` of each block, (b, p, p)."""
         return self.sums[2][: self.count, :, :-1]
 
     @property
     def noise(self) -> FloatArray:
-        """What regressor noise has added to ``Y' W Y`` in all, (p, p)."""
+        """Total contribution of regressor noise to ``Y' W Y``, (p, p)."""
         return np.asarray(self.noise_by_block.sum(axis=0), np.float64)
 
     @property
     def noise_moment(self) -> FloatArray:
-        """What it has added to ``Y' W y``, (p,), where the left-hand sides hold the same noise."""
+        """Contribution of regressor noise to ``Y' W y``, (p,), where the left-hand sides share it."""
         return np.asarray(self.sums[2][: self.count, :, -1].sum(axis=0), np.float64)
 
     def add(
         self, times_s: FloatArray, Y: FloatArray, y: FloatArray, sigma: FloatArray, noise: FloatArray | None = None
     ) -> None:
-        """Adds the rows that were given to the estimator, with the same sigmas.
+        """Adds the rows given to the estimator, with the same sigmas.
 
         Args:
-            times_s: (m,) time of each row, on any axis that does not jump.
+            times_s: (m,) time of each row, on any continuous axis.
             Y: (m, p).
             y: (m,).
             sigma: (m,).
@@ -102,7 +101,7 @@ class BlockScores(TimeBlocks):
                 (m, s, p + 1), with that of its left-hand side last.
 
         Raises:
-            RowError: a shape that does not fit, or a number that is not finite.
+            RowError: wrong shape, or a number that is not finite.
         """
         m, p = y.shape[0], self.sums[1].shape[1]
         if Y.shape != (m, p) or sigma.shape != (m,) or times_s.shape != (m,):
@@ -115,7 +114,7 @@ class BlockScores(TimeBlocks):
         scaled[:, :p], scaled[:, p] = Y, y
         scaled /= sigma[:, None]
         flat = scaled.ravel()
-        if not math.isfinite(np.vdot(flat, flat) + times_s.sum()):  # a NaN or an infinity anywhere ends up there
+        if not math.isfinite(np.vdot(flat, flat) + times_s.sum()):  # any NaN or infinity propagates into the sum
             raise RowError("rows must be finite; gate them before they come here")
         doubt = None if noise is None else noise / sigma[:, None, None]
         for slot, mine in self.split(times_s):
@@ -133,8 +132,8 @@ class BlockScores(TimeBlocks):
                     moment -= N[:, p]
 
 
-class HonestEstimate:
-    """An estimate whose intervals account for regressor noise, correlated rows, few blocks, the prior, common causes.
+class JackknifeEstimate:
+    """Estimate with block-jackknife intervals: regressor noise, correlated rows, few blocks, prior, common causes.
 
     Args:
         rls: the estimator, after its rows.
@@ -149,7 +148,7 @@ class HonestEstimate:
 
     Raises:
         SingularError: as :meth:`SquareRootRls.solve`.
-        RowError: a wrong number of considered sigmas, or a level outside (0, 1).
+        RowError: wrong number of considered sigmas, or a level outside (0, 1).
     """
 
     def __init__(
@@ -172,7 +171,7 @@ class HonestEstimate:
         A0 = T.T @ prior_information @ T
         signal = noise < _MOST_NOISE
         noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
-        # Information without the noise; the prior's own where there is nothing else.
+        # Information without the noise; the prior's alone where nothing else remains.
         keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), np.finfo(np.float64).tiny))
         shared = T.T @ blocks.noise_moment
         x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
@@ -185,8 +184,8 @@ class HonestEstimate:
         mask = np.outer(signal, signal)
         H = T.T @ blocks.normal @ T * mask  # (b, p, p)
         scores = (blocks.moment @ T) * signal - H @ x  # (b, p)
-        # A block that alone carries a direction leaves nothing behind when it is taken out: a tiny ridge makes the move
-        # enormous rather than undefined.
+        # Without the only block that carries a direction the matrix is singular: a tiny ridge makes the move
+        # very large instead of undefined.
         rest = np.diag(np.where(signal, keep, 1.0)) - H + np.eye(x.size) * 1e-12
         self._moves = np.linalg.solve(rest, scores[..., None])[..., 0] @ T.T  # (b, p)
         self._shares = self._root @ H @ self._root.T  # (b, p, p) of the formal covariance, by block

@@ -1,10 +1,10 @@
-"""Every error the estimators raise on purpose."""
+"""Error tree of the estimators."""
 
 import numpy as np
 
 
 class EstimationError(Exception):
-    """Base of them all. The message is a sentence that ends with the remedy."""
+    """Base of all estimation errors. The message ends with the remedy."""
 
 
 class RowError(EstimationError, ValueError):
@@ -12,8 +12,8 @@ class RowError(EstimationError, ValueError):
 
 
 class SingularError(EstimationError, np.linalg.LinAlgError):
-    """The rows so far do not determine every parameter, and no prior stands in for those they do not."""
+    """Rows and prior do not determine every parameter."""
 
 
 class ConvergenceError(EstimationError, ArithmeticError):
-    """An iteration that did not arrive."""
+    """An iteration that did not converge."""

@@ -1,7 +1,6 @@
-"""Reasons why a row may not be used, each with a name; vectorised over ticks.
+"""Gates: named reasons why a row is not used, vectorised over ticks.
 
-A gate never changes a value: it returns reasons, which are combined with ``|`` and logged beside the row. What was
-refused, and why, is part of the estimate.
+A gate never changes a value: it returns reasons, which are combined with ``|`` and logged beside the row.
 """
 
 from enum import IntFlag
@@ -21,11 +20,11 @@ class GateReason(IntFlag):
     OK = 0
     SATURATED = 1  # a sample under the kernel is at the end of its range
     GAP = 2  # samples are missing under the kernel
-    CONTACT = 4  # a joint is where a stop can touch it
-    DRAG = 8  # the base feels a force that is not its own motion
+    CONTACT = 4  # a joint is near its mechanical stop
+    DRAG = 8  # an external force acts on the base
     PHASE = 16  # the mission is not in a phase to identify in, or has not settled in it
     RESIDUAL = 32  # the row contradicts the estimate
-    NOT_SYNCHRONISED = 64  # a clock the row depends on is not to be trusted
+    NOT_SYNCHRONISED = 64  # a clock the row depends on is not valid
 
 
 def reasons(refused: ArrayLike, reason: GateReason) -> ReasonArray:
@@ -121,17 +120,17 @@ def phase_gate(
 
 
 class ResidualGate:
-    """Refuses rows whose normalised innovation is too large, and cannot lock a wrong estimate in.
+    """Refuses rows with too large a normalised innovation, with a limit that adapts if the estimate itself is wrong.
 
     The limit is ``threshold`` times the innovation's own sigma, *or* times the robust spread of the recent innovations,
-    refused ones included, whichever is larger. A few outliers among good rows do not move a median, so they are
-    refused. When it is the estimate that is wrong, most innovations are large, their median grows with them, and the
-    gate opens: the rows are let in again and put the estimate right.
+    refused ones included, whichever is larger. A few outliers do not move the median and are refused. If the estimate
+    is wrong, most innovations are large, the median grows and the gate opens, so that the rows can correct the
+    estimate.
 
     Args:
         threshold: in sigmas.
         memory: how many recent innovations the spread is taken from.
-        minimum: below so many the gate lets everything pass, for want of a spread.
+        minimum: number of innovations below which the gate passes everything.
         huber: innovations beyond so many sigmas (or times the spread) weigh less; none do, where not given.
 
     Raises:

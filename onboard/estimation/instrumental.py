@@ -1,20 +1,20 @@
-"""Recursive instrumental variables: what least squares becomes when the regressor is made of noisy signals.
+"""Recursive instrumental variables: a consistent estimate when the regressor is made of noisy signals.
 
-Noise in Y is part of ``Y' W Y``, so a least squares is biased, and no amount of rows helps. Instruments Z are rows that
-follow the true ones as closely as they can and share none of their noise; then
+Noise in Y biases ``Y' W Y``, and more rows do not reduce that bias. Instruments Z are rows that are correlated with the
+true ones and independent of their noise; then
 
     Z' W y = Z' W Y chi + Z' W e,    chi = (Z' W Y + L)^-1 (Z' W y + L chi_0)
 
-is consistent (L, chi_0: the prior). Here Z is made of motion that the estimate so far predicts (Gilbert et al.; Janot,
-Vandanjon and Gautier, IEEE Trans. Control Systems Technology 22 (2014) 132).
+is consistent (L, chi_0: the prior). Here Z is computed from the motion predicted by the estimate so far (Gilbert et
+al.; Janot, Vandanjon and Gautier, IEEE Trans. Control Systems Technology 22 (2014) 132).
 
-All that is kept are sums by blocks of time, so the recursion is exact under every :class:`Memory`, and the interval is
-made honest as that of the least squares is: by taking out one block after the other. Rows go into the least squares as
-well: its innovations are what gates look at, and its answer is what this one is shown against.
+Only sums per block of time are kept, so the recursion is exact under every :class:`Memory`, and the interval is a
+delete-one-block jackknife as for least squares. Rows also go into a least squares, whose innovations feed the gates and
+whose estimate is the baseline.
 
-Known limits: sums of products lose half the digits that a triangle keeps; ten parameters or some dozen, in units of
-their prior, do not need them. An estimate without information along a direction is the prior's; with instruments that
-have nothing to do with the rows it is nothing, and its interval says so.
+Known limits: sums of products have half the digits of a triangular factor; about ten parameters in units of their prior
+do not need more. Along a direction without information the estimate is the prior's; with instruments uncorrelated with
+the rows the estimate is meaningless and its interval very wide.
 """
 
 import copy
@@ -25,16 +25,16 @@ from numpy.typing import ArrayLike
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.blocks import TimeBlocks
-from onboard.estimation.consistency import HonestEstimate
+from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.errors import RowError, SingularError
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 
-_FEW_BLOCKS = 12  # to be trusted alone
+_FEW_BLOCKS = 12  # below so many, the formal covariance is a lower bound
 
 
 class InstrumentBlocks(TimeBlocks):
-    """``Z' W Y``, ``Z' W [C y]`` and ``Z' W Z`` by blocks of time.
+    """``Z' W Y``, ``Z' W [C y]`` and ``Z' W Z`` per block of time.
 
     Args:
         parameters: p.
@@ -99,7 +99,7 @@ class RecursiveInstrumental(RecursiveLeastSquares):
         C: FloatArray | None = None,
         settled: bool = True,
     ) -> None:
-        """Takes rows that went to the least squares by :meth:`add`, now that there are instruments for them.
+        """Adds rows, already given to the least squares by :meth:`add`, with their instruments.
 
         Args:
             times_s: (m,).
@@ -108,10 +108,10 @@ class RecursiveInstrumental(RecursiveLeastSquares):
             sigma: (m,).
             Z: (m, p).
             C: (m, k) columns of the considered parameters, if any.
-            settled: whether they stay; else :meth:`unsettle` takes them out again.
+            settled: whether they are final; else :meth:`unsettle` removes them again.
 
         Raises:
-            RowError: a shape that does not fit, or a number that is not finite.
+            RowError: wrong shape, or a number that is not finite.
         """
         m, p = y.shape[0], self.rls.parameters
         if Z.shape != (m, p) or Y.shape != (m, p) or (C is None) != (self.rls.considered == 0):
@@ -127,10 +127,10 @@ class RecursiveInstrumental(RecursiveLeastSquares):
             store.add(times_s, rows)
 
     def unsettle(self, for_good: bool = False) -> None:
-        """Takes out the rows whose instruments were not settled: better ones are to follow.
+        """Removes the rows whose instruments were not final, before they are added with better ones.
 
         Args:
-            for_good: all that follow are settled.
+            for_good: all rows added later are final.
         """
         self.instruments = self._settled if for_good else copy.deepcopy(self._settled)
 
@@ -153,36 +153,36 @@ class RecursiveInstrumental(RecursiveLeastSquares):
         """The estimate so far, (p,).
 
         Raises:
-            SingularError: rows and prior determine none.
+            SingularError: rows and prior do not determine it.
         """
         p, sums = self.rls.parameters, self.instruments.sums[0].sum(axis=0)  # empty slots are zero
         information, right = self.rls.prior_equations()
         return _solved(sums[:, p : 2 * p] + information, sums[:, -1] + right)
 
     def least_squares(self) -> FloatArray:
-        """What the least squares says, its regressor's noise taken out as far as it is known, (p,); to predict with."""
-        return super().honest(np.zeros(self.rls.considered)).mean
+        """Least squares estimate corrected for known regressor noise, (p,); used to predict motion."""
+        return super().block_jackknife(np.zeros(self.rls.considered)).mean
 
-    def honest(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> "InstrumentalEstimate":
-        """The estimate with its honest covariance."""
+    def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> "InstrumentalEstimate":
+        """The estimate with its block-jackknife covariance."""
         return InstrumentalEstimate(self.rls, self.instruments, considered_sigma, level)
 
 
-class InstrumentalEstimate(HonestEstimate):
-    """An estimate by instruments, with the intervals of :class:`HonestEstimate`.
+class InstrumentalEstimate(JackknifeEstimate):
+    """An estimate by instruments, with the intervals of :class:`JackknifeEstimate`.
 
-    Rows of angular acceleration err less than independent ones: what is too much in one is too little in the next. So
-    the formal covariance is a floor only as long as there are few blocks.
+    Errors of successive angular-acceleration rows are negatively correlated, so the true covariance may be below the
+    formal one: that is a lower bound only while there are few blocks.
 
     Args:
-        rls: has the prior.
+        rls: least squares, source of the prior.
         blocks: the rows and their instruments.
         considered_sigma: (k,).
         level: coverage of the two-sided intervals.
 
     Raises:
-        SingularError: rows and prior determine no estimate.
-        RowError: a wrong number of considered sigmas, or a level outside (0, 1).
+        SingularError: rows and prior do not determine the estimate.
+        RowError: wrong number of considered sigmas, or a level outside (0, 1).
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class InstrumentalEstimate(HonestEstimate):
 
 
 def _solved(A: FloatArray, b: FloatArray) -> FloatArray:
-    """``A^-1 b`` in the units that make A's diagonal one."""
+    """``A^-1 b``, solved with A scaled to unit diagonal."""
     scale = np.sqrt(np.abs(np.diag(A)))
     if not (scale > 0.0).all():
         raise SingularError("neither rows nor prior determine every parameter; give a prior, or move more")

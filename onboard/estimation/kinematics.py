@@ -1,20 +1,21 @@
-"""Kinematics of encoders (and of any signal) by a steady-state Kalman filter, and by its smoother.
+"""Kernels equivalent to a steady-state Kalman filter and its smoother; kinematics of sampled positions.
 
-The signal is four integrators driven by white noise (snap of a joint). In its steady state the Kalman filter is a fixed
-linear filter, and of its poles D two kernels are made for :class:`onboard.estimation.smoothing.SmoothingWindow`:
+The signal model is four integrators driven by white noise (snap of a joint). The steady-state Kalman filter is a fixed
+linear filter; from its poles D two kernels for :class:`onboard.estimation.smoothing.SmoothingWindow` are made:
 
 - ``FILTER``: ``G(s) = D(0) / D(s)``, causal: only samples before the newest. The filter's own estimates of position,
   rate and acceleration pass three different bands; rows need the *same* operator on both sides, so every derivative is
-  taken of what G lets pass. G's third derivative is the Kalman filter's estimate of the jerk.
-- ``SMOOTHER``: ``G(s) G(-s) = 1 / (1 + (s/w)^8)``: what the Rauch-Tung-Striebel smoother is away from the ends of a
-  record. Its derivatives are consistent by themselves.
+  taken of the output of G. G's third derivative is the Kalman filter's estimate of the jerk.
+- ``SMOOTHER``: ``G(s) G(-s) = 1 / (1 + (s/w)^8)``: the Rauch-Tung-Striebel smoother away from the ends of a record. Its
+  derivatives are consistent by themselves.
 
-As windows they serve samples at any times, of all channels at whatever rates, with gaps refused and the noise of every
-derivative known. What they leave out is what the filter remembers from beyond the window, some 1e-4.
+As window kernels they accept samples at any times and rates, detect gaps and give the noise of every derivative. The
+truncated part of the impulse response beyond the window is some 1e-4.
 
-Known limits: a tick lies in the middle of its window, so what the filter says is of an instant 0.42 widths after it,
-0.08 before the newest sample, in all channels alike. The filter's second moment about that is not zero: products of
-filtered signals are wrong by the square of its width, where kernels with samples on both sides are by the fourth power.
+Known limits: a tick lies in the middle of its window, while the filter's output refers to an instant 0.42 widths after
+it (0.08 before the newest sample), in all channels alike. The filter's second moment about that is not zero: products
+of filtered signals are wrong by the square of its width, where kernels with samples on both sides are by the fourth
+power.
 """
 
 from functools import cache
@@ -32,9 +33,9 @@ from onboard.estimation.smoothing import Kernel, SmoothingWindow
 
 ORDER = 4  # integrators
 FILTER_BAND, SMOOTHER_BAND = 32.0, 56.0  # the filter's natural frequency times the window's width
-_POLE_STEP = 0.01  # sample period times band, at which the discrete filter is taken for the continuous one
+_POLE_STEP = 0.01  # sample period times band at which the discrete filter approximates the continuous one
 _TRANSITION = expm(np.eye(ORDER, k=1))  # over one sample period, its length the unit of time
-_STEADY = 1e-13  # relative change of the gain that counts as none
+_STEADY = 1e-13  # relative change of the gain taken as converged
 
 
 def steady_gain(period_s: float, frequency_rad_s: float) -> FloatArray:
@@ -45,12 +46,12 @@ def steady_gain(period_s: float, frequency_rad_s: float) -> FloatArray:
         frequency_rad_s: edge of the band: ``(q / r)^(1/8)``, q the spectral density of the snap, r that of the noise.
 
     Raises:
-        RowError: an argument that is not positive, or a band that the samples do not show.
+        RowError: argument not positive, or a band beyond what the sample rate resolves.
     """
     if not (period_s > 0.0 and 0.0 < frequency_rad_s * period_s < 1.0):
         raise RowError(f"{frequency_rad_s} rad/s by samples every {period_s} s; sample six times a period and more")
     kalman = KalmanFilter(dim_x=ORDER, dim_z=1)
-    kalman.F = _TRANSITION  # in units of the sample period everything is of order one; the gain is scaled back
+    kalman.F = _TRANSITION  # solved in units of the sample period (well scaled); the gain is scaled back
     kalman.H = np.eye(1, ORDER)
     kalman.Q = Q_continuous_white_noise(ORDER, 1.0, (frequency_rad_s * period_s) ** (2 * ORDER))
     kalman.R = np.eye(1)
@@ -64,12 +65,12 @@ def steady_gain(period_s: float, frequency_rad_s: float) -> FloatArray:
 
 
 class Decay:
-    """A sum of decaying oscillations of the distance from the newest sample, or from the middle on both sides.
+    """Sum of decaying oscillations in the distance from the newest sample, or from the middle on both sides.
 
     Args:
-        factors: complex, (k,); the real part of the sum counts.
-        poles: complex, (k,), per window's width.
-        both: whether it is even about the middle of the window, else it begins at the newest sample.
+        factors: complex, (k,); the real part of the sum is used.
+        poles: complex, (k,), per window width.
+        both: even about the middle of the window; else it begins at the newest sample.
         derivative: with respect to the place in the window.
     """
 
@@ -105,14 +106,14 @@ def _kernel(factors: ComplexArray, poles: ComplexArray, both: bool) -> Kernel:
 
 @cache
 def filter_kernel() -> Kernel:
-    """The steady-state Kalman filter; the newest sample of a window is the one it has just taken in."""
+    """Kernel of the steady-state Kalman filter; it ends at the newest sample of the window."""
     poles, factors = _poles(FILTER_BAND)
     return _kernel(factors, poles, False)
 
 
 @cache
 def smoother_kernel() -> Kernel:
-    """The steady-state Rauch-Tung-Striebel smoother."""
+    """Kernel of the steady-state Rauch-Tung-Striebel smoother."""
     poles, factors = _poles(SMOOTHER_BAND)
     # the autocorrelation of the filter's response
     return _kernel(factors * (factors / -(poles[:, None] + poles)).sum(axis=1), poles, True)

@@ -1,6 +1,6 @@
-"""Non-linear least squares with a prior: maximum likelihood of what was measured, and the bound nobody can beat.
+"""Non-linear least squares with a prior: maximum likelihood fit and Cramer-Rao bound.
 
-Levenberg and Marquardt's iteration on whitened residuals. With residuals in units of their own sigma the inverse of
+Levenberg-Marquardt iteration on whitened residuals. With residuals in units of their own sigma the inverse of
 ``J' J`` (prior rows included) is the covariance at the solution, and at the true parameters the Cramer-Rao bound.
 """
 
@@ -15,7 +15,7 @@ from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 
 
 class Fit(NamedTuple):
-    """The minimum of a sum of squares."""
+    """Minimum of the sum of squares."""
 
     x: FloatArray  # (p,)
     covariance: FloatArray  # (p, p)
@@ -31,7 +31,7 @@ def covariance_of(jacobian: FloatArray, prior_information: FloatArray) -> FloatA
         prior_information: (p, p); zero where nothing is known.
 
     Raises:
-        SingularError: a direction that neither rows nor prior determine.
+        SingularError: a direction determined by neither rows nor prior.
     """
     information = jacobian.T @ jacobian + prior_information
     scale = np.sqrt(np.diag(information))
@@ -61,7 +61,7 @@ def fit(
         prior_mean: x0, (p,).
         prior_information: L, (p, p), positive semi-definite.
         iterations: at most.
-        tolerance: a promised decrease of the whitened sum of squares that is worth no other step.
+        tolerance: predicted decrease of the whitened sum of squares below which the iteration stops.
 
     Raises:
         ConvergenceError: no minimum within ``iterations``.
@@ -71,7 +71,7 @@ def fit(
     x = np.asarray(start, np.float64).copy()
 
     def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is refused for its cost
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflowing step has infinite cost and is refused
             residual, jacobian = predict(at)
             away = at - prior_mean
             return residual, jacobian, float(residual @ residual + away @ prior_information @ away)

@@ -1,7 +1,7 @@
-"""How long rows count, and one place where they go: the square-root recursion and its blocks, fed alike.
+"""Least squares with growing, fading or sliding-window memory: square-root recursion plus blocks for intervals.
 
-Growing, fading and windowed least squares differ in what becomes of earlier rows and in nothing else. Time comes with
-the rows; where it goes back (another log begins), no time is taken to have passed.
+The three differ only in the weight of earlier rows. Time comes with the rows; where it goes back (start of another
+log), no time is taken to have passed.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.errors import RowError
 from onboard.estimation.rls import SquareRootRls
 from onboard.estimation.window import WindowRls
@@ -18,15 +18,15 @@ from onboard.estimation.window import WindowRls
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """For ever, unless one of the two is given.
+    """Memory of the estimator: all rows, unless one of the two is given.
 
     Attributes:
-        forgetting_s: a row's weight falls by 1/e in this time. What is claimed then is the covariance of parameters
-            that may have drifted so: for constant ones the interval is up to a factor of the square root of 2 too wide.
-        window_s: rows count in full for this long, and not at all one block later.
+        forgetting_s: a row's weight falls by 1/e in this time. The covariance is that of drifting parameters: for
+            constant ones the interval is up to sqrt(2) too wide.
+        window_s: rows have full weight for this long, and none one block later.
 
     Raises:
-        RowError: both, or a time that is not positive.
+        RowError: both given, or a time that is not positive.
     """
 
     forgetting_s: float | None = None
@@ -44,17 +44,17 @@ FOR_EVER = Memory()
 
 
 class RecursiveLeastSquares:
-    """Least squares with honest intervals under any :class:`Memory`.
+    """Least squares with block-jackknife intervals under any :class:`Memory`.
 
     Args:
         parameters: p.
         considered: k, as for :class:`SquareRootRls`.
-        block_s: first length of the blocks that make the interval honest, and length of those that leave a window.
-        memory: how long rows count.
+        block_s: first length of the jackknife blocks, and length of the blocks that leave a window.
+        memory: weighting of earlier rows.
 
     Attributes:
         rls: the recursion.
-        blocks: the same rows by blocks of time, weighted alike.
+        blocks: the same rows per block of time, with the same weights.
 
     Raises:
         RowError: see :class:`SquareRootRls` and :class:`BlockScores`.
@@ -80,7 +80,7 @@ class RecursiveLeastSquares:
         C: FloatArray | None = None,
         noise: FloatArray | None = None,
     ) -> None:
-        """Takes rows in.
+        """Adds rows.
 
         Args:
             times_s: (m,) time of each row, not decreasing.
@@ -125,7 +125,7 @@ class RecursiveLeastSquares:
                 self.rls.close_block()
             columns, doubt = (None if part is None else part[mine] for part in (C, noise))
             self.rls.update(Y[mine], y[mine], sigma[mine], columns)
-            # A log that begins anew goes on in the newest block.
+            # A log that begins again continues in the newest block.
             newest_s = float(times_s[mine][-1]) if self._last_s is None or steps > 0 else self._last_s
             at_s = np.full(int(mine.sum()), newest_s)
             self.blocks.add(at_s, Y[mine], y[mine], sigma[mine], doubt)
@@ -138,6 +138,6 @@ class RecursiveLeastSquares:
     def _keep_from(self, newest_s: float, blocks: int) -> None:
         self.blocks.keep_from(newest_s, blocks)
 
-    def honest(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> HonestEstimate:
-        """The estimate with its honest covariance; see :class:`HonestEstimate`."""
-        return HonestEstimate(self.rls, self.blocks, considered_sigma, level)
+    def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> JackknifeEstimate:
+        """The estimate with its block-jackknife covariance; see :class:`JackknifeEstimate`."""
+        return JackknifeEstimate(self.rls, self.blocks, considered_sigma, level)

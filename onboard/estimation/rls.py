@@ -1,16 +1,15 @@
-"""Recursive least squares in square-root information form, on one LAPACK kernel.
+"""Recursive least squares in square-root information form (Bierman 1977; Golub and Van Loan), by LAPACK ``dtpqrt``.
 
-The state is the triangular factor of all rows so far, ``[R R_c z]`` over ``[0 R_cc z_c]`` over ``[0 0 e]``: new rows go
-below it and ``dtpqrt`` makes it triangular again, in place. The same kernel is the recursive update, the exponentially
-forgetting one, and the batch solve of hours of rows in constant memory. Information is never formed or subtracted, so
-the covariance stays positive definite over any number of updates.
+The state is the triangular factor of all rows so far, ``[R R_c z]`` over ``[0 R_cc z_c]`` over ``[0 0 e]``: new rows
+are appended below it and ``dtpqrt`` re-triangularises it in place. The same kernel serves the recursive update,
+exponential forgetting, and the batch solution of hours of rows in constant memory. Information is never formed or
+subtracted, so the covariance stays positive definite over any number of updates.
 
-Two things come with every row beside its parameters' columns:
+Every row carries, beside its parameter columns:
 
-- *considered* parameters c: quantities that are wrong by a known sigma, common to many rows, and not estimated (the
-  scale of a load cell, a time offset). Their columns ride along, and the solution says how the estimate moves with
-  them (Schmidt's consider covariance).
-- the right-hand side, which leaves the residual sum in the last diagonal.
+- columns of *considered* parameters c: errors of known sigma, common to many rows and not estimated (scale of a load
+  cell, a time offset). The solution includes the sensitivity of the estimate to them (Schmidt's consider covariance).
+- the right-hand side, which leaves the residual sum in the last diagonal element.
 """
 
 import math
@@ -28,25 +27,25 @@ _RANK_TOLERANCE = 1e-11  # of a column of R against the column's own norm
 
 
 class Solution(NamedTuple):
-    """What the rows so far say, under the sigmas that came with them."""
+    """Estimate from the rows so far, under their stated sigmas."""
 
     mean: FloatArray  # (p,)
-    covariance: FloatArray  # (p, p) rows taken as independent; see onboard.estimation.consistency for the honest one
+    covariance: FloatArray  # (p, p) rows taken as independent; see onboard.estimation.consistency for correlated ones
     sensitivity: FloatArray  # (p, k) change of the mean per unit of each considered parameter
     residual_sum: float  # of (residual / sigma)^2, prior rows included: chi-squared, rows - p + prior rows
-    rows: float  # how many, each counted with its forgetting
+    rows: float  # number of rows, each weighted with its forgetting
 
 
 class Observability(NamedTuple):
-    """What the data, apart from the prior, have determined so far."""
+    """Information of the data relative to the prior."""
 
-    shrinkage: FloatArray  # (p,) posterior sigma over prior sigma of each parameter; 1 where the data said nothing
+    shrinkage: FloatArray  # (p,) posterior sigma over prior sigma of each parameter; 1 without information
     gain: FloatArray  # (p,) information of the data along each direction, in units of the prior's; ascending
     directions: FloatArray  # (p, p) columns, in units of the parameters, one prior sigma long
 
 
 class RlsState(NamedTuple):
-    """Everything the estimator is, for a checkpoint."""
+    """Complete state of the estimator, for a checkpoint."""
 
     triangle: FloatArray
     prior_rows: FloatArray
@@ -54,7 +53,7 @@ class RlsState(NamedTuple):
 
 
 def merged(triangle: FloatArray, rows: FloatArray, triangular: bool = False) -> FloatArray:
-    """The triangle of rows that have one and of others, (s, s); both arguments are used up.
+    """Triangular factor of a triangle and further rows, (s, s); both arguments are overwritten.
 
     Args:
         triangle: upper triangular, (s, s), in Fortran's order.
@@ -75,12 +74,12 @@ class SquareRootRls:
 
     Args:
         parameters: p.
-        considered: k, parameters that are not estimated but whose sigma the estimate carries.
+        considered: k, parameters not estimated, whose sigma enters the covariance.
         forgetting: factor per update call on the information of earlier *rows*, in (0, 1]. The prior is not forgotten,
-            so directions without excitation fall back to it and never wind up.
+            so directions without excitation fall back to it (no covariance wind-up).
 
     Raises:
-        RowError: a dimension or factor out of its range.
+        RowError: dimension or factor out of range.
     """
 
     def __init__(self, parameters: int, considered: int = 0, forgetting: float = 1.0) -> None:
@@ -99,17 +98,16 @@ class SquareRootRls:
         self._prior_normal: tuple[FloatArray, FloatArray] | None = None
 
     def prior(self, mean: ArrayLike, sigma: ArrayLike, sensitivity: ArrayLike | None = None) -> None:
-        """Adds what is known before any row, and is not forgotten.
+        """Adds the prior, which is not forgotten.
 
         Args:
             mean: (p,).
             sigma: (p,) standard deviations, ``inf`` where nothing is known, or a (p, p) positive definite covariance.
-            sensitivity: (p, k) change of ``mean`` per unit of each considered parameter, where it came from rows that
-                had the same ones; they are no part of ``sigma``.
+            sensitivity: (p, k) change of ``mean`` per unit of each considered parameter, if it was estimated from rows
+                with the same ones; their part is not included in ``sigma``.
 
         Raises:
-            RowError: wrong shapes, a mean that is not finite, a sigma that is not positive, a covariance that is not
-                positive definite.
+            RowError: wrong shapes, mean not finite, sigma not positive, covariance not positive definite.
         """
         p = self.parameters
         center = np.asarray(mean, np.float64)
@@ -147,7 +145,7 @@ class SquareRootRls:
         C: FloatArray | None = None,
         forgetting: float | None = None,
     ) -> None:
-        """Takes a batch of rows in.
+        """Adds a batch of rows.
 
         Args:
             Y: (m, p).
@@ -157,8 +155,7 @@ class SquareRootRls:
             forgetting: factor on the information of earlier rows, in (0, 1]; the estimator's own where not given.
 
         Raises:
-            RowError: a shape that does not fit, a number that is not finite, a sigma that is not positive. The
-                estimator is unchanged then.
+            RowError: wrong shape, number not finite, sigma not positive. The estimator is unchanged then.
         """
         rows = self._weighted(Y, y, sigma, C)
         if rows is None:
@@ -168,7 +165,7 @@ class SquareRootRls:
             raise RowError(f"the forgetting factor is {factor}; give one in (0, 1]")
         if factor < 1.0:
             self._triangle *= np.sqrt(factor)
-            if self._prior_rows.shape[0]:  # what forgetting takes from the prior is put back
+            if self._prior_rows.shape[0]:  # restores the prior information reduced by forgetting
                 rows = np.asfortranarray(np.vstack([rows, np.sqrt(1.0 - factor) * self._prior_rows]))
         self._absorb(rows)
         self.rows = self.rows * factor + y.shape[0]
@@ -189,7 +186,7 @@ class SquareRootRls:
         rows[:, -1] = y
         rows /= sigma[:, None]
         flat = rows.ravel(order="K")
-        if not math.isfinite(np.vdot(flat, flat)):  # a NaN or an infinity anywhere ends up in the sum of squares
+        if not math.isfinite(np.vdot(flat, flat)):  # any NaN or infinity propagates into the sum of squares
             raise RowError("rows must be finite; gate them before they come here")
         return rows
 
@@ -197,7 +194,7 @@ class SquareRootRls:
         self._triangle, self._sound = merged(self._triangle, rows), None
 
     def _check_rank(self) -> FloatArray:
-        """R, (p, p), in Fortran's order, once it is known to be of full rank; kept until rows come."""
+        """R, (p, p), in Fortran order, after a rank check; cached until rows are added."""
         if self._sound is not None:
             return self._sound
         R = np.asfortranarray(self._triangle[: self.parameters, : self.parameters])
@@ -216,7 +213,7 @@ class SquareRootRls:
         """The estimate and its formal covariance.
 
         Raises:
-            SingularError: a parameter that neither rows nor prior determine; the message names it.
+            SingularError: a parameter determined by neither rows nor prior; the message names it.
         """
         p = self.parameters
         R = self._check_rank()
@@ -266,15 +263,15 @@ class SquareRootRls:
         return information.copy(), right.copy()
 
     def observability(self) -> Observability:
-        """What the rows have added to the prior, by parameter and by direction.
+        """Information added to the prior by the rows, per parameter and per direction.
 
         Raises:
-            SingularError: no full prior to compare with.
+            SingularError: the prior is not of full rank.
         """
         p = self.parameters
         factor, info = lapack.dpotrf(self.prior_equations()[0], lower=1, clean=1)  # L L' = prior information
         if info != 0:
-            raise SingularError("observability is told against the prior; give every parameter a finite prior sigma")
+            raise SingularError("observability is relative to the prior; give every parameter a finite prior sigma")
         root = np.linalg.inv(factor).T  # prior covariance = root root'
         _, singular, vt = np.linalg.svd(self._triangle[:p, :p] @ root)
         directions = root @ vt.T
@@ -292,10 +289,10 @@ class SquareRootRls:
         return RlsState(self._triangle.copy(order="F"), self._prior_rows.copy(), self.rows)
 
     def restore(self, state: RlsState) -> None:
-        """Goes on from a checkpoint.
+        """Restores a checkpoint.
 
         Raises:
-            RowError: a state of other dimensions, or not finite.
+            RowError: state of other dimensions, or not finite.
         """
         size = (self._size, self._size)
         if state.triangle.shape != size or state.prior_rows.shape[1:] != (self._size,):

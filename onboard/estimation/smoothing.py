@@ -1,4 +1,4 @@
-"""One smooth low-pass kernel and its derivatives, applied to irregularly timed samples.
+"""Low-pass kernel (B-spline) and its derivatives, applied to irregularly timed samples.
 
 Both sides of every measurement row go through the *same* filter, so that a linear relation between signals stays
 exact after smoothing: for one kernel h, ``(h * q)'' = h'' * q = h * (q'')``. The kernel is
@@ -6,11 +6,11 @@ exact after smoothing: for one kernel h, ``(h * q)'' = h'' * q = h * (q'')``. Th
     h = B - (mu_2 / 2) B''
 
 with B the B-spline of order 8 stretched over the full width W and ``mu_2 = W^2 / 96`` its second moment. The second
-moment of h is therefore zero: h passes cubics unchanged, and products of smoothed signals (the rows are not linear in
-the rates) are wrong by the fourth power of the width only, not by the second.
+moment of h is therefore zero: h passes cubics unchanged, and the error of products of smoothed signals (rows are not
+linear in the rates) is of fourth order in the width, not of second.
 
-Known limits: the kernel is centred, so a tick can be made only when samples up to half a width after it have arrived
-(fixed-lag smoothing). It is 3 dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
+Known limits: the kernel is centred, so a tick needs samples up to half a width after it (fixed-lag smoothing). It is 3
+dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from scipy.interpolate import BSpline, PPoly
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import RowError
 
-ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, which h'' needs, is still smooth
+ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, needed for h'', is smooth
 _MU2 = 1.0 / (12.0 * ORDER)  # second moment of B on a full width of one
 _MIN_SAMPLES = 5
 _CHUNK_CELLS = 200_000
@@ -42,10 +42,10 @@ Shape = Callable[[FloatArray], FloatArray]
 
 
 class Kernel(NamedTuple):
-    """What weighs the samples about a tick: ``y(t) = integral K(u) x(t + u W) du`` over -1/2..1/2.
+    """Weighting function of the samples about a tick: ``y(t) = integral K(u) x(t + u W) du`` over -1/2..1/2.
 
-    Its integral is one. Where its moments are not zero, what comes out lies beside the tick (a filter without samples
-    from after it lags), for every signal alike.
+    Its integral is one. With a first moment other than zero the output refers to an instant beside the tick (the lag of
+    a causal filter), the same for every signal.
     """
 
     parts: tuple[Shape, Shape, Shape]  # K, K', K''
@@ -54,11 +54,11 @@ class Kernel(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """Width of what lies evenly about its first moment: there the samples are that put its quadrature right."""
+        """Width of the region centred on its first moment, whose samples correct the quadrature."""
         return 1.0 - 2.0 * abs(self.first_moment)
 
     def of_powers(self, derivative: int) -> FloatArray:
-        """The derivative at the tick of what 1, u and u^2 become, (3,)."""
+        """Derivative at the tick of the kernel's output for 1, u and u^2, (3,)."""
         m1, m2 = self.first_moment, self.second_moment
         return np.array([[1.0, m1, m2], [0.0, 1.0, 2.0 * m1], [0.0, 0.0, 2.0]][derivative])
 
@@ -84,14 +84,14 @@ _BASE, SPLINE = _unit_kernels()
 
 
 class SmoothingWindow:
-    """The samples under the kernel at each of a few ticks; weights for any derivative of anything sampled so.
+    """Samples under the kernel at each tick, and their weights for any derivative of signals at these sample times.
 
     Args:
         times_s: sample times, (k,), strictly increasing, not necessarily even.
         at_s: ticks, (n,), in any order.
         width_s: full width of the kernel.
-        max_gap_s: a tick is invalid when, within its window, two neighbouring samples (or a sample and the window's
-            edge) are further apart than this. A fifth of the width where not given.
+        max_gap_s: a tick is invalid if two neighbouring samples of its window (or a sample and the window's edge) are
+            further apart. Default: a fifth of the width.
         kernel: :data:`SPLINE`, or one of :mod:`onboard.estimation.kinematics`.
 
     Raises:
@@ -143,9 +143,8 @@ class SmoothingWindow:
     def weights(self, derivative: int = 0) -> FloatArray:
         """Weights, (n, l), of the samples under each window; rows of invalid ticks are zero.
 
-        The kernel's samples times the trapezoidal cells, plus the smallest correction (weighted with B about its
-        middle) that makes the derivative of polynomials of degree two what the kernel makes of it, whatever the sample
-        times are.
+        Kernel values times trapezoidal cells, plus the smallest correction (weighted with B about its middle) that
+        makes the derivative of quadratic polynomials equal to the kernel's, for any sample times.
         """
         if derivative not in (0, 1, 2):
             raise RowError(f"derivative {derivative} is not one of 0, 1, 2")
@@ -169,7 +168,7 @@ class SmoothingWindow:
 
     @cached_property
     def _correction(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of the v valid windows: places u (v, l), their powers (v, l, 3), weights per moment missing (v, l, 3)."""
+        """For the v valid windows: places u (v, l), their powers (v, l, 3), weights per moment error (v, l, 3)."""
         u = self._u[self.valid]
         powers = np.stack([np.ones_like(u), u, u * u], axis=-1)
         about = (u - self.kernel.first_moment) / self.kernel.reach
@@ -220,7 +219,7 @@ def smooth(
         at_s: ticks, (n,).
         width_s: full width of the kernel.
         derivative: 0, 1 or 2.
-        max_gap_s: the longest hole a window may have; a fifth of the width where not given.
+        max_gap_s: longest gap in a window; default: a fifth of the width.
 
     Raises:
         RowError: see :class:`SmoothingWindow`.
@@ -228,7 +227,7 @@ def smooth(
     times = np.asarray(times_s, np.float64)
     columns = np.asarray(values, np.float64)
     at = np.atleast_1d(np.asarray(at_s, np.float64))
-    # No more ticks at once than keep (ticks x samples under the kernel) small; what is not sound is refused below.
+    # Ticks are processed in groups that keep (ticks x samples under the kernel) small; bad arguments are refused below.
     spacing = (times[-1] - times[0]) / (times.size - 1) if times.size > 1 else 0.0
     step = max(1, int(_CHUNK_CELLS * spacing / width_s)) if 0.0 < spacing < np.inf and width_s > 0.0 else at.size
     if at.size <= step:
@@ -247,7 +246,7 @@ def smooth(
 
 
 class Response:
-    """What a kernel lets through: gain of a sine by its frequency, of its value and its two derivatives.
+    """Frequency response of a kernel: gain of a sine, for the value and the two derivatives.
 
     Args:
         width_s: full width of the kernel.
@@ -257,21 +256,22 @@ class Response:
     def __init__(self, width_s: float, kernel: Kernel = SPLINE) -> None:
         u = np.linspace(-0.5, 0.5, 1001)
         self._width_s = width_s
-        self._turns = np.arange(0.0, 60.0, 0.1)  # angle over the kernel; far beyond what any kernel lets through
-        waves = np.exp(1j * self._turns[:, None] * u)
+        self._phases = np.arange(0.0, 60.0, 0.1)  # phase over the kernel width, far beyond any kernel's pass band
+        waves = np.exp(1j * self._phases[:, None] * u)
         self._gains = [np.abs(waves @ part(u)) * (u[1] - u[0]) / width_s**k for k, part in enumerate(kernel.parts)]
 
     def gain(self, rate_rad_s: FloatArray, derivative: int = 0) -> FloatArray:
         """Amplitude of the derivative per amplitude of a sine of these angular frequencies."""
-        gain = np.interp(np.abs(rate_rad_s) * self._width_s, self._turns, self._gains[derivative], right=0.0)
+        gain = np.interp(np.abs(rate_rad_s) * self._width_s, self._phases, self._gains[derivative], right=0.0)
         return np.asarray(gain, np.float64)
 
 
 def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = SPLINE) -> float:
-    """Factor on the sigma of smoothed rows that makes a least squares without correlations weigh them right.
+    """Factor on the sigma of smoothed rows that accounts for their correlation in a least squares without it.
 
     Neighbouring rows share samples, so their errors are correlated. For a regressor that changes slowly over the
-    kernel, N rows with sigma ``s * inflation`` carry what the correlated rows carry: the square root of the sum of the
+    kernel, N rows with sigma ``s * inflation`` carry the same information as the correlated rows: the square root of
+        the sum of the
     row-error autocorrelations, ``sum_k rho(k T)``, white sample noise assumed.
 
     Args:

@@ -1,13 +1,13 @@
-"""Least squares over a sliding window, exact for ever: nothing is ever taken away from a triangle.
+"""Least squares over a sliding window without downdating: a queue of triangular factors made of two stacks.
 
-Rows come in blocks. Each closed block is kept as the small triangle of its rows, and the window is a queue made of two
-stacks of such triangles. The back stack has its blocks one by one and the triangle of all of them; the front stack has,
-for each block, the triangle of that block and all younger ones on the stack. A block leaves by dropping the top of the
-front stack. When that is empty the back stack is turned over, which merges every block once: so a block costs a
-constant number of merges, and every triangle in use was made from rows of the window by orthogonal transformations
-alone. Downdating, which subtracts, would lose digits with every step.
+Rows come in blocks. Each closed block is kept as the triangular factor of its rows, and the window is a queue made of
+two stacks. The back stack has its blocks one by one and the triangle of all of them; the front stack has, for each
+block, the triangle of that block and all younger ones on the stack. A block leaves by dropping the top of the front
+stack. When that is empty, the back stack is transferred to it, which merges every block once. A block thus costs a
+constant number of merges, and every triangle is made from rows of the window by orthogonal transformations only;
+downdating would lose digits with every step.
 
-Known limits: the step that turns the stack over takes as many merges as the window has blocks (10 us each at ten
+Known limits: the step that transfers the stack takes as many merges as the window has blocks (10 us each at ten
 parameters); the others take three.
 """
 
@@ -20,7 +20,7 @@ from onboard.estimation.rls import RlsState, SquareRootRls, merged
 
 
 class WindowRls(SquareRootRls):
-    """Square-root least squares of the newest block of rows and a number of closed ones before it; the prior stays.
+    """Square-root least squares of the newest block of rows and ``blocks`` closed ones before it, plus the prior.
 
     Args:
         parameters: p.
@@ -28,7 +28,7 @@ class WindowRls(SquareRootRls):
         blocks: closed blocks kept beside the one that is being filled.
 
     Raises:
-        RowError: a dimension out of its range.
+        RowError: dimension out of range.
     """
 
     def __init__(self, parameters: int, considered: int = 0, blocks: int = 1) -> None:
@@ -53,13 +53,13 @@ class WindowRls(SquareRootRls):
         C: FloatArray | None = None,
         forgetting: float | None = None,
     ) -> None:
-        """Takes rows into the newest block; see :meth:`SquareRootRls.update`.
+        """Adds rows to the newest block; see :meth:`SquareRootRls.update`.
 
         Raises:
-            RowError: as there, or a forgetting factor: a window forgets by :meth:`close_block`.
+            RowError: as there, or a forgetting factor given: a window forgets by :meth:`close_block`.
         """
         if forgetting is not None and forgetting != 1.0:
-            raise RowError("a window does not fade; close its blocks")
+            raise RowError("a window has no forgetting factor; close its blocks")
         rows = self._weighted(Y, y, sigma, C)
         if rows is None:
             return
@@ -69,7 +69,7 @@ class WindowRls(SquareRootRls):
         self.rows += y.shape[0]
 
     def close_block(self) -> None:
-        """Begins a new block; the oldest one leaves when there are more closed ones than the window has room for."""
+        """Begins a new block; drops the oldest if there are more than ``blocks`` closed ones."""
         self._back.append(self._newest)
         self._back_sum = merged(self._back_sum, self._newest.copy(order="F"), True)
         self._newest = self._nothing()
@@ -94,9 +94,9 @@ class WindowRls(SquareRootRls):
         del self._counts[0]
 
     def restore(self, state: RlsState) -> None:
-        """Refused: the triangle of a window does not tell its blocks apart.
+        """Refused: a single triangle does not contain the blocks of a window.
 
         Raises:
             RowError: always.
         """
-        raise RowError("a window cannot go on from one triangle; let its rows come in again")
+        raise RowError("a window cannot be restored from one triangle; add its rows again")

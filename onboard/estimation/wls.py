@@ -1,8 +1,8 @@
-"""Ordinary and weighted least squares of a batch, with the noise of each sensor told from its own residual.
+"""Ordinary and weighted least squares of a batch, with each sensor's noise estimated from its residual.
 
-Rows of one joint (or one cell) share a standard deviation nobody stated. The ordinary solution's residual tells it,
-and the weighted solution divides by it (Limparis 2.133-2.140). The rows go through the recursive kernel, so a batch of
-any length needs the memory of one chunk.
+Rows of one joint (or one cell) share an unknown standard deviation. It is estimated from the residual of the ordinary
+solution, and the weighted solution divides by it (Limparis 2.133-2.140). The rows go through the recursive kernel, so a
+batch of any length needs the memory of one chunk.
 """
 
 from collections.abc import Iterable
@@ -23,7 +23,7 @@ class Group(NamedTuple):
 
 
 class LeastSquares(NamedTuple):
-    """A batch's answer."""
+    """Solution of a batch."""
 
     mean: FloatArray  # (p,)
     covariance: FloatArray  # (p, p) rows taken as independent
@@ -32,7 +32,7 @@ class LeastSquares(NamedTuple):
 
     @property
     def relative_percent(self) -> FloatArray:
-        """Relative standard deviations in per cent, (p,) (2.140)."""
+        """Relative standard deviations in per cent, (p,) (Limparis 2.140)."""
         return np.asarray(100.0 * np.sqrt(np.diag(self.covariance)) / np.abs(self.mean), np.float64)
 
 
@@ -41,12 +41,12 @@ def least_squares(groups: Iterable[Group], weighted: bool, chunk: int = 1000) ->
 
     Args:
         groups: by sensor.
-        weighted: each group by the residual that the ordinary solution leaves it, else all by their common one.
-        chunk: rows taken in at once.
+        weighted: each group with the rms residual of its ordinary solution; else all with the common one.
+        chunk: rows added at once.
 
     Raises:
-        RowError: shapes that do not fit, or no more rows than parameters.
-        SingularError: parameters the rows do not tell apart.
+        RowError: wrong shapes, or no more rows than parameters.
+        SingularError: the rows do not determine all parameters.
     """
     parts = [Group(np.asarray(Y, np.float64), np.asarray(y, np.float64)) for Y, y in groups]
     rows, p = sum(part.y.size for part in parts), parts[0].Y.shape[1]

@@ -1,4 +1,5 @@
-"""A running flight for Foxglove and Lichtblick, over a WebSocket, by a process of its own that only reads the rings.
+"""Live view of a running flight in Foxglove or Lichtblick: a separate process serves the rings over a WebSocket.
 
-The flight knows nothing of it: no worker waits for it, and a viewer that is too slow loses messages or its connection.
+The process only reads the rings: no worker of the flight waits for it, and a slow viewer loses messages or its
+connection.
 """

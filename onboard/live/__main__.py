@@ -6,5 +6,5 @@ import foxglove
 
 from onboard.live.process import main
 
-foxglove.set_log_level("CRITICAL")  # or a line of text for every message that a stalled client does not take
+foxglove.set_log_level("CRITICAL")  # else one line of text per message dropped for a stalled client
 sys.exit(main(sys.argv[1:]))

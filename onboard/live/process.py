@@ -1,7 +1,7 @@
-"""The viewer's process, and how the command line starts and ends it.
+"""Process of the live server, and its start and end by the command line.
 
-It serves from before the flight begins, so that an address that cannot be had is refused while nothing flies, and goes
-when the flight has gone or it is told to.
+It starts before the flight, so that an unusable address is refused before take-off, and ends with the flight or on
+request.
 """
 
 import contextlib
@@ -23,13 +23,13 @@ _READY = "ready"
 
 @contextlib.contextmanager
 def serving(log: Path, address: str) -> Iterator[int]:
-    """A server for the flight that is recorded to ``log``, in a process of its own, for as long as the context lasts.
+    """Run a server process for the flight recorded to ``log`` while the context lasts.
 
     Yields:
         The port it listens on.
 
     Raises:
-        ValueError: the address is none or cannot be had, and why.
+        ValueError: the address is invalid or not available; the message gives the reason.
     """
     parse_address(address)
     command = [sys.executable, "-m", "onboard.live", str(log), address]
@@ -45,10 +45,10 @@ def serving(log: Path, address: str) -> Iterator[int]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Body of the process: the log's path and the address, checked already."""
+    """Body of the process; ``arguments`` are the log's path and the checked address."""
     log, address = Path(arguments[0]).absolute(), arguments[1]
     with contextlib.suppress(OSError):
-        os.nice(_NICENESS)  # the flight comes first
+        os.nice(_NICENESS)  # lower priority than the flight
     host, port = parse_address(address)
     try:
         server = Server(log.stem, host, port)
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     sys.stdout.write(f"{_READY} {server.port}\n")
     sys.stdout.flush()
-    with contextlib.suppress(KeyboardInterrupt):  # a terminal's ^C is for the flight, and ends it
+    with contextlib.suppress(KeyboardInterrupt):  # a terminal's ^C ends the flight, which ends this process
         _serve(server, log)
     server.close()
     return 0
@@ -72,7 +72,7 @@ def _serve(server: Server, log: Path) -> None:
             asked = _ASK_S
             found = next((flight.directory for flight in manifest.running() if flight.log == log), None)
             if directory is not None and found is None:
-                return  # it is over
+                return  # the flight has ended
             directory = found
         if directory is not None:
             server.pump(directory)

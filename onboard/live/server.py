@@ -1,8 +1,8 @@
-"""Rings to Foxglove's WebSocket protocol, by the Foxglove SDK.
+"""Serves the rings over Foxglove's WebSocket protocol, by the Foxglove SDK.
 
-Messages are those of the log: CDR behind ``ros2msg`` schemas, ``log_time`` the host's stamp. A viewer gets what is new
-while it is connected. What a client does not take waits in a queue of its own of ``BACKLOG`` messages, of which the
-oldest goes when it is full; the kernel ends the connection of one that has taken nothing for ``STALL_S``.
+Messages are those of the log: CDR behind ``ros2msg`` schemas, ``log_time`` the host's stamp. A viewer receives messages
+written while it is connected. Each client has a queue of ``BACKLOG`` messages, which drops the oldest when full; the
+kernel closes the connection of a client that has acknowledged nothing for ``STALL_S``.
 """
 
 import os
@@ -20,14 +20,14 @@ from onboard.ring import RingReader
 DEFAULT_ADDRESS = "127.0.0.1:8765"
 BACKLOG = 2048  # messages for one client: nearly half a second of everything at 5 kHz
 STALL_S = 5.0
-_MOST_ROWS = 1024  # of one ring in one look: the others are not kept waiting
+_MOST_ROWS = 1024  # per ring and pass, so that every ring is served
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """``HOST:PORT``, ``HOST`` or ``:PORT``; what is not given is that of :data:`DEFAULT_ADDRESS`.
+    """Parse ``HOST:PORT``, ``HOST`` or ``:PORT``; missing parts come from :data:`DEFAULT_ADDRESS`.
 
     Raises:
-        ValueError: no such address.
+        ValueError: not an address.
     """
     host, separator, port = text.rpartition(":") if ":" in text else (text, "", "")
     default_host, _, default_port = DEFAULT_ADDRESS.rpartition(":")
@@ -43,11 +43,11 @@ class Server:
         name: shown to clients.
         host: to bind to.
         port: to listen on; 0 takes any.
-        backlog: messages that wait for a client before the oldest goes.
-        stall_s: a client that takes nothing for so long is cut off.
+        backlog: queue length per client, messages; the oldest is dropped when full.
+        stall_s: time without acknowledgement after which a client is disconnected.
 
     Raises:
-        RuntimeError: the address cannot be had.
+        RuntimeError: the address is not available.
     """
 
     def __init__(self, name: str, host: str, port: int, backlog: int = BACKLOG, stall_s: float = STALL_S) -> None:
@@ -61,11 +61,11 @@ class Server:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Port it listens on."""
         return self._server.port
 
     def pump(self, directory: Path) -> int:
-        """Send what the rings in ``directory`` hold since the last call; returns how many messages.
+        """Send the rows written to the rings in ``directory`` since the last call; returns the number of messages.
 
         Raises:
             OSError: a ring cannot be read.
@@ -82,7 +82,7 @@ class Server:
         return count
 
     def close(self) -> None:
-        """Stop listening and forget the rings."""
+        """Stop listening and close the rings."""
         self._server.stop()
         for reader, _ in self._rings.values():
             reader.close()
@@ -95,7 +95,7 @@ class Server:
             try:
                 reader = RingReader(path)
             except (OSError, ValueError):
-                continue  # it is just being made: next time
+                continue  # ring under construction: retried in the next pass
             reader.position = reader.published
             text = ros2msg(reader.dtype)
             schema = foxglove.Schema(
@@ -106,16 +106,16 @@ class Server:
 
 
 def _cut_off_after(port: int, stall_s: float) -> None:
-    """Have the kernel end connections to ``port`` that acknowledge nothing for ``stall_s``, a closed window included.
+    """Have the kernel close connections to ``port`` that acknowledge nothing for ``stall_s``, even at zero window.
 
-    The SDK offers no such limit and keeps its socket to itself; but the option is inherited by what is accepted, and
-    the listening socket is one of this process's files.
+    The SDK offers neither such a limit nor its socket; but accepted connections inherit the option from the listening
+    socket, which is among this process's files.
     """
     for entry in Path("/proc/self/fd").iterdir():
         try:
             listening = socket.socket(fileno=os.dup(int(entry.name)))
         except OSError:
-            continue  # no socket, or the directory itself, closed by now
+            continue  # not a socket, or closed by now
         with listening:
             if listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and listening.getsockname()[1] == port:
                 listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * stall_s))
@@ -124,7 +124,7 @@ def _cut_off_after(port: int, stall_s: float) -> None:
 
 
 def messages(rows: Rows) -> Iterator[tuple[int, bytes]]:
-    """Stamp and message of each row (n,), as the log has it."""
+    """Stamp (ns) and CDR message of each row (n,), as in the log."""
     size = rows.dtype.itemsize
     data = np.ascontiguousarray(rows).tobytes()
     for number, at_ns in enumerate(rows["host_ns"].tolist()):

@@ -1,8 +1,8 @@
-"""A clock from arrival stamps alone: no sample arrives before it was taken, and now and then one is hardly late.
+"""Device clock from arrival stamps alone: a line through the least delayed arrivals.
 
-Of each stretch of time only the least late arrival counts; a line through the last of these, less the scatter of
-those about it (which, for lateness with an exponential tail, is what the least late one is late by on average), gives
-offset and rate. What every arrival is late by, and nobody told, stays in it.
+Of each block of time only the least delayed arrival is used; a line through the last of these, minus their scatter (for
+delays with an exponential tail the mean delay of the least delayed one), gives offset and rate. A constant delay beyond
+``delay_ns`` remains as an error of the offset.
 """
 
 import math
@@ -15,22 +15,22 @@ from onboard.timebase.clock import DRIFT_PER_S, ClockSolution, ClockState
 
 
 class ArrivalClock:
-    """Fits one device's clock to when its samples arrived.
+    """Fits one device's clock to the arrival times of its samples.
 
     Args:
         nominal_period_ns: data-sheet length of a tick.
-        tolerance: largest believable relative error of it.
-        delay_ns: known time from the sample to its arrival, at the least.
-        delay_sigma_ns: how well that is known.
-        drift_per_s: largest believable change of the relative rate in a second.
-        silent_after_s: without arrivals for so long it flywheels.
+        tolerance: largest relative error of it.
+        delay_ns: known lower bound of the time from the sample to its arrival.
+        delay_sigma_ns: its standard deviation.
+        drift_per_s: largest change of the relative rate per second.
+        silent_after_s: time without arrivals after which the clock flywheels.
     """
 
-    BLOCK_S = (0.05, 1.0)  # the first blocks are short: an answer is wanted early
+    BLOCK_S = (0.05, 1.0)  # the first blocks are short, for an early first fit
     BLOCKS = 16
     BLOCKS_TO_LOCK = 4
-    GATE_NS, GATE_SCATTERS = 3e6, 8.0  # off the line by more: the host stalled, or the device's clock jumped
-    FIRST_SCATTER_NS = 1e6  # the data sheet's rate weighs against arrivals that scatter so
+    GATE_NS, GATE_SCATTERS = 3e6, 8.0  # larger residuals: the host stalled, or the device's clock jumped
+    FIRST_SCATTER_NS = 1e6  # scatter assumed in weighing arrivals against the nominal rate
     STRANGERS_TO_RESTART = 3
     INVALID_SIGMA_NS = 20e6
 
@@ -50,11 +50,11 @@ class ArrivalClock:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything but the data sheet."""
+        """Restart from the nominal period."""
         self.state = ClockState.ACQUIRING
         self.marks = 0
         self.residual_ns = 0.0
-        self._blocks: deque[tuple[int, int]] = deque(maxlen=self.BLOCKS)  # (tick, host_ns) of the least late arrivals
+        self._blocks: deque[tuple[int, int]] = deque(maxlen=self.BLOCKS)  # (tick, host_ns), least delayed
         self._block: tuple[float, int, int] | None = None  # lateness, tick, host_ns
         self._block_ns = 0  # when the current one began
         self._strangers = 0
@@ -62,10 +62,10 @@ class ArrivalClock:
         self._scatter_ns, self._span_s = math.inf, 0.0
 
     def arrived(self, tick: int, host_ns: int) -> bool:
-        """Sample ``tick`` was there at ``host_ns``; returns whether the solution moved."""
+        """Take the arrival of sample ``tick`` at ``host_ns``; returns whether the solution changed."""
         gate_ns = self.GATE_NS + self.GATE_SCATTERS * self._scatter_ns
         if self.trusted and host_ns - self._due_ns(tick) < -gate_ns:
-            self.restart()  # before it was taken: the ticks are not what they were
+            self.restart()  # arrival before the sample: the ticks have restarted
         if not self._block_ns:
             self._block_ns, self._tick, self._time_ns = host_ns, tick, float(host_ns)
         lateness = host_ns - self._due_ns(tick)
@@ -121,7 +121,7 @@ class ArrivalClock:
 
     @property
     def trusted(self) -> bool:
-        """Whether :meth:`time_ns` means anything."""
+        """Whether :meth:`time_ns` is valid."""
         return self.state in (ClockState.LOCKED, ClockState.FLYWHEEL)
 
     @property
@@ -130,7 +130,7 @@ class ArrivalClock:
         return self._period_ns
 
     def time_ns(self, ticks: NDArray[np.generic] | float) -> NDArray[np.int64]:
-        """Vehicle time [ns] of ``ticks`` (n,), int64 (n,); the known delay removed."""
+        """Vehicle time [ns] of ``ticks`` (n,), known delay removed, int64 (n,)."""
         numbers = np.asarray(ticks)
         numbers = numbers.astype(np.int64) if numbers.dtype.kind in "ui" else numbers
         whole = int(self._time_ns)
@@ -139,7 +139,7 @@ class ArrivalClock:
         return times
 
     def tick_at(self, time_ns: int) -> float:
-        """The tick, a fraction, at vehicle time ``time_ns``."""
+        """Fractional tick at vehicle time ``time_ns``."""
         return self._tick + (time_ns + self.delay_ns - self._time_ns) / self._period_ns
 
     def sigma_ns(self, tick: float) -> float:
@@ -151,7 +151,7 @@ class ArrivalClock:
 
     @property
     def _sigma_ns(self) -> float:
-        """Of the newest end of the line: the scatter through the fit, and once more for what it was corrected by."""
+        """1-sigma at the newest end of the line [ns]: scatter through the fit, plus that of the correction."""
         n = max(len(self._blocks), 1)
         return self._scatter_ns * math.sqrt(4.0 / n + 0.25)
 
@@ -163,11 +163,11 @@ class ArrivalClock:
 
     @property
     def solution(self) -> ClockSolution:
-        """What was known at the last arrival that counted."""
+        """Solution at the last arrival used."""
         return self.solution_at(self._tick)
 
     def solution_at(self, tick: float) -> ClockSolution:
-        """The solution as it stands at ``tick``."""
+        """The solution referred to ``tick``."""
         return ClockSolution(
             tick,
             self._time_ns - self.delay_ns + (tick - self._tick) * self._period_ns,

@@ -1,13 +1,13 @@
-"""One device clock: vehicle time = offset + period x tick, with its uncertainty, from marks.
+"""Device clock from sync marks: vehicle time = offset + period x tick, with its uncertainty.
 
-A mark says that an event fell between two ticks of the device and between two vehicle times. Whatever offset and rate
-agree with all marks, and with a rate that drifts no faster than it may, is possible; the set of them is a convex
-polygon (:mod:`onboard.timebase.polygon`). The clock's answer is the polygon's centroid, the least-squares answer where
-the quantisation is uniform, and its sigma the polygon's own. Many marks of one sample period each so narrow the offset
-down as 1/N, where a mean would do as 1/sqrt(N), and no mark that is believed can move the answer out of the polygon.
+A mark bounds an event between two ticks of the device and between two vehicle times. The (offset, rate) pairs
+consistent with all marks and with a bounded drift of the rate form a convex polygon (:mod:`onboard.timebase.polygon`).
+The solution is the polygon's centroid (the mean for uniform quantisation error), its sigma that of the polygon. With N
+marks the offset's uncertainty falls as 1/N, against 1/sqrt(N) for a mean, and an accepted mark cannot move the solution
+out of the polygon.
 
-States follow the "time at the tone" model of flight software: a clock that has lost its marks, or doubts them,
-flywheels with a growing sigma, and one that cannot be trusted says so.
+States follow the "time at the tone" model of flight software: a clock without marks, or with contradicting ones,
+flywheels with a growing sigma and becomes invalid when that sigma is too large.
 """
 
 import math
@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 
 from onboard.timebase.polygon import Moments, Polygon, box, clip, moments, shear, widen
 
-DRIFT_PER_S = 100e-6 / 60.0  # 100 ppm a minute: a gyro-referenced oscillator that warms up
+DRIFT_PER_S = 100e-6 / 60.0  # 100 ppm per minute: a gyro-referenced oscillator warming up
 CRYSTAL_DRIFT_PER_S = 1e-6 / 60.0
-_SEARCH_NS = 1e9  # the newest mark narrows this down at once
+_SEARCH_NS = 1e9  # initial search range, narrowed by the first mark
 
 
 class ClockState(IntEnum):
-    """May this clock be trusted?"""
+    """State of a clock."""
 
     ACQUIRING = 0
     LOCKED = 1
-    FLYWHEEL = 2  # marks have stopped or contradict: going on at the last rate, sigma growing
+    FLYWHEEL = 2  # marks have stopped or contradict: extrapolated at the last rate, sigma growing
     INVALID = 3
 
 
@@ -56,7 +56,7 @@ class Mark(NamedTuple):
 
 
 class _View(NamedTuple):
-    """What is possible of (time of ``tick`` less ``base_ns`` [ns], rate error [ns/s])."""
+    """Polygon of the possible (time of ``tick`` minus ``base_ns`` [ns], rate error [ns/s])."""
 
     tick: float
     base_ns: int
@@ -68,17 +68,17 @@ class DeviceClock:
 
     Args:
         nominal_period_ns: data-sheet length of a tick; the true one may be ``tolerance`` off.
-        tolerance: largest believable relative error of the nominal period.
-        drift_per_s: largest believable change of the relative rate in a second.
-        flywheel_after_s: without marks for so long the clock flywheels.
-        invalid_sigma_ns: a flywheeling clock is invalid when its sigma has grown to this.
-        common_sigma_ns: what all marks are late by together, 1-sigma: a stamp is never early.
+        tolerance: largest relative error of the nominal period.
+        drift_per_s: largest change of the relative rate per second.
+        flywheel_after_s: time without marks after which the clock flywheels.
+        invalid_sigma_ns: sigma at which a flywheeling clock becomes invalid.
+        common_sigma_ns: common delay of all marks, 1-sigma (stamps are late, never early).
     """
 
     MARKS_TO_LOCK = 5
     MARKS_HELD = 8
     REJECTS_TO_REACQUIRE = 4
-    HEAL = 0.05  # of a refused mark's width: the polygon grows by so much, in case it was the polygon that was wrong
+    HEAL = 0.05  # share of a refused mark's width by which the polygon grows, in case the polygon was wrong
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class DeviceClock:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything but the data sheet: the device's tick began again."""
+        """Restart from the nominal period: the device's tick restarted."""
         self.state = ClockState.ACQUIRING
         self.marks = 0
         self.residual_ns = 0.0
@@ -113,14 +113,14 @@ class DeviceClock:
 
     @property
     def consecutive_rejects(self) -> int:
-        """Marks refused since the last one that was believed."""
+        """Marks refused since the last accepted one."""
         return len(self._refused)
 
     def mark(self, mark: Mark) -> bool:
-        """Take a mark in; returns whether it was believed. Marks come in order of tick."""
+        """Take a mark, in order of tick; returns whether it was accepted."""
         if self.state in (ClockState.ACQUIRING, ClockState.INVALID):
             return self._acquire(mark)
-        carried = self._carried(mark.high)
+        carried = self._propagated(mark.high)
         left = self._cut(carried, mark) if mark.high >= self._view.tick else []
         if not left:
             self._refuse(mark)
@@ -133,10 +133,10 @@ class DeviceClock:
         return True
 
     def doubt(self, error_ns: float = 0.0) -> None:
-        """Something speaks against this clock: it flywheels until the next mark that agrees with it.
+        """Flag evidence against this clock: it flywheels until the next mark that agrees with it.
 
         Args:
-            error_ns: a mark does, by so much: the clock is :attr:`contradicted` until then.
+            error_ns: disagreement with a mark; if not 0 the clock is :attr:`contradicted` until then.
         """
         if self.state is ClockState.LOCKED:
             self.state = ClockState.FLYWHEEL
@@ -144,11 +144,11 @@ class DeviceClock:
 
     @property
     def contradicted(self) -> bool:
-        """Whether a mark said otherwise, and none since has agreed: clock or mark is wrong, nobody knows which."""
+        """Whether a mark disagreed and none has agreed since: either the clock or the mark is wrong."""
         return self._contradiction_ns > 0.0
 
     def at(self, now_ns: int) -> ClockState:
-        """The state at ``now_ns``: marks that stay away end in FLYWHEEL, then INVALID."""
+        """The state at ``now_ns``: without marks FLYWHEEL, then INVALID."""
         if self.trusted and now_ns - self._reference_ns > self.flywheel_after_ns:
             self.state = ClockState.FLYWHEEL
             if self.sigma_ns(self.tick_at(now_ns)) > self.invalid_sigma_ns:
@@ -158,7 +158,7 @@ class DeviceClock:
 
     @property
     def trusted(self) -> bool:
-        """Whether :meth:`time_ns` means anything."""
+        """Whether :meth:`time_ns` is valid."""
         return self.state in (ClockState.LOCKED, ClockState.FLYWHEEL)
 
     @property
@@ -178,18 +178,18 @@ class DeviceClock:
         return times
 
     def tick_at(self, time_ns: int) -> float:
-        """The tick, a fraction, at vehicle time ``time_ns``."""
+        """Fractional tick at vehicle time ``time_ns``."""
         return self._view.tick + (time_ns - self._view.base_ns - self._moments.x) / self.period_ns
 
     def sigma_ns(self, tick: float) -> float:
-        """1-sigma of the vehicle time of ``tick`` [ns]: the polygon's, and the drift since or until the last mark."""
+        """1-sigma of the vehicle time of ``tick`` [ns]: the polygon's plus the drift since or until the last mark."""
         at, s = self._moments, self._seconds(tick - self._view.tick)
         drifted_ns = 0.5e9 * self.drift_per_s * s * s
         possible = max(at.xx + 2.0 * at.xy * s + at.yy * s * s, 0.0)
         return math.sqrt(possible + drifted_ns**2 / 3.0 + self.common_sigma_ns**2 + self._contradiction_ns**2)
 
     def blur(self, ticks: float) -> None:
-        """The count of ticks may be off by ``ticks`` either way from here on: lost samples were counted by guess."""
+        """Widen the polygon by ``ticks`` either way: the number of lost samples is uncertain."""
         self._pending = []
         if self.trusted:
             self._set(self._view._replace(polygon=widen(self._view.polygon, ticks * self.period_ns, 0.0)))
@@ -197,11 +197,11 @@ class DeviceClock:
 
     @property
     def solution(self) -> ClockSolution:
-        """What was known at the last mark."""
+        """Solution at the last mark."""
         return self.solution_at(self._view.tick)
 
     def solution_at(self, tick: float) -> ClockSolution:
-        """The solution as it stands at ``tick``."""
+        """The solution referred to ``tick``."""
         drifted = self.drift_per_s * self._seconds(tick - self._view.tick)
         return ClockSolution(
             tick,
@@ -228,21 +228,21 @@ class DeviceClock:
     def _seconds(self, ticks: float) -> float:
         return ticks * self.nominal_period_ns * 1e-9
 
-    def _carried(self, tick: float) -> _View:
-        """What is possible at ``tick``, a later one: the rate has drifted on the way, by how much is not known."""
+    def _propagated(self, tick: float) -> _View:
+        """Polygon propagated to the later ``tick``, widened by the bounded drift of the rate."""
         seconds = self._seconds(tick - self._view.tick)
         advance_ns = (tick - self._view.tick) * self.nominal_period_ns
         whole_ns = math.floor(advance_ns)
         polygon = [(x + advance_ns - whole_ns, y) for x, y in shear(self._view.polygon, seconds)]
         drift = 1e9 * self.drift_per_s * seconds
         if drift > 0.0:
-            # all that a bounded drift can do in (offset, rate) lies in the sum of two segments: a steady drift, and one
-            # that turns round half-way
+            # the effect of a bounded drift on (offset, rate) lies in the sum of two segments: a steady drift, and one
+            # that reverses half-way
             polygon = widen(widen(polygon, 0.5 * drift * seconds, drift), 0.25 * drift * seconds, 0.0)
         return _View(tick, self._view.base_ns + whole_ns, polygon)
 
     def _cut(self, view: _View, mark: Mark, slack_ns: float = 0.0) -> Polygon:
-        """What ``mark`` leaves of ``view``; ``slack_ns`` looser on both sides."""
+        """Intersection of ``view`` with ``mark`` widened by ``slack_ns`` on both sides."""
         low, high = mark.low - view.tick, mark.high - view.tick
         latest_ns = mark.latest_ns - view.base_ns - low * self.nominal_period_ns + slack_ns
         earliest_ns = mark.earliest_ns - view.base_ns - high * self.nominal_period_ns - slack_ns
@@ -272,7 +272,7 @@ class DeviceClock:
     # Acquisition
 
     def _acquire(self, mark: Mark) -> bool:
-        """Lock when most of the last few marks allow one offset and a rate that the data sheet allows."""
+        """Lock if most of the last few marks agree on one offset and a rate within the tolerance."""
         earlier = [one for one in self._pending if one.high < mark.high]
         self._pending = [*earlier[1 - self.MARKS_HELD :], mark]
         agreeing, polygon = self._consensus()
@@ -284,7 +284,7 @@ class DeviceClock:
         return True
 
     def _consensus(self) -> tuple[int, Polygon]:
-        """How many of the pending marks agree with the newest and each other at most, and what they leave."""
+        """Size of the largest set of pending marks consistent with the newest, and the polygon they leave."""
         *others, newest = self._pending
         everything = _View(newest.high, newest.latest_ns, box(-_SEARCH_NS, _SEARCH_NS, *self._rates))
         start = everything._replace(polygon=self._cut(everything, newest))

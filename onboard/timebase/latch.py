@@ -1,7 +1,7 @@
-"""Where between two samples an edge fell, from the count that was latched on it.
+"""Time of a sync edge between two samples, from the encoder count latched on it.
 
-An adapter whose clock ticks every 2 ms stamps an edge that coarsely. The count it latches is finer: while the joint
-moves, the count says at which fraction of a sample period the joint was just there.
+An adapter with a 2 ms tick stamps an edge with that resolution. While the joint moves, the latched count gives the
+fraction of the sample period at which the joint was at that position.
 """
 
 from collections import deque
@@ -12,40 +12,43 @@ from drivers.records import Rows
 
 
 class LatchedCounts:
-    """Positions by tick, and the place of latched counts among them."""
+    """Positions by tick, and interpolation of latched counts among them."""
 
-    REACH_TICKS, FEWEST = 10, 4  # on either side of the edge: samples as near as this, or else so many
-    BUSY_TICKS = 4  # samples in the ticks just after an edge wait for the line, and come late
-    COUNTS = 1.0  # the latched count is whole, and so are those about it, which may all be rounded alike
+    REACH_TICKS, FEWEST = (
+        10,
+        4,
+    )  # samples used on either side of the edge: within so many ticks, at least so many
+    BUSY_TICKS = 4  # samples in the ticks just after an edge are delayed by the busy line
+    COUNTS = 1.0  # quantisation of the latched count and its neighbours, which may be rounded alike
     HELD = 512
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, int]] = deque(maxlen=self.HELD)
-        self._spacing = 1  # of samples, ticks
+        self._spacing = 1  # sample spacing, ticks
 
     @property
     def _reach(self) -> int:
         return max(self.REACH_TICKS, self.FEWEST * self._spacing)
 
     def clear(self) -> None:
-        """The ticks began anew."""
+        """The ticks restarted."""
         self._samples.clear()
 
     def append(self, rows: Rows) -> None:
-        """Take in positions."""
+        """Add positions."""
         self._samples.extend(zip(rows["tick"].tolist(), rows["value_raw"].tolist(), strict=True))
         if len(rows) > 1:
             self._spacing = max(1, round(float(np.median(np.diff(rows["tick"].astype(np.int64))))))
 
     def complete(self, tick: int) -> bool:
-        """Whether all samples have come that the place of an edge at ``tick`` is told by."""
+        """Whether all samples needed to locate an edge at ``tick`` have arrived."""
         return bool(self._samples) and self._samples[-1][0] >= tick + self.BUSY_TICKS + self._reach
 
     def interval(self, tick: int, value: int) -> tuple[float, float]:
-        """Ticks (low, high) between which the edge fell, in the time scale of the samples.
+        """Interval (low, high) of the edge, in ticks on the time scale of the samples.
 
-        A tick counts from the time of the sample that is stamped with it. Where the joint stands still, or too slowly
-        for the count to tell, nothing is known but the stamp, and samples may be taken anywhere within their tick.
+        A tick begins at the time of the sample stamped with it. If the joint is at rest or too slow for the count to
+        resolve, only the stamp is used, and samples may lie anywhere within their tick.
         """
         stamp = float(tick - 1), float(tick + 1)
         first, busy = tick - self._reach, tick + self.BUSY_TICKS

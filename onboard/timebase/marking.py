@@ -1,7 +1,7 @@
-"""What makes marks: the devices that see the pulses in their own streams, each in its own way.
+"""Sources of clock marks: one class per way in which a device registers the sync pulses in its stream.
 
-Every source keeps two clocks of one device, the one its marks make and, until that is locked, a stopgap from arrival
-stamps, and hears of everything that says that the device's ticks began anew.
+Every source keeps two clocks of a device: one from marks and, until that is locked, one from arrival stamps. Both
+restart when the device's ticks restart.
 """
 
 from collections import deque
@@ -18,7 +18,7 @@ from onboard.timebase.latch import LatchedCounts
 from onboard.timebase.pulse_train import PulsePlace
 
 SYNC_COUNTER_MODULUS = 240  # CiA 301 1019h as the sync box is set
-# A QSB tells of an edge in two lines of 1.13 ms; a position that is due meanwhile is measured when they are out
+# A QSB reports an edge in two lines of 1.13 ms; a position due meanwhile is measured after them
 BUSY_TICKS = 3.1
 # Cycles of the code differ in the SYNC counter of their pulses by multiples of this: 16, which is 80 ms
 _CYCLE_COUNTS = int(np.gcd(code.cycle_sync_periods(), SYNC_COUNTER_MODULUS))
@@ -35,7 +35,7 @@ class Edges:
     """The newest edges of the line.
 
     Args:
-        window_ns: an edge nearer than this to where one is looked for is the one: less than half the shortest interval.
+        window_ns: search window on either side: less than half the shortest interval.
     """
 
     HELD = 64
@@ -45,11 +45,11 @@ class Edges:
         self._edges: deque[Edge] = deque(maxlen=self.HELD)
 
     def append(self, edge: Edge) -> None:
-        """One more."""
+        """Add an edge."""
         self._edges.append(edge)
 
     def may_come(self, time_ns: int) -> bool:
-        """Whether the edge of ``time_ns`` may not have been read yet."""
+        """Whether the edge at ``time_ns`` may still be unread."""
         return not self._edges or time_ns - self._edges[-1].latest_ns > self.window_ns
 
     def near(self, time_ns: int) -> Edge | None:
@@ -59,15 +59,15 @@ class Edges:
 
 
 class TickSource:
-    """A device with ticks of its own.
+    """A device with its own tick counter.
 
     Args:
-        clock: made by marks.
-        arrival: made by arrival stamps.
-        is_marked: whether it sees pulses at all; else there is nothing better than arrival stamps.
+        clock: from marks.
+        arrival: from arrival stamps.
+        is_marked: whether it registers sync pulses; else only arrival stamps are used.
     """
 
-    LATE_NS = 250e6  # samples later than this are not late: their ticks are not what they were
+    LATE_NS = 250e6  # samples later than this indicate a restart of the ticks
     LATE_TO_RESTART = 10
 
     def __init__(self, clock: DeviceClock, arrival: ArrivalClock, is_marked: bool = True) -> None:
@@ -77,12 +77,12 @@ class TickSource:
 
     @property
     def main(self) -> "DeviceClock | ArrivalClock":
-        """The better of its clocks, when it runs."""
+        """Its mark clock, or its arrival clock if it has no marks."""
         return self.clock if self.is_marked else self.arrival
 
     @property
     def best(self) -> "DeviceClock | ArrivalClock | None":
-        """The clock to go by now."""
+        """The clock to use now."""
         return next((clock for clock in (self.clock, self.arrival) if clock.trusted), None)
 
     def at(self, now_ns: int) -> ClockState:
@@ -91,17 +91,17 @@ class TickSource:
         return self.main.state
 
     def take(self, rows: Rows) -> bool:
-        """Take in samples; whether the main clock moved."""
+        """Take samples; returns whether the main clock changed."""
         return self._samples(rows)[1]
 
     def restart(self) -> None:
-        """The device's ticks began anew."""
+        """The device's ticks restarted."""
         self.clock.restart()
         self.arrival.restart()
         self._newest, self._late, self._without_edge = None, 0, 0
 
     def _samples(self, rows: Rows) -> tuple[Rows, bool]:
-        """Take in samples: those since the device's ticks last began anew, and whether the arrival clock moved."""
+        """Take samples; returns those since the last restart of the ticks, and whether the arrival clock changed."""
         ticks = rows["tick"].astype(np.int64)
         anew = np.flatnonzero(np.diff(ticks, prepend=self._newest[0] if self._newest else ticks[0] - 1) < 0)
         if "status" in (rows.dtype.names or ()):
@@ -110,7 +110,7 @@ class TickSource:
             self.restart()
             rows, ticks = rows[anew[-1] :], ticks[anew[-1] :]
         moved = False
-        last = np.flatnonzero(np.diff(rows["host_ns"], append=rows["host_ns"][-1] + 1))  # of each that came together
+        last = np.flatnonzero(np.diff(rows["host_ns"], append=rows["host_ns"][-1] + 1))  # last sample of each read
         for tick, host_ns in zip(ticks[last].tolist(), rows["host_ns"][last].tolist(), strict=True):
             moved |= self.arrival.arrived(tick, host_ns)
         self._newest = (int(ticks[-1]), int(rows["host_ns"][-1]))
@@ -118,7 +118,7 @@ class TickSource:
         return rows, moved
 
     def _plausible(self, tick: int, host_ns: int) -> None:
-        """A sample cannot come before it was taken, nor stay long on its way: else the ticks are not what they were."""
+        """Restart the clocks if a sample arrives before its time or too late: its ticks must have restarted."""
         clock = self.clock
         if not clock.trusted:
             return
@@ -142,7 +142,7 @@ class TickSource:
         return believed
 
     def _is_told(self, edge: Edge | None, window_ns: float) -> TypeGuard[Edge]:
-        """Whether the line has the edge of a mark; a clock whose marks find none time and again is no clock."""
+        """Whether the line has an edge for a mark; repeated misses count against the clock."""
         if edge is not None:
             self._without_edge = 0
             return True
@@ -153,7 +153,7 @@ class TickSource:
         return False
 
     def _estimate(self, tick: float) -> int | None:
-        """About when ``tick`` was."""
+        """Approximate vehicle time of ``tick``, ns; None if unknown."""
         clock = self.best
         if clock is not None:
             return int(clock.time_ns(np.array([tick]))[0])
@@ -164,10 +164,10 @@ class TickSource:
 
 
 class FlaggingSource(TickSource):
-    """An IMU: it flags the sample into whose period the edge fell."""
+    """An IMU that flags the sample during which the edge fell."""
 
     def __init__(self, period_ns: float) -> None:
-        # the newest sample of a drain is on average half a period old when it is counted
+        # mean age of the newest sample of a drain: half a period
         super().__init__(DeviceClock(period_ns), ArrivalClock(period_ns, delay_sigma_ns=period_ns))
         self._flagged: deque[int] = deque(maxlen=16)
         self._last_flagged = -2
@@ -179,7 +179,7 @@ class FlaggingSource(TickSource):
         self._last_flagged = -2
 
     def update(self, rows: Rows, edges: Edges) -> bool:
-        """Take in samples; whether a mark was believed."""
+        """Take samples; returns whether a mark was accepted."""
         before = self._newest
         rows, _ = self._samples(rows)
         ticks = rows["tick"].astype(np.int64)
@@ -188,8 +188,8 @@ class FlaggingSource(TickSource):
             self.clock.blur(1.0)
         for place in np.flatnonzero(rows["sync"]):
             tick = int(ticks[place])
-            # a pulse still high when its sample is latched flags the next one too: the first is the one it rose in,
-            # and which is the first cannot be told after a gap
+            # a pulse still high at the end of its sample flags the next one too: only the first one is a mark,
+            # and which is first is unknown after a gap
             if tick != self._last_flagged + 1 and contiguous[place]:
                 self._flagged.append(tick)
             self._last_flagged = tick
@@ -210,18 +210,18 @@ class FlaggingSource(TickSource):
 
 
 class LatchingSource(TickSource):
-    """A device that stamps the edge with its own clock: MARK rows beside its samples.
+    """A device that stamps edges with its own clock: MARK rows beside its samples.
 
     Args:
         period_ns: nominal length of a tick.
-        latches_counts: whether its marks carry the count latched on the edge, and its ticks are too coarse alone.
+        latches_counts: whether its marks carry the count latched on the edge, used because its ticks are coarse.
     """
 
     def __init__(self, period_ns: float, latches_counts: bool) -> None:
         super().__init__(DeviceClock(period_ns), ArrivalClock(period_ns, delay_sigma_ns=1e6))
         self._latched = LatchedCounts() if latches_counts else None
         self._marks: deque[tuple[int, int]] = deque(maxlen=16)  # tick, latched value
-        self._told: deque[float] = deque(maxlen=64)  # ticks of edges that the device has told of
+        self._told: deque[float] = deque(maxlen=64)  # ticks of edges reported by the device
 
     def restart(self) -> None:
         """See ``TickSource``."""
@@ -232,13 +232,13 @@ class LatchingSource(TickSource):
             self._latched.clear()
 
     def update(self, samples: Rows, marks: Rows, edges: Edges) -> bool:
-        """Take in samples and marks; whether a mark was believed."""
+        """Take samples and marks; returns whether a mark was accepted."""
         if len(samples):
             samples, _ = self._samples(samples)
             if self._latched is not None:
                 self._latched.append(samples)
         if len(marks) and self._newest is not None:
-            # a device that began anew may have marked an edge before it did
+            # a device that restarted may have marked an edge before
             since = marks["tick"].astype(np.int64) <= self._newest[0] + round(1e9 / self.clock.nominal_period_ns)
             self._marks.extend(zip(marks["tick"][since].tolist(), marks["value_raw"][since].tolist(), strict=True))
         believed = False
@@ -260,16 +260,16 @@ class LatchingSource(TickSource):
         return believed
 
     def waited(self, ticks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which samples (n,) were due while the line was busy with an edge: they were taken when it was free again."""
+        """Which samples (n,) were due while the line was busy with an edge, and so were taken later."""
         since = ticks[:, None] - np.array(self._told or [-np.inf])
         return np.asarray(((since > 0.0) & (since <= BUSY_TICKS)).any(axis=1), np.bool_)
 
 
 class SyncSource(TickSource):
-    """The SYNC producer: its counter stands in a known relation to the pulse code.
+    """The SYNC producer, whose counter has a known relation to the pulse code.
 
-    No latency of the bus can so shift it by whole periods. Which cycle of the code it is, is told by which SYNC came
-    about then: those of other cycles are 80 ms and more away.
+    A bus latency can therefore not shift it by whole periods. The cycle of the code follows from the SYNC that arrived
+        at about that time: those of other cycles are 80 ms or more away.
     """
 
     def __init__(self, period_ns: float, delay_ns: float, is_marked: bool) -> None:
@@ -288,11 +288,11 @@ class SyncSource(TickSource):
         self._recent.clear()
 
     def edge(self, edge: Edge, place: PulsePlace) -> None:
-        """A named edge of the line."""
+        """Take an identified edge of the line."""
         self._unmatched.append((edge, place))
 
     def take(self, rows: Rows) -> bool:
-        """Take in SYNCs; whether the main clock moved."""
+        """Take SYNCs; returns whether the main clock changed."""
         rows, moved = self._samples(rows)
         self._recent.extend(
             zip(rows["tick"].tolist(), rows["sync_counter"].tolist(), rows["host_ns"].tolist(), strict=True)
@@ -301,7 +301,7 @@ class SyncSource(TickSource):
         while self._unmatched:
             edge, place = self._unmatched[0]
             if self._recent[-1][2] < edge.latest_ns + 0.3e9:
-                break  # its SYNC may still be on its way
+                break  # its SYNC may not have arrived yet
             self._unmatched.popleft()
             tick = self._sync_of(edge, place)
             if tick is not None:
@@ -330,12 +330,12 @@ class SyncSource(TickSource):
 
 
 class FreeSource(TickSource):
-    """A device with a timer of its own and no mark at all.
+    """A device with its own timer and without marks.
 
     Args:
         period_ns: nominal length of a tick.
-        delay_ns: from the sample to its last byte's arrival, at the least.
-        delay_sigma_ns: how well that is known.
+        delay_ns: lower bound of the time from the sample to the arrival of its last byte.
+        delay_sigma_ns: its standard deviation.
     """
 
     def __init__(self, period_ns: float, delay_ns: float, delay_sigma_ns: float) -> None:
@@ -343,11 +343,11 @@ class FreeSource(TickSource):
 
 
 class Bracket:
-    """Samples that are taken between a question and its answer: no device clock, a bound for each sample.
+    """Samples taken between a request and its answer: no device clock, one interval per sample.
 
     Args:
-        question_ns: time that the question takes on the wire, at the least.
-        answer_ns: time that the answer takes.
+        question_ns: lower bound of the request's time on the wire.
+        answer_ns: the answer's time on the wire.
     """
 
     def __init__(self, question_ns: float, answer_ns: float) -> None:
@@ -357,7 +357,7 @@ class Bracket:
         self.newest_ns = 0
 
     def update(self, rows: Rows) -> None:
-        """Take in samples."""
+        """Take samples."""
         half_ns = 0.5 * (rows["host_ns"] - rows["tick"].astype(np.int64) - self.question_ns - self.answer_ns)
         for one in np.maximum(half_ns, 0.0).tolist():
             square = self.sigma_ns**2 if self.samples else one * one / 3.0
@@ -366,7 +366,7 @@ class Bracket:
         self.newest_ns = int(self.time_ns(rows)[-1])
 
     def time_ns(self, rows: Rows) -> NDArray[np.int64]:
-        """The middle of the time in which each of ``rows`` (n,) can have been taken [ns], (n,)."""
+        """Middle of the interval in which each of ``rows`` (n,) was taken [ns], (n,)."""
         earliest = rows["tick"].astype(np.int64) + self.question_ns
         latest = rows["host_ns"] - self.answer_ns
         return np.asarray(earliest + (latest - earliest) // 2, np.int64)

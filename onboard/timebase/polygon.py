@@ -1,8 +1,8 @@
-"""Convex polygons in the plane of (offset, rate): what is left possible of a clock after everything it has been told.
+"""Convex polygons in the (offset, rate) plane: the set of clock parameters consistent with bounded errors.
 
-Quantised marks do not scatter about the truth, they bound it. What they leave is a convex polygon; it can be carried on
-in time, widened by what the rate may have drifted meanwhile, and cut by the next mark, without approximation but for
-the widening, which is from outside (Schweppe, "Recursive state estimation: unknown but bounded errors", 1968).
+Quantised marks give bounds, whose intersection is a convex polygon. It is propagated in time (sheared), widened by the
+possible drift of the rate, and cut by the next mark; only the widening is approximate, and encloses the exact set
+(Schweppe, "Recursive state estimation: unknown but bounded errors", 1968).
 
 Vertices are (x, y) floats in counter-clockwise order; x [ns], y [ns/s].
 """
@@ -18,7 +18,7 @@ _MOST_VERTICES = 16
 
 
 class Moments(NamedTuple):
-    """Mean and covariance of a point that is equally likely anywhere in a polygon."""
+    """Mean and covariance of the uniform distribution over a polygon."""
 
     x: float
     y: float
@@ -28,12 +28,12 @@ class Moments(NamedTuple):
 
 
 def box(x_low: float, x_high: float, y_low: float, y_high: float) -> Polygon:
-    """The rectangle."""
+    """Rectangle of these limits."""
     return [(x_low, y_low), (x_high, y_low), (x_high, y_high), (x_low, y_high)]
 
 
 def clip(polygon: Polygon, a: float, b: float, c: float) -> Polygon:
-    """What of ``polygon`` satisfies ``a x + b y <= c``; empty when nothing does (Sutherland and Hodgman, 1974)."""
+    """The part of ``polygon`` with ``a x + b y <= c``, possibly empty (Sutherland and Hodgman, 1974)."""
     kept: Polygon = []
     excess = [a * x + b * y - c for x, y in polygon]
     for place, (here, there) in enumerate(zip(excess, excess[1:] + excess[:1], strict=True)):
@@ -48,14 +48,14 @@ def clip(polygon: Polygon, a: float, b: float, c: float) -> Polygon:
 
 
 def shear(polygon: Polygon, seconds: float) -> Polygon:
-    """Carried on by ``seconds``: ``x + y seconds``."""
+    """Propagated by ``seconds``: ``x + y seconds``."""
     return [(x + y * seconds, y) for x, y in polygon]
 
 
 def widen(polygon: Polygon, x: float, y: float) -> Polygon:
-    """Minkowski sum with the segment from (-x, -y) to (x, y): each side moves out with it, two corners become sides."""
+    """Minkowski sum with the segment from (-x, -y) to (x, y)."""
     sides = zip([polygon[-1], *polygon], polygon, strict=False)
-    facing = [(by - ay) * x - (bx - ax) * y for (ax, ay), (bx, by) in sides]  # of outward normals along the segment
+    facing = [(by - ay) * x - (bx - ax) * y for (ax, ay), (bx, by) in sides]  # outward normals projected on the segment
     out = next((side > 0.0 for side in reversed(facing) if side != 0.0), True)
     wider: Polygon = []
     for (px, py), side, following in zip(polygon, facing, facing[1:] + facing[:1], strict=True):
@@ -79,7 +79,7 @@ def moments(polygon: Polygon) -> Moments:
         sxx += (ax * ax + ax * bx + bx * bx) * cross
         syy += (ay * ay + ay * by + by * by) * cross
         sxy += (ax * by + 2.0 * ax * ay + 2.0 * bx * by + bx * ay) * cross
-    if area <= 0.0:  # rounding ate a sliver: its corners will do
+    if area <= 0.0:  # area lost to rounding: use the corners
         n = len(points)
         mx, my = sum(x for x, _ in points) / n, sum(y for _, y in points) / n
         return Moments(
@@ -95,7 +95,7 @@ def moments(polygon: Polygon) -> Moments:
 
 
 def _hull(points: list[Point]) -> Polygon:
-    """Convex hull (Andrew, 1979); where it has very many corners, of a few directions' tangents only."""
+    """Convex hull (Andrew, 1979), simplified from outside if it has too many corners."""
     ordered = sorted(set(points))
     if len(ordered) < 3:
         return ordered
@@ -118,7 +118,7 @@ def _turn(a: Point, b: Point, c: Point) -> float:
 
 
 def _simplified(polygon: Polygon) -> Polygon:
-    """A polygon of fewer corners around ``polygon``: its shortest sides go, their neighbours are drawn longer."""
+    """Enclosing polygon with fewer corners: the shortest sides are removed and their neighbours extended."""
     scale_x = max(x for x, _ in polygon) - min(x for x, _ in polygon)
     scale_y = max(y for _, y in polygon) - min(y for _, y in polygon)
     while len(polygon) > _MOST_VERTICES // 2:
@@ -139,7 +139,7 @@ def _simplified(polygon: Polygon) -> Polygon:
 
 
 def _meeting(a: Point, b: Point, c: Point, d: Point) -> Point | None:
-    """Where the line a b, drawn on beyond b, meets the line d c, drawn on beyond c; None where they do not."""
+    """Intersection of line a b extended beyond b with line d c extended beyond c; None if there is none."""
     ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], c[0] - d[0], c[1] - d[1]
     cross = ux * vy - uy * vx
     if cross >= 0.0:

@@ -1,4 +1,4 @@
-"""Which pulse of the published code is this edge? From the intervals alone, with misses and spurious edges between."""
+"""Identifies the pulses of the published code from edge intervals, with missed and spurious edges."""
 
 from collections import deque
 from typing import NamedTuple
@@ -12,7 +12,7 @@ Edges = NDArray[np.int64]
 
 
 class PulsePlace(NamedTuple):
-    """A pulse of the code: it rose ``dither_ns`` after the start of SYNC ``sync_count`` of its cycle of the code."""
+    """A pulse of the code; it rose ``dither_ns`` after the start of SYNC ``sync_count`` of its code cycle."""
 
     sync_count: int
     dither_ns: int
@@ -21,25 +21,25 @@ class PulsePlace(NamedTuple):
 class PulseTrain:
     """Identifies edges of the coded pulse line.
 
-    An edge is named when the newest four lie on four pulses of the code, whatever was missed between them, and on no
-    other four nearly as well; where there are spurious ones among them, when five of the last eight do. Once named,
-    each further edge is placed by the time since the last good one, and an edge that falls on no pulse is spurious.
+    An edge is identified when the newest four fit four pulses of the code, with any number missed between them, and no
+    other four nearly as well; with spurious edges among them, when five of the last eight fit. After that each edge is
+    identified by the time since the last one; an edge that fits no pulse is spurious.
 
-    The code repeats after some two hours, so a place is one in a cycle; which cycle, nothing on the line tells.
+    The code repeats after some two hours: a place is one within a cycle, and the cycle is unknown.
 
     Args:
         sync_period_ns: nominal length of a sync period.
-        tolerance_ns: how far an edge may lie from its place (jitter; the two oscillators' drift since the last edge
-            is allowed for besides).
+        tolerance_ns: largest distance of an edge from its place due to jitter; drift of the two oscillators since the
+            last edge is allowed in addition.
     """
 
     EDGES_TO_NAME = 4
     EDGES_TO_NAME_AMONG_SPURIOUS = 5
     EDGES_HELD = 8
     STRANGERS_TO_FORGET = 4
-    CLEARLY_WORSE, JITTER_NS = 3.0, 30e3  # another place that fits this much worse is no doubt
+    CLEARLY_WORSE, JITTER_NS = 3.0, 30e3  # factor by which any other place must fit worse
     CRYSTALS = 100e-6  # two of them, 50 ppm each
-    LONGEST_SILENCE_NS = 60_000_000_000  # in which they drift apart by less than pulses can be told apart by
+    LONGEST_SILENCE_NS = 60_000_000_000  # longer silences: the drift exceeds the spacing that identifies a pulse
 
     def __init__(self, sync_period_ns: float, tolerance_ns: float = 200_000.0) -> None:
         self.tolerance_ns = tolerance_ns
@@ -52,7 +52,7 @@ class PulseTrain:
         self.spurious = 0
 
     def edge(self, edge_ns: int) -> PulsePlace | None:
-        """The pulse that made this edge, or None while (or if) it cannot be told."""
+        """The pulse of this edge; None if it is not (yet) identified."""
         if self._last is not None and edge_ns - self._last[1] > self.LONGEST_SILENCE_NS:
             self._last = None
             self._recent.clear()
@@ -75,7 +75,7 @@ class PulseTrain:
         return PulsePlace(int(code.sync_numbers()[number]), int(code.dither_ns()[number]))
 
     def _follow(self, last: int, last_ns: int, edge_ns: int) -> int | None:
-        """Number of the pulse that rises ``edge_ns - last_ns`` after pulse ``last``, if one does."""
+        """Number of the pulse ``edge_ns - last_ns`` after pulse ``last``; None if there is none."""
         elapsed_ns = edge_ns - last_ns
         if elapsed_ns <= 0:
             return None
@@ -93,8 +93,8 @@ class PulseTrain:
         return nearest, np.abs(self._rise_ns[nearest] - expected_ns) < allowed_ns
 
     def _name(self, edges: Edges) -> int | None:
-        """Number of the pulse that made the last of ``edges`` (n,), if the others leave no doubt."""
-        best: dict[int, tuple[int, float]] = {}  # number of that pulse: edges explained, and how far off they lie
+        """Number of the pulse of the last of ``edges`` (n,), if unambiguous."""
+        best: dict[int, tuple[int, float]] = {}  # pulse number: edges explained, rms distance
         for anchor in range(len(edges) - self.EDGES_TO_NAME + 1):
             firsts = np.arange(code.CODE_LENGTH)
             newest, possible = self._pulses(firsts, int(edges[-1] - edges[anchor]))
@@ -117,7 +117,7 @@ class PulseTrain:
         return ordered[0] if ordered else None
 
     def _off_ns(self, first: int, edges: Edges) -> float:
-        """How far ``edges`` (n,), of which pulse ``first`` made the first, lie from their pulses: rms about a rate."""
+        """Rms distance of ``edges`` (n,) from their pulses after a fit of the rate; the first is pulse ``first``."""
         since = (edges - edges[0]).astype(np.float64)
         rises = np.array([self._rise_ns[self._pulses(np.array([first]), int(ns))[0][0]] for ns in since])
         off = rises - self._rise_ns[first] - since

@@ -1,12 +1,12 @@
-"""Two recorders without a common pulse: one's clock on the other's time, from the motion that both of them felt.
+"""Alignment of two recorders without a common pulse, from the motion that both measured.
 
-What one recorder saw (a gyro, say) is taken to be a constant linear map of what the other one's signals predict (joint
-rates through the vehicle model, say), at the right offset and rate of the other's clock. The map is found with the
-clock (variable projection), so nothing need be known of payload, mounting or scale. The share of the reference's energy
-that the map explains is the correlation whose peak is looked for: by Fourier transform over all offsets and a grid of
-rates, then by Gauss-Newton steps on a growing span, to a small part of a sample.
+The signals of the reference (a gyro, say) are modelled as a constant linear map of signals predicted from the other
+recorder (joint rates through the vehicle model, say), shifted by the offset and rate of the other's clock. The map is
+estimated with the clock (variable projection), so payload, mounting and scale need not be known. The share of the
+reference's energy explained by the map is maximised: by Fourier transform over all offsets and a grid of rates, then by
+Gauss-Newton steps on a growing span, to a small fraction of a sample.
 
-An offset is refused when another one explains the reference nearly as well: a periodic motion has many peaks.
+An offset is refused if another one explains the reference nearly as well (periodic motion).
 """
 
 import functools
@@ -17,24 +17,24 @@ from scipy import fft, interpolate, linalg
 
 from onboard.estimation.arrays import FloatArray
 
-NATS_TO_BELIEVE = 6.0  # of log likelihood, between the best offset and any other: odds of 400 to 1
-BLOCKS = 12  # that the residuals' own scatter is taken from
-FIRST = 12.0  # periods that are looked for first
+NATS_REQUIRED = 6.0  # log likelihood of the best offset over any other: odds of 400 to 1
+BLOCKS = 12  # blocks of residuals for the covariance
+FIRST = 12.0  # periods in the first search window
 GROWTH = 1.6
 STEPS = 30
-SIGMAS_TO_BEND = 4.0  # of drift, to be fitted at all
-ORDER = 3  # times that the filter is run
-GRID = 12.0  # samples a period of the frequency that is passed best
-REACH = 4.0  # of one run of the filter, in standard deviations of its Gaussian
-SHORTEST = 6.0  # periods that a recording must have
+SIGMAS_TO_BEND = 4.0  # significance of the drift required to fit it
+ORDER = 3  # number of filter passes
+GRID = 12.0  # samples per period of the pass frequency
+REACH = 4.0  # reach of one filter pass, standard deviations of its Gaussian
+SHORTEST = 6.0  # shortest recording, periods
 
 
 class ResyncError(ValueError):
-    """Nobody can tell how the two clocks lie; the message says why and what may help."""
+    """The offset of the two clocks cannot be determined; the message gives reason and remedy."""
 
 
 class Stream(NamedTuple):
-    """What a recorder saw: times on its own clock, and values."""
+    """Signals of a recorder: times on its own clock, and values."""
 
     time_s: FloatArray  # (n,), rising
     values: FloatArray  # (n, k)
@@ -43,7 +43,7 @@ class Stream(NamedTuple):
 class Alignment(NamedTuple):
     """Reference time = ``offset_s + (1 + rate) * (other's time - pivot_s) + pivot_s``, plus drift.
 
-    ``drift_per_s``: change of the rate, 1/s, about ``pivot_s``; zero where the data do not ask for any.
+    ``drift_per_s``: change of the rate, 1/s, about ``pivot_s``; zero if not significant.
     """
 
     offset_s: float
@@ -53,9 +53,9 @@ class Alignment(NamedTuple):
     sigma_offset_s: float
     sigma_rate: float
     explained: float  # share of the reference's energy
-    nats: float  # of log likelihood to the next best offset
-    runner_up_s: float  # offset of that, relative to the best
-    span_s: float  # of common time that was used
+    nats: float  # log likelihood over the next best offset
+    runner_up_s: float  # next best offset minus the best
+    span_s: float  # length of the common time used
 
     def reference_s(self, time_s: FloatArray) -> FloatArray:
         """Times of the other recorder (n,) on the reference's clock."""
@@ -76,12 +76,12 @@ def align(
 
     Args:
         reference: k signals.
-        other: p signals, of which the reference's are a linear map, whatever map it is.
-        peak_Hz: both go through a filter that passes this frequency best, few below its half (bias, drift) and few
-            above its double: where the motion is liveliest, and both of them feel the same of it.
-        rate_limit: largest believable relative error of the other clock; 0: its rate is right.
-        offset_limit_s: largest believable offset; as far as the recordings overlap if not given.
-        first_s: length of the stretch that is looked for first; twelve periods if not given.
+        other: p signals of which the reference's are an unknown linear map.
+        peak_Hz: centre of the band-pass (about half to double this frequency; removes bias and drift): choose the
+            frequency of the strongest motion that both measure.
+        rate_limit: largest relative rate error of the other clock; 0: the rate is known.
+        offset_limit_s: largest offset; default: as far as the recordings overlap.
+        first_s: length of the first search window; default: twelve periods.
 
     Raises:
         ResyncError: too little motion, or more than one offset that explains it.
@@ -89,12 +89,12 @@ def align(
     step_s = 1.0 / (GRID * peak_Hz)
     seen, told = _band_passed(reference, peak_Hz, step_s), _band_passed(other, peak_Hz, step_s)
     span_s = _first_span_s(seen, told, first_s or FIRST / peak_Hz)
-    search = _search(seen, _liveliest(told, span_s), peak_Hz, rate_limit, offset_limit_s)
+    search = _search(seen, _most_energetic(told, span_s), peak_Hz, rate_limit, offset_limit_s)
     best, nats, runner_up_s = _stands_out(search, peak_Hz)
     pivot_s, first_s = search.pivot_s, search.offsets_s[best]
     theta, rate = np.array([first_s]), 0.0
     if rate_limit:
-        # The filter is to act alike on both, so the other's is run again on a clock that is nearly right.
+        # The filter must act alike on both, so the other's is repeated on the approximately corrected clock.
         theta = np.array([first_s, search.rate])
         rate = float(_grown(seen, told, theta, pivot_s, span_s).theta[1])
         nearly = pivot_s + (1.0 + rate) * (other.time_s - pivot_s)
@@ -118,7 +118,7 @@ def align(
 
 
 def _grown(seen: Stream, told: Stream, theta: FloatArray, pivot_s: float, first_s: float) -> "_Fit":
-    """The fit on a span about the pivot that grows to the whole: the rate is never off by a period at its ends."""
+    """Fit on a span about the pivot that grows to the whole, so that the error at its ends stays below a period."""
     spline = interpolate.CubicSpline(told.time_s, told.values)
     low, high = pivot_s - 0.5 * first_s, pivot_s + 0.5 * first_s
     while True:
@@ -135,7 +135,7 @@ def _grown(seen: Stream, told: Stream, theta: FloatArray, pivot_s: float, first_
 
 
 def _band_passed(stream: Stream, peak_Hz: float, step_s: float) -> Stream:
-    """Through the derivative of a Gaussian ORDER times, on a uniform grid of ``step_s``, without phase shift."""
+    """ORDER passes of the derivative of a Gaussian, on a uniform grid of ``step_s``, without phase shift."""
     if np.any(np.diff(stream.time_s) <= 0.0):
         raise ResyncError("times of a recording do not rise: sort it, or mend its clock")
     if not len(stream.time_s) or np.ptp(stream.time_s) < SHORTEST / peak_Hz:
@@ -144,7 +144,7 @@ def _band_passed(stream: Stream, peak_Hz: float, step_s: float) -> Stream:
     if between_s > 0.1 / peak_Hz:
         remedy = f"lower the frequency to {0.1 / between_s:.3g} Hz"
         raise ResyncError(f"a recording has a sample every {between_s:.3g} s: {remedy}")
-    # a moving mean first, where there are many samples a step: decimation must not fold noise into the band
+    # a moving mean first if there are many samples per step: avoids aliasing by decimation
     width = max(1, round(step_s / between_s))
     mean = np.full(width, 1.0 / width)
     times_s = np.convolve(stream.time_s, mean, "valid")
@@ -160,8 +160,8 @@ def _band_passed(stream: Stream, peak_Hz: float, step_s: float) -> Stream:
     return Stream(grid_s[reach : len(grid_s) - reach], filtered)
 
 
-def _liveliest(stream: Stream, span_s: float) -> Stream:
-    """The stretch of ``span_s`` with the most energy, each signal counted by its own."""
+def _most_energetic(stream: Stream, span_s: float) -> Stream:
+    """The segment of ``span_s`` with the most energy, each signal normalised by its own."""
     step_s = stream.time_s[1] - stream.time_s[0]
     n = max(2, int(span_s / step_s))
     energy = ((stream.values / np.maximum(stream.values.std(axis=0), 1e-300)) ** 2).sum(axis=1)
@@ -171,7 +171,7 @@ def _liveliest(stream: Stream, span_s: float) -> Stream:
 
 
 class Candidate(NamedTuple):
-    """A clock that may be: reference time = ``pivot_s + offset_s + (1 + rate) * (other's time - pivot_s)``."""
+    """A possible clock: reference time = ``pivot_s + offset_s + (1 + rate) * (other's time - pivot_s)``."""
 
     pivot_s: float
     offset_s: float
@@ -180,17 +180,17 @@ class Candidate(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """Every offset at the rate that explains most."""
+    """Likelihood over all offsets, at the best rate."""
 
     pivot_s: float
     rate: float
     offsets_s: FloatArray  # (lags,)
     explained: FloatArray  # (lags,)
     likelihood: FloatArray  # (lags,) nats
-    chance: float  # nats that the best of so many offsets has by chance
+    chance: float  # nats expected by chance for the best of so many offsets
 
     def peaks(self, apart_s: float, count: int) -> list[int]:
-        """Lags of the highest peaks, none nearer to a higher one than ``apart_s``."""
+        """Lags of the highest peaks, at least ``apart_s`` from any higher one."""
         left = self.explained.copy()
         found: list[int] = []
         while len(found) < count and left.any():
@@ -200,13 +200,13 @@ class _Search(NamedTuple):
 
 
 def shocks(stream: Stream, bin_s: float) -> Stream:
-    """How hard a recorder was shaken, (bins, 1): taps of a mallet stand out, whatever either of them measures of a tap.
+    """Shock intensity per bin, (bins, 1), in which taps stand out for any kind of sensor.
 
-    The logarithm of the samples' differences in each bin, over their median: hits of any strength count alike.
+    Logarithm of the sample differences in each bin over their median, so that weak and strong taps count alike.
 
     Args:
         stream: samples, several to a bin.
-        bin_s: length of a bin, about that of a tap.
+        bin_s: length of a bin, about the duration of a tap.
     """
     energy = (np.diff(stream.values, axis=0) ** 2).sum(axis=1)
     number = ((stream.time_s[1:] - stream.time_s[0]) // bin_s).astype(np.int64)
@@ -217,21 +217,21 @@ def shocks(stream: Stream, bin_s: float) -> Stream:
 
 
 def candidates(reference: Stream, other: Stream, peak_Hz: float, rate_limit: float, count: int) -> list[Candidate]:
-    """The offsets that explain most, best first, for somebody who can tell them apart by more than a linear map.
+    """The best offsets in order, for a caller with a further criterion to choose among them.
 
     Args:
         reference: k signals.
         other: p signals, of which the reference's are nearly a linear map.
         peak_Hz: as for :func:`align`.
-        rate_limit: largest believable relative error of the other clock.
-        count: how many at most.
+        rate_limit: largest relative rate error of the other clock.
+        count: largest number of candidates.
 
     Raises:
-        ResyncError: recordings that are too short or too coarse.
+        ResyncError: recordings too short or too coarse.
     """
     step_s = 1.0 / (GRID * peak_Hz)
     seen, told = _band_passed(reference, peak_Hz, step_s), _band_passed(other, peak_Hz, step_s)
-    window = _liveliest(told, _first_span_s(seen, told, FIRST / peak_Hz))
+    window = _most_energetic(told, _first_span_s(seen, told, FIRST / peak_Hz))
     found = _search(seen, window, peak_Hz, rate_limit, np.inf)
     return [
         Candidate(found.pivot_s, float(found.offsets_s[lag]), found.rate, float(found.explained[lag]))
@@ -247,7 +247,7 @@ def _search(seen: Stream, window: Stream, peak_Hz: float, rate_limit: float, off
     """Explained share over all offsets, at the best of a grid of rates."""
     step_s = seen.time_s[1] - seen.time_s[0]
     span_s, middle_s = float(np.ptp(window.time_s)), float(window.time_s.mean())
-    # at the right rate but half a grid step, the window's ends are off by a twentieth of a period
+    # a rate error of half a grid step shifts the window's ends by a twentieth of a period
     rate_step = 0.2 / (peak_Hz * span_s)
     rates = np.linspace(-rate_limit, rate_limit, 2 * int(np.ceil(rate_limit / rate_step)) + 1) if rate_limit else [0.0]
     spline = interpolate.CubicSpline(window.time_s, window.values)
@@ -264,7 +264,7 @@ def _search(seen: Stream, window: Stream, peak_Hz: float, rate_limit: float, off
     _, rate, explained, offsets_s = best
     per_s = 2.0 * min(_bandwidth(seen), _bandwidth(window))  # independent samples
     signals = seen.values.shape[1]
-    # log likelihood of an offset, the noise's size unknown, and what the best of so many reaches by chance
+    # log likelihood of an offset with unknown noise, and the maximum of so many expected by chance
     likelihood = -0.5 * per_s * span_s * signals * np.log1p(-np.minimum(explained, 1.0 - 1e-12))
     tried = max(2.0, np.count_nonzero(explained) * step_s * per_s * len(rates))
     chance = 0.5 * signals * window.values.shape[1] + float(np.log(tried))
@@ -272,10 +272,10 @@ def _search(seen: Stream, window: Stream, peak_Hz: float, rate_limit: float, off
 
 
 def _stands_out(found: _Search, peak_Hz: float) -> tuple[int, float, float]:
-    """The best lag, by how many nats, and the runner-up's offset relative to it.
+    """The best lag, its lead in nats, and the next best offset relative to it.
 
     Raises:
-        ResyncError: by too few.
+        ResyncError: the lead is too small.
     """
     lags = found.peaks(0.5 / peak_Hz, 2)
     if not lags:
@@ -284,20 +284,20 @@ def _stands_out(found: _Search, peak_Hz: float) -> tuple[int, float, float]:
     second = float(found.likelihood[other]) if other != best else 0.0
     nats = float(found.likelihood[best]) - max(second, found.chance)
     runner_up_s = float(found.offsets_s[other] - found.offsets_s[best])
-    if nats < NATS_TO_BELIEVE:
+    if nats < NATS_REQUIRED:
         share = f"{100 * found.explained[best]:.0f} %"
         why = (
             f"another offset, {runner_up_s:+.3f} s from the best, explains the motion nearly as well: it repeats itself"
             if second > found.chance
-            else f"no offset explains more than {share} of it: what one recorder felt is not in the other"
+            else f"no offset explains more than {share} of it: the recordings have no common motion"
         )
         remedy = "give a longer or livelier stretch, or another frequency"
-        raise ResyncError(f"{why} ({nats:.1f} of {NATS_TO_BELIEVE:g} nats): {remedy}")
+        raise ResyncError(f"{why} ({nats:.1f} of {NATS_REQUIRED:g} nats): {remedy}")
     return best, nats, runner_up_s
 
 
 def _bandwidth(stream: Stream) -> float:
-    """Equivalent width of the spectrum of unit-variance signals: how many independent samples a second, halved."""
+    """Equivalent bandwidth of unit-variance signals: half the number of independent samples per second."""
     step_s = stream.time_s[1] - stream.time_s[0]
     power = (np.abs(fft.rfft(stream.values / np.maximum(stream.values.std(axis=0), 1e-300), axis=0)) ** 2).sum(axis=1)
     return float(power.sum() ** 2 / (power**2).sum() / (len(stream.time_s) * step_s))
@@ -365,7 +365,7 @@ def _refine(
 
 
 def _other_s(reference_s: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The other's time for times on the reference, both less the pivot, and d reference / d other there."""
+    """The other's time for times on the reference, both minus the pivot, and d reference / d other."""
     offset_s, rate, drift = (*theta, 0.0, 0.0)[:3]
     tau = (reference_s - offset_s) / (1.0 + rate)
     for _ in range(3 if drift else 0):

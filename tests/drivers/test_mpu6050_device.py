@@ -201,7 +201,9 @@ def test_clones_are_named_and_flown(flight, identity, name, temperature):
 def test_another_device_is_named_by_address_and_value(flight, identity, named):
     flight.chip.identity = identity
     flight.chip.reset()
-    with pytest.raises(WrongDeviceError, match=rf"imu_base: I2C 0x68 has WHO_AM_I {identity:#04x} \({named}\).*mend"):
+    with pytest.raises(
+        WrongDeviceError, match=rf"imu_base: I2C 0x68 has WHO_AM_I {identity:#04x} \({named}\).*correct"
+    ):
         flight.device.probe()
     flight.start()
     flight.fly(500)

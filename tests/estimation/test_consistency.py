@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.errors import RowError, SingularError
 from onboard.estimation.rls import SquareRootRls
 from onboard.estimation.smoothing import smooth
@@ -18,7 +18,7 @@ def estimate(times, Y, y, sigma, prior, considered=None, noise=None, block_s=5 *
     rls.update(Y, y, sigma, C)
     blocks = BlockScores(Y.shape[1], block_s, capacity)
     blocks.add(times, Y, y, sigma, noise)
-    return HonestEstimate(rls, blocks, considered_sigma)
+    return JackknifeEstimate(rls, blocks, considered_sigma)
 
 
 def motion(times):
@@ -31,13 +31,13 @@ TRUTH = np.array([2.0, -1.0, 0.5])
 
 def coverage(draw, runs=300):
     """Share of runs whose 95 % interval holds the truth, by parameter; and of the formal covariance's interval."""
-    honest, formal = np.zeros(3), np.zeros(3)
+    covered, formal = np.zeros(3), np.zeros(3)
     for _ in range(runs):
         found, truth = draw()
         interval = found.combination(np.eye(3))
-        honest += (interval.low <= truth) & (truth <= interval.high)
+        covered += (interval.low <= truth) & (truth <= interval.high)
         formal += np.abs(found.mean - truth) <= 1.96 * np.sqrt(found.formal_variance(np.eye(3)))
-    return honest / runs, formal / runs
+    return covered / runs, formal / runs
 
 
 def test_filtered_noise_is_covered_where_the_formal_interval_is_not(rng):
@@ -51,9 +51,9 @@ def test_filtered_noise_is_covered_where_the_formal_interval_is_not(rng):
         sigma = 0.3 * noise.noise_gain
         return estimate(at, Y, Y @ TRUTH + noise.values[:, 0], sigma, PRIOR), TRUTH
 
-    honest, formal = coverage(draw)
+    covered, formal = coverage(draw)
     assert (formal < 0.9).all()
-    assert ((honest >= 0.92) & (honest <= 0.99)).all(), honest
+    assert ((covered >= 0.92) & (covered <= 0.99)).all(), covered
 
 
 def test_slow_errors_that_no_sigma_told_of_are_covered(rng):
@@ -65,9 +65,9 @@ def test_slow_errors_that_no_sigma_told_of_are_covered(rng):
         y = Y @ TRUTH + slow + 0.01 * rng.normal(size=at.size)
         return estimate(at, Y, y, np.full(at.size, 0.01), PRIOR), TRUTH
 
-    honest, formal = coverage(draw, 200)
+    covered, formal = coverage(draw, 200)
     assert (formal < 0.6).all()
-    assert ((honest >= 0.90) & (honest <= 0.99)).all(), honest
+    assert ((covered >= 0.90) & (covered <= 0.99)).all(), covered
 
 
 def test_a_common_scale_error_is_covered_and_not_averaged_out(rng):
@@ -78,8 +78,8 @@ def test_a_common_scale_error_is_covered_and_not_averaged_out(rng):
         y = (1 + 0.02 * rng.normal()) * (Y @ TRUTH) + 0.05 * rng.normal(size=at.size)
         return estimate(at, Y, y, np.full(at.size, 0.05), PRIOR, considered=(y[:, None], [0.02])), TRUTH
 
-    honest, _ = coverage(draw, 200)
-    assert ((honest >= 0.91) & (honest <= 0.995)).all(), honest
+    covered, _ = coverage(draw, 200)
+    assert ((covered >= 0.91) & (covered <= 0.995)).all(), covered
     found, _ = draw()
     assert found.combination(np.eye(3)).sigma[0] == pytest.approx(0.02 * 2.0, rel=0.2)
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.02 * 2.0, rel=0.2)
@@ -102,10 +102,10 @@ def test_regressor_noise_bias_is_taken_out_and_covered(rng):
         corrected.append(found.mean[0])
         return found, TRUTH
 
-    honest, _ = coverage(draw, 200)
+    covered, _ = coverage(draw, 200)
     assert np.mean(plain) == pytest.approx(2.0 / (1 + 0.35**2 / 0.5), rel=0.01)
     assert np.mean(corrected) == pytest.approx(2.0, abs=0.01)
-    assert ((honest >= 0.91) & (honest <= 1.0)).all(), honest
+    assert ((covered >= 0.91) & (covered <= 1.0)).all(), covered
 
 
 def test_noise_that_the_left_hand_side_shares_is_taken_out_of_it_too(rng):
@@ -124,9 +124,9 @@ def test_noise_that_the_left_hand_side_shares_is_taken_out_of_it_too(rng):
         means.append(found.mean[0])
         return found, TRUTH
 
-    honest, _ = coverage(draw, 200)
+    covered, _ = coverage(draw, 200)
     assert np.mean(means) == pytest.approx(2.0, abs=0.02)  # 0.98 where the shared noise is passed over
-    assert ((honest >= 0.91) & (honest <= 1.0)).all(), honest
+    assert ((covered >= 0.91) & (covered <= 1.0)).all(), covered
 
 
 def test_not_knowing_the_noise_well_widens_what_it_biases(rng):
@@ -142,8 +142,8 @@ def test_not_knowing_the_noise_well_widens_what_it_biases(rng):
         y = exact @ TRUTH + 0.05 * rng.normal(size=at.size)
         return estimate(at, Y, y, np.full(at.size, 0.7), PRIOR, noise=noise), TRUTH
 
-    honest, _ = coverage(draw, 100)
-    assert (honest > 0.95).all(), honest
+    covered, _ = coverage(draw, 100)
+    assert (covered > 0.95).all(), covered
 
 
 def test_a_column_that_is_only_noise_is_not_relied_on(rng):
@@ -175,7 +175,7 @@ def test_white_noise_needs_no_correction_and_gets_almost_none(rng):
 def test_prior_only_gives_the_prior_back():
     rls = SquareRootRls(3)
     rls.prior(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
-    found = HonestEstimate(rls, BlockScores(3, 1.0))
+    found = JackknifeEstimate(rls, BlockScores(3, 1.0))
     interval = found.combination(np.eye(3))
     np.testing.assert_allclose(interval.mean, [1.0, 2.0, 3.0])
     np.testing.assert_allclose(interval.sigma, [0.1, 0.2, 0.3], rtol=1e-9)
@@ -190,7 +190,7 @@ def test_covariance_agrees_with_combination_and_is_positive_definite(rng):
     found = estimate(at, Y, y, np.ones(at.size), PRIOR)
     assert np.linalg.eigvalsh(found.covariance).min() > 0.0
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.combination(np.eye(3)).sigma, rtol=1e-6)
-    wide = HonestEstimate.combination(found, [1.0, 1.0, 0.0])
+    wide = JackknifeEstimate.combination(found, [1.0, 1.0, 0.0])
     assert wide.mean[0] == pytest.approx(found.mean[0] + found.mean[1])
 
 
@@ -272,11 +272,11 @@ def test_impossible_stores_are_refused(arguments):
 def test_impossible_questions_are_refused():
     rls = SquareRootRls(2)
     with pytest.raises(SingularError):
-        HonestEstimate(rls, BlockScores(2, 1.0))
+        JackknifeEstimate(rls, BlockScores(2, 1.0))
     rls.prior(np.zeros(2), np.ones(2))
     with pytest.raises(RowError, match="considered"):
-        HonestEstimate(rls, BlockScores(2, 1.0), [0.1])
+        JackknifeEstimate(rls, BlockScores(2, 1.0), [0.1])
     with pytest.raises(RowError, match="level"):
-        HonestEstimate(rls, BlockScores(2, 1.0), level=1.0)
+        JackknifeEstimate(rls, BlockScores(2, 1.0), level=1.0)
     with pytest.raises(RowError, match="weights"):
-        HonestEstimate(rls, BlockScores(2, 1.0)).combination(np.eye(3))
+        JackknifeEstimate(rls, BlockScores(2, 1.0)).combination(np.eye(3))

@@ -1,4 +1,4 @@
-"""Instrumental variables: least squares where the instruments are the rows, unbiased where those are noisy, honest."""
+"""Instrumental variables: least squares where the instruments are the rows, unbiased where those are noisy; covers."""
 
 import numpy as np
 import pytest
@@ -48,10 +48,10 @@ def test_rows_as_their_own_instruments_make_the_least_squares(rng, memory):
     one = fed(at, Y, y, sigma, Y, C, memory, considered=1)
     solution = one.rls.solve()
     np.testing.assert_allclose(one.mean, solution.mean, rtol=1e-9)
-    honest, plain = one.honest([0.3]), super(RecursiveInstrumental, one).honest([0.3])
-    for a, b in zip(honest.combination(np.eye(3)), plain.combination(np.eye(3)), strict=True):
+    jackknife, plain = one.block_jackknife([0.3]), super(RecursiveInstrumental, one).block_jackknife([0.3])
+    for a, b in zip(jackknife.combination(np.eye(3)), plain.combination(np.eye(3)), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
-    np.testing.assert_allclose(honest.covariance, plain.covariance, rtol=1e-6)
+    np.testing.assert_allclose(jackknife.covariance, plain.covariance, rtol=1e-6)
     np.testing.assert_allclose(one.least_squares(), solution.mean, rtol=1e-9)
 
 
@@ -59,7 +59,7 @@ def test_noise_in_the_rows_biases_least_squares_and_not_this(rng):
     means, plain, inside = [], [], np.zeros(3)
     for _ in range(200):
         one = fed(*noisy(rng))
-        interval = one.honest().combination(np.eye(3))
+        interval = one.block_jackknife().combination(np.eye(3))
         means.append(interval.mean)
         plain.append(one.rls.solve().mean)
         inside += (interval.low <= TRUTH) & (interval.high >= TRUTH)
@@ -84,7 +84,7 @@ def test_what_no_instrument_shows_stays_the_priors(rng):
     at, Y, y, sigma, Z = noisy(rng, 4.0)
     Z[:, 2] = Y[:, 2] = 0.0
     one = fed(at, Y, y, sigma, Z)
-    interval = one.honest().combination(np.eye(3))
+    interval = one.block_jackknife().combination(np.eye(3))
     assert interval.mean[2] == pytest.approx(0.0, abs=1e-9)
     assert interval.sigma[2] == pytest.approx(50.0, rel=1e-6)
 
@@ -106,4 +106,4 @@ def test_impossible_rows_and_questions_are_refused(rng):
     with pytest.raises(SingularError, match="instruments"):
         _ = one.mean
     with pytest.raises(RowError, match="considered"):
-        one.honest([1.0])
+        one.block_jackknife([1.0])

@@ -1,4 +1,4 @@
-"""The kernel's laws: exact on low polynomials, one filter for both sides of a row, honest noise gain, gaps refused."""
+"""The kernel's laws: exact on low polynomials, one filter for both sides of a row, right noise gain, gaps refused."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A window is the batch solution of its rows, after any number of steps; fading and windowed blocks stay honest."""
+"""A window is the batch solution of its rows, after any number of steps; fading and windowed blocks still cover."""
 
 import numpy as np
 import pytest
@@ -118,7 +118,7 @@ def test_intervals_of_a_fading_or_windowed_estimate_cover(rng, memory):
         for first in range(0, at.size, 50):
             some = slice(first, first + 50)
             found.add(at[some], Y[some], y[some], np.full(50, 0.1))
-        interval = found.honest().combination(np.eye(2))
+        interval = found.block_jackknife().combination(np.eye(2))
         inside += int(((interval.low <= [2.0, -1.0]) & (interval.high >= [2.0, -1.0])).sum())
     assert 0.92 <= inside / 300 <= 0.995
 
@@ -158,7 +158,7 @@ def test_what_makes_no_sense_is_refused(rng):
     with pytest.raises(RowError, match="closed blocks"):
         WindowRls(2, 0, -1)
     window = WindowRls(2)
-    with pytest.raises(RowError, match="does not fade"):
+    with pytest.raises(RowError, match="no forgetting factor"):
         window.update(np.eye(2), np.ones(2), np.ones(2), forgetting=0.9)
     with pytest.raises(RowError, match="one triangle"):
         window.restore(SquareRootRls(2).state())

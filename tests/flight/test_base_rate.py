@@ -19,14 +19,14 @@ SEQUENCE = [
 
 
 @pytest.fixture(scope="module")
-def story(tmp_path_factory: pytest.TempPathFactory) -> FlightData:
+def flight(tmp_path_factory: pytest.TempPathFactory) -> FlightData:
     path = tmp_path_factory.mktemp("base_rate") / "flight.mcap"
     fly(path, 3, vehicle="dymaflex", sequence=SEQUENCE, capture={"earliest_s": 4.0, "latest_s": 4.5})
     return gather(path)
 
 
-def test_the_identified_payload_predicts_the_gyro(story: FlightData) -> None:
-    found = base_rate(story)
+def test_the_identified_payload_predicts_the_gyro(flight: FlightData) -> None:
+    found = base_rate(flight)
     assert found is not None
     assert found.time_s[-1] - found.time_s[found.fitted] > 4.0
     swing = np.ptp(found.measured, axis=0)
@@ -34,20 +34,20 @@ def test_the_identified_payload_predicts_the_gyro(story: FlightData) -> None:
     assert (found.rms < 0.03 * swing.max()).all()
 
 
-def test_another_vehicle_does_not(story: FlightData, monkeypatch: pytest.MonkeyPatch) -> None:
-    right = base_rate(story)
+def test_another_vehicle_does_not(flight: FlightData, monkeypatch: pytest.MonkeyPatch) -> None:
+    right = base_rate(flight)
     assert right is not None
-    assert story.model is not None
-    chi = story.model.chi.copy()
+    assert flight.model is not None
+    chi = flight.model.chi.copy()
     chi[:10] *= 1.5  # of the base
-    monkeypatch.setattr(story.model, "chi", chi)
-    wrong = base_rate(story)
+    monkeypatch.setattr(flight.model, "chi", chi)
+    wrong = base_rate(flight)
     assert wrong is not None
     assert np.linalg.norm(wrong.rms) > 3.0 * np.linalg.norm(right.rms)
 
 
-def test_the_page_shows_it(story: FlightData, tmp_path: Path) -> None:
-    report(story.info.path, tmp_path / "page.html")
+def test_the_page_shows_it(flight: FlightData, tmp_path: Path) -> None:
+    report(flight.info.path, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert "<h2" in text
     assert "gyro less prediction" in text

@@ -120,7 +120,7 @@ def test_the_halves_are_predicted_as_brute_force_predicts_them(rng, identifier):
         relative = np.linalg.norm(left) / np.linalg.norm(y[~train])
         assert prediction.relative_error == pytest.approx(relative, rel=few_blocks)
         assert prediction.misfit == pytest.approx(np.mean(left**2) / 0.01, rel=few_blocks)
-    assert found.fit.misfit == pytest.approx(np.mean((y - Y @ identifier.honest().mean) ** 2) / 0.01, rel=1e-9)
+    assert found.fit.misfit == pytest.approx(np.mean((y - Y @ identifier.block_jackknife().mean) ** 2) / 0.01, rel=1e-9)
     assert found.worst == max(found.later, found.earlier)
 
 

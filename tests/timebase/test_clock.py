@@ -67,7 +67,7 @@ def test_locks_and_knows_its_own_error(rng: np.random.Generator, rate_error: flo
         sigmas.append(clock.sigma_ns(tick))
     sixteenth_of_a_sample, beating_at_5_percent = PERIOD_NS / 16, PERIOD_NS / 12
     assert np.std(errors) < (sixteenth_of_a_sample if abs(rate_error) < 0.02 else beating_at_5_percent)
-    assert 0.5 < np.std(errors) / np.mean(sigmas) < 1.2  # an honest sigma
+    assert 0.5 < np.std(errors) / np.mean(sigmas) < 1.2  # sigma matches the error
     assert abs(np.mean(errors)) < 4 * np.std(errors) / np.sqrt(60) + 10e3
 
 

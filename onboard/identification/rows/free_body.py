@@ -26,7 +26,7 @@ from onboard.dynamics.inertia import (
     take_away,
 )
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import HonestEstimate
+from onboard.estimation.consistency import JackknifeEstimate
 from onboard.identification.quantities import Quantity
 from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.base_parameters import BaseParameters
@@ -43,12 +43,12 @@ class Whole(NamedTuple):
 
     body: RigidBody
     weights: FloatArray  # (9, p) its centre of mass and the six elements of its inertia, on the base parameters
-    honest: HonestEstimate
+    jackknife: JackknifeEstimate
 
     @property
     def sigma(self) -> FloatArray:
         """Standard deviation of the centre of mass and the inertia's elements, (9,), the rotors taken for exact."""
-        return self.honest.combination(self.weights).sigma
+        return self.jackknife.combination(self.weights).sigma
 
 
 class KnownBody(NamedTuple):
@@ -124,9 +124,9 @@ def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95) -> W
     if not identifier.rows_used:
         raise SignalError("no row could be used; see what the gates say")
     stacked = np.array([weights[name] for name in FREE_BODY])
-    honest = identifier.honest(level)
-    found = stacked @ honest.mean
-    return Whole(RigidBody(mass_kg, found[:3], symmetric(found[3:])), stacked, honest)
+    jackknife = identifier.block_jackknife(level)
+    found = stacked @ jackknife.mean
+    return Whole(RigidBody(mass_kg, found[:3], symmetric(found[3:])), stacked, jackknife)
 
 
 def without_carrier(
@@ -154,10 +154,10 @@ def without_carrier(
     if carrier is not None:
         J_y = _jacobian(lambda v: moments(x, v, 1.0), y, carrier.sigma)  # (3, 9)
         other += (J_y**2) @ carrier.sigma**2
-    rows = whole.honest.combination(J_x @ whole.weights)
+    rows = whole.jackknife.combination(J_x @ whole.weights)
     load = _load(whole.body, carrier, y, 1.0)
     found = principal_moments(load)
-    z = ndtri(0.5 + 0.5 * whole.honest.level)
+    z = ndtri(0.5 + 0.5 * whole.jackknife.level)
     half = np.sqrt((rows.high - rows.mean) ** 2 + z**2 * other)
     return load, PrincipalMoments(found, np.sqrt(rows.sigma**2 + other), found - half, found + half)
 

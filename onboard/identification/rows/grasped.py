@@ -10,7 +10,7 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian, body_of
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import HonestEstimate
+from onboard.estimation.consistency import JackknifeEstimate
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
@@ -50,26 +50,26 @@ class GraspedPayload:
         self._before = np.sqrt(np.einsum("ri,ij,rj->r", self._w, prior_covariance, self._w))  # (10,)
         self._prior_sigma = np.sqrt(np.diag(prior_covariance))  # (p,)
 
-    def weights(self, honest: HonestEstimate) -> FloatArray:
+    def weights(self, jackknife: JackknifeEstimate) -> FloatArray:
         """The combinations of base parameters that the ten change with, (10, p); NaN where there is no mass."""
-        mean = self._w @ honest.mean
+        mean = self._w @ jackknife.mean
         return body_jacobian(mean) @ self._w if mean[0] > 0.0 else np.full_like(self._w, np.nan)
 
-    def quantities(self, honest: HonestEstimate, used: int, refused: int) -> tuple[QuantityEstimate, ...]:
+    def quantities(self, jackknife: JackknifeEstimate, used: int, refused: int) -> tuple[QuantityEstimate, ...]:
         """The ten with two-sided intervals, in the payload link's frame.
 
         Each is supported when the data and not the prior determine it, the inertia only where the centre of mass is,
         and none of them when rows, or rows and prior, contradict each other.
 
         Args:
-            honest: the estimate of the base parameters.
+            jackknife: the estimate of the base parameters.
             used: rows in it.
             refused: rows that contradicted it.
         """
-        standard = honest.combination(self._w)
+        standard = jackknife.combination(self._w)
         shrinkage = standard.sigma / self._before
         weak = (shrinkage > SUPPORTED_SHRINKAGE) | (standard.degrees_of_freedom < SUPPORTED_FREEDOM)
-        why = self._contradiction(honest, used, refused)
+        why = self._contradiction(jackknife, used, refused)
         if not why and (weak[0] or standard.low[0] <= 0.0):
             why = "the data do not determine a mass apart from zero; move more, or against gravity"
         if why:
@@ -78,7 +78,7 @@ class GraspedPayload:
                 for name, unit, s in zip(self.names, BODY_UNITS, shrinkage, strict=True)
             )
         weak[4:] |= weak[1:4].any()
-        found = honest.combination(self.weights(honest))
+        found = jackknife.combination(self.weights(jackknife))
         half = 0.5 * (found.high - found.low)
         body = body_of(standard.mean)
         value = np.concatenate([[body.mass_kg], body.centre_of_mass_m, elements(body.inertia_kg_m2)])
@@ -92,11 +92,11 @@ class GraspedPayload:
             )
         )
 
-    def _contradiction(self, honest: HonestEstimate, used: int, refused: int) -> str:
+    def _contradiction(self, jackknife: JackknifeEstimate, used: int, refused: int) -> str:
         """Why rows, or rows and prior, cannot all be right; empty if they can."""
         if refused > MOST_REFUSED * (used + refused):
             return f"{refused} of {used + refused} rows contradict the others; check the sensors against each other"
-        moved = np.abs(honest.mean - self._prior) / self._prior_sigma
+        moved = np.abs(jackknife.mean - self._prior) / self._prior_sigma
         worst = int(moved.argmax())
         if moved[worst] > FARTHEST:
             name = self._base.names[worst]

@@ -77,7 +77,7 @@ class RowBlocks:
         (earlier, early_noise), (later, late_noise) = (half for half in halves if half is not None)
         reference = _without_the_unknown(identifier) if later[-2, -2] + earlier[-2, -2] == 0.0 else None
         first, second = (_solved(*half, identifier) for half in ((earlier, early_noise), (later, late_noise)))
-        everything = identifier.honest().mean
+        everything = identifier.block_jackknife().mean
         return HeldOut(
             _prediction(later, first, reference),
             _prediction(earlier, second, reference),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from onboard.dynamics.errors import SignalError, UnknownFrameError
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
 from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
@@ -77,7 +77,7 @@ class Identifier:
         model: the rows.
         base: its base parameters.
         prior_sigma: standard deviations of the standard parameters about ``model.chi``, (P,).
-        block_s: first block of the honest covariance; five kernel widths or more.
+        block_s: first block length of the jackknife covariance; five kernel widths or more.
         quantities: what to report besides the base parameters.
         considered: what is wrong by a known sigma and not estimated.
         residual_sigma: threshold of the residual gate.
@@ -285,16 +285,16 @@ class Identifier:
                 C[:, row, k] = -signals.measured_rate[at, row]
         return C[use]
 
-    def honest(self, level: float = 0.95) -> HonestEstimate:
-        """The estimate of the base parameters with its honest covariance."""
-        return self._recursion.honest([cause.sigma for cause in self.considered], level)
+    def block_jackknife(self, level: float = 0.95) -> JackknifeEstimate:
+        """The estimate of the base parameters with its block-jackknife covariance."""
+        return self._recursion.block_jackknife([cause.sigma for cause in self.considered], level)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""
-        honest, eye = self.honest(), np.eye(len(self.base.names))
-        payload = [self._payload.weights(honest)] if self._payload else []
+        jackknife, eye = self.block_jackknife(), np.eye(len(self.base.names))
+        payload = [self._payload.weights(jackknife)] if self._payload else []
         weights = np.vstack([eye, *(q.weights for q in self.quantities), *payload])
-        return np.asarray(np.sqrt(honest.formal_variance(weights)), np.float64)
+        return np.asarray(np.sqrt(jackknife.formal_variance(weights)), np.float64)
 
     def estimate(self, level: float = 0.95) -> Estimate:
         """Base parameters and quantities with two-sided intervals.
@@ -302,12 +302,12 @@ class Identifier:
         Args:
             level: of the intervals.
         """
-        honest = self.honest(level)
+        jackknife = self.block_jackknife(level)
         p = len(self.base.names)
         weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])
-        interval = honest.combination(weights)
+        interval = jackknife.combination(weights)
         before = np.einsum("ri,ij,rj->r", weights, self._prior_covariance, weights)
-        shrinkage = np.maximum(interval.sigma, np.sqrt(honest.formal_variance(weights))) / np.sqrt(before)
+        shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / np.sqrt(before)
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         quantities = []
         for index, quantity in enumerate(self.quantities, start=p):
@@ -324,10 +324,10 @@ class Identifier:
             )
         if self._payload:
             residual = self.refused[GateReason.RESIDUAL]
-            quantities += self._payload.quantities(honest, self.rows_used, residual)
+            quantities += self._payload.quantities(jackknife, self.rows_used, residual)
         return Estimate(
             self.base.names,
-            honest.mean,
+            jackknife.mean,
             interval.sigma[:p],
             interval.low[:p],
             interval.high[:p],

@@ -53,7 +53,7 @@ def whole_estimate(link: str, whole: Whole, scale_sigma: float) -> LinkEstimate:
     mean = standard_of(whole.body)
     inertia = np.concatenate([np.zeros(4), elements(whole.body.inertia_kg_m2)])
     covariance = scale_sigma**2 * np.outer(inertia, inertia)
-    covariance[1:, 1:] += whole.weights @ whole.honest.covariance @ whole.weights.T
+    covariance[1:, 1:] += whole.weights @ whole.jackknife.covariance @ whole.weights.T
     back = np.linalg.inv(body_jacobian(mean))
     return link_estimate(link, mean, back @ covariance @ back.T)
 
@@ -74,7 +74,7 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
         nuisance: base parameters that take up what is not theirs.
     """
     model, base, sigma = identifier.model, identifier.base, identifier.prior_sigma
-    honest, estimate = identifier.honest(), identifier.estimate()
+    jackknife, estimate = identifier.block_jackknife(), identifier.estimate()
     told = [
         *(estimate.supported & ~np.isin(base.names, list(nuisance))),
         *(q.supported for q in estimate.quantities[: len(identifier.quantities)]),
@@ -84,9 +84,9 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
     K = sigma[:, None] * np.asarray(
         np.linalg.pinv(F * sigma, rcond=_SAME)
     )  # (P, k) for a prior of independent parameters
-    mean = model.chi + K @ (weights @ honest.mean - F @ model.chi)
+    mean = model.chi + K @ (weights @ jackknife.mean - F @ model.chi)
     left = np.diag(sigma**2) - K @ (F * sigma**2)  # what the rows do not tell
-    covariance = left + K @ weights @ honest.covariance @ weights.T @ K.T
+    covariance = left + K @ weights @ jackknife.covariance @ weights.T @ K.T
     found = []
     for index, link in enumerate(model.vehicle.links):
         own = slice(10 * index, 10 * index + 10)

@@ -1,1 +1,1 @@
-"""Recordings from elsewhere to logs, by a mapping file (``heft import``)."""
+"""Converts foreign recordings to logs by a mapping file (``heft import``)."""

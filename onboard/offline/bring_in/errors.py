@@ -1,8 +1,8 @@
-"""Every error that bringing in foreign recordings raises on purpose."""
+"""Error tree of the import of foreign recordings."""
 
 
 class ImportFileError(ValueError):
-    """Base of them all. The message is a sentence that names the file and ends with the remedy."""
+    """Base of all import errors. The message names the file and ends with the remedy."""
 
 
 class MappingError(ImportFileError):
@@ -10,4 +10,4 @@ class MappingError(ImportFileError):
 
 
 class SourceError(ImportFileError):
-    """A recording is not what the mapping says it is."""
+    """A recording does not match the mapping."""

@@ -1,4 +1,4 @@
-"""Columns of foreign files: CSV with a line of names, and NumPy's NPZ. A file is held in memory as a whole."""
+"""Reads columns of foreign files (CSV with a header line, NumPy's NPZ); a whole file is held in memory."""
 
 import csv
 import zipfile
@@ -19,8 +19,8 @@ def read_npz(path: Path) -> Columns[str, Values]:
     """The arrays of an NPZ file, by name.
 
     Raises:
-        SourceError: it is no NPZ file, or one with pickled objects.
-        OSError: it cannot be read.
+        SourceError: not an NPZ file, or one with pickled objects.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         try:
@@ -33,11 +33,11 @@ def read_npz(path: Path) -> Columns[str, Values]:
 
 
 def read_csv(path: Path, layout: Csv) -> Columns[str, Values]:
-    """The columns of a CSV file, by name: integers where every cell is one, else floats.
+    """The columns of a CSV file, by name: integers if every cell is one, else floats.
 
     Raises:
-        SourceError: a line has another number of cells than the header, or a cell is no number.
-        OSError: it cannot be read.
+        SourceError: a line with another number of cells than the header.
+        OSError: the file cannot be read.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -58,7 +58,7 @@ def read_csv(path: Path, layout: Csv) -> Columns[str, Values]:
 
 
 def _numbers(path: Path, name: str, cells: list[str]) -> Values:
-    """Numbers of a column; text, when a cell is none, which is an error only if the mapping asks for the column."""
+    """Numbers of a column; text if a cell is not a number (an error only if the mapping uses the column)."""
     for kind in (np.int64, np.float64):
         try:
             return np.array(cells, dtype=str).astype(kind)
@@ -76,13 +76,13 @@ def numbers(path: Path, columns: Columns[str, Values], name: str, width: int | N
     """Column ``name`` (n,), or (n, width), of a file that has been read.
 
     Raises:
-        SourceError: there is none, or it is not of numbers of that shape.
+        SourceError: no such column, or not numbers of that shape.
     """
     if name not in columns:
         raise SourceError(f"{path} has no column {name!r}; it has {', '.join(map(repr, columns))}")
     values = columns[name]
     if values.dtype.kind not in "iuf":
-        raise SourceError(f"{path}: column {name!r} holds cells that are no numbers; correct them or the mapping")
+        raise SourceError(f"{path}: column {name!r} holds cells that are not numbers; correct them or the mapping")
     if values.ndim != (1 if width is None else 2) or (width is not None and values.shape[1] != width):
         wanted = "one value" if width is None else f"{width} values"
         raise SourceError(f"{path}: column {name!r} has shape {values.shape}; the mapping needs {wanted} a row")

@@ -1,7 +1,7 @@
-"""Foreign recordings into our logs, by a mapping file; no recording needs code of its own.
+"""Converts foreign recordings to logs by a mapping file.
 
-``host_ns`` is the recording's own clock: here it *is* the time of the sample, there is no other. ``tick`` numbers the
-samples. A log is the same to the byte however often it is made.
+``host_ns`` is the recording's own clock, here the time of the sample. ``tick`` numbers the samples. The conversion is
+deterministic to the byte.
 """
 
 import hashlib
@@ -25,13 +25,13 @@ MAPPING_ATTACHMENT = "mapping.toml"
 IMPORT_METADATA = "import"
 EVENT_CHANNEL = "import_event"
 
-_BLOCK_ROWS = 256  # channels take turns in the log about this often
-_HUGE = 2.0**62  # beyond it a number is none that int64 can be trusted with
+_BLOCK_ROWS = 256  # rows per channel before the next channel's rows follow
+_HUGE = 2.0**62  # larger values are refused: they may overflow int64
 _RAILS = np.iinfo(np.int16)
 
 
 class ImportedLog(NamedTuple):
-    """A log that was made, from what, and how many rows it holds."""
+    """A log made by the import: path, source, number of rows."""
 
     path: Path
     source: Path
@@ -41,17 +41,17 @@ class ImportedLog(NamedTuple):
 def import_recordings(
     mapping_name: str | Path, source: Path, directory: Path, *, progress: Progress | None = None
 ) -> list[ImportedLog]:
-    """Make a log of ``source``, or of each recording in it when it is a directory, named as the recording.
+    """Make a log of ``source``, or of each recording in it if it is a directory, named like the recording.
 
     Args:
         mapping_name: name of a packaged mapping, or path of a mapping file.
         source: a recording, or a directory of them.
-        directory: where the logs go; made if need be. Logs of the same names are replaced.
-        progress: gets a task that counts the recordings.
+        directory: where the logs go; created if missing. Logs of the same names are replaced.
+        progress: receives a task that counts the recordings.
 
     Raises:
         MappingError: the mapping cannot be used.
-        SourceError: a recording is not what the mapping says.
+        SourceError: a recording does not match the mapping.
         OSError: a file cannot be read or written.
     """
     chosen = mapping.load(mapping_name)
@@ -98,12 +98,12 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
         for name, rows in channels.items():
             writer.register(name, rows.dtype)
         _write_by_time(writer, channels)
-        _tell_pauses(writer, channels)
+        _report_pauses(writer, channels)
     return ImportedLog(log, source, sum(map(len, channels.values())))
 
 
 def _absent(chosen: Mapping) -> list[str]:
-    """Fields that the recording does not have; they are 0 in every row."""
+    """Fields that the recording lacks; they are 0 in every row."""
     return [
         f"{name}.{field}"
         for name, channel in chosen.file.channel.items()
@@ -126,8 +126,8 @@ def _write_by_time(writer: LogWriter, channels: dict[str, Rows]) -> None:
                 writer.write(name, part)
 
 
-def _tell_pauses(writer: LogWriter, channels: dict[str, Rows]) -> None:
-    """An event for each channel whose clock shows pauses: a recorder elsewhere may have lost samples unnoticed."""
+def _report_pauses(writer: LogWriter, channels: dict[str, Rows]) -> None:
+    """Write an event for each channel whose times show pauses: the recorder may have lost samples."""
     writer.register(EVENT_CHANNEL, records.EVENT)
     number = 0
     for name, rows in channels.items():
@@ -154,10 +154,10 @@ def _first_column(channel: ImuChannel | ScalarChannel) -> str:
 
 
 def _host_ns(source: Path, columns: Columns[str, Values], time: Time, sampled: str) -> NDArray[np.int64]:
-    """Times (n,) of the samples; those of ``sampled``, evenly spaced, where the recording has none."""
+    """Times (n,) of the samples, ns; evenly spaced by the number of ``sampled`` if the recording has none."""
     if time.column is None:
         assert time.rate_Hz is not None
-        count = len(columns.get(sampled, ()))  # a column that is not there is told when its values are asked for
+        count = len(columns.get(sampled, ()))  # a missing column is refused where its values are read
         start_ns = time.offset * NS_PER[time.unit]
         return np.asarray(np.rint(start_ns + np.arange(count) * (1e9 / time.rate_Hz)), np.int64)
     values = foreign.numbers(source, columns, time.column)
@@ -195,7 +195,7 @@ def _imu(source: Path, columns: Columns[str, Values], channel: ImuChannel, host_
         railed = ((counts <= _RAILS.min) | (counts >= _RAILS.max)).any(axis=1)
         signs = np.array([1 if axis[0] == "+" else -1 for axis in vector.axes])
         turned = counts[:, ["xyz".index(axis[1]) for axis in vector.axes]] * signs
-        rows[f"{name}_raw"] = np.clip(turned, _RAILS.min, _RAILS.max)  # -(-32768) has no int16; it is at the rail
+        rows[f"{name}_raw"] = np.clip(turned, _RAILS.min, _RAILS.max)  # -(-32768) is not an int16: clipped to the limit
         rows["status"][railed] = SampleStatus.SATURATED
     rows["accel_scale_m_s2"], rows["gyro_scale_rad_s"] = channel.accel.si_count, channel.gyro.si_count
     return rows

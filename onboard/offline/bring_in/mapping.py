@@ -47,7 +47,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from onboard.offline.bring_in.errors import MappingError
 
-# unit to the unit it is kept in, and how much of that it is
+# unit to the unit it is stored in, and the factor
 UNITS = {
     "1": ("1", 1.0),
     "m/s^2": ("m/s^2", 1.0),
@@ -73,21 +73,21 @@ class _Section(BaseModel):
 
 
 class About(_Section):
-    """Name of the mapping, and what it reads."""
+    """Name of the mapping and format of its recordings."""
 
     name: str
     format: Literal["csv", "npz"]
 
 
 class Csv(_Section):
-    """How a CSV file is laid out."""
+    """Layout of a CSV file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
     header_line: Annotated[int, Field(ge=1)] = 1
 
 
 class Time(_Section):
-    """The recording's own clock: a column of times, or nothing but the nominal rate of evenly spaced samples."""
+    """The recording's own clock: a column of times, or the nominal rate of evenly spaced samples."""
 
     column: str | None = None
     unit: Literal["ns", "us", "ms", "s"] = "s"
@@ -106,7 +106,7 @@ def _as_ratio(scale: object) -> object:
 
 
 class _Quantity(_Section):
-    keeps: ClassVar[tuple[str, ...]] = ()  # units that it may be kept in; none: any
+    keeps: ClassVar[tuple[str, ...]] = ()  # allowed stored units; empty: any
 
     values: Literal["counts", "physical"] = "counts"
     scale: Annotated[tuple[_Positive, _Positive], BeforeValidator(_as_ratio)]
@@ -121,17 +121,17 @@ class _Quantity(_Section):
 
     @property
     def si_unit(self) -> str:
-        """The unit that the channel is kept in."""
+        """Unit of the stored channel."""
         return UNITS[self.unit][0]
 
     @property
     def count(self) -> float:
-        """The size of one count in `unit`."""
+        """Size of one count in ``unit``."""
         return self.scale[0] / self.scale[1]
 
     @property
     def si_count(self) -> float:
-        """The size of one count in `si_unit`."""
+        """Size of one count in ``si_unit``."""
         return self.count * UNITS[self.unit][1]
 
 
@@ -200,7 +200,7 @@ class MappingFile(_Section):
 
 
 class Mapping(BaseModel):
-    """A mapping file that has been read, and its text."""
+    """A parsed mapping file and its text."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -218,7 +218,7 @@ def load(name: str | Path) -> Mapping:
     """Read and check a mapping: a packaged one by its name, or a file by its path.
 
     Raises:
-        MappingError: there is none, it is no TOML, or it holds an unknown key or a wrong value.
+        MappingError: no such mapping, not TOML, an unknown key or a wrong value.
     """
     known = packaged()
     path = known.get(str(name), Path(name))
@@ -241,7 +241,7 @@ def load(name: str | Path) -> Mapping:
 def _explain(path: Path, error: dict[str, object]) -> str:
     where = error["loc"]
     assert isinstance(where, tuple)
-    # pydantic puts the record of a channel behind its name
+    # pydantic appends the record type to a channel's name
     key = ".".join(str(part) for n, part in enumerate(where) if (where[0], n) != ("channel", 2))
     if error["type"] == "extra_forbidden":
         return f"{path}: unknown key {key!r}; remove it, or correct its spelling"

@@ -178,8 +178,8 @@ def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
     told = np.flatnonzero(estimate.supported)
     if not told.size:
         return ()
-    honest = who.honest()
-    kept = essential(honest.mean[told], honest.covariance[np.ix_(told, told)]).kept
+    jackknife = who.block_jackknife()
+    kept = essential(jackknife.mean[told], jackknife.covariance[np.ix_(told, told)]).kept
     return tuple(estimate.names[k] for k in told[kept])
 
 

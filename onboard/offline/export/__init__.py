@@ -1,4 +1,4 @@
-"""A channel's rows to a file of some format, a block at a time; memory does not grow with the rows."""
+"""Writers of a channel's rows to CSV, Parquet, NPZ and MAT-files, block by block in constant memory."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,10 +9,10 @@ from onboard.offline.tables.columns import Column
 
 
 class Table(Protocol):
-    """A file in the making."""
+    """Writer of a table file."""
 
     def write(self, rows: Rows) -> None:
-        """Take rows (n,)."""
+        """Write rows (n,)."""
 
     def close(self) -> None:
         """Finish the file."""
@@ -22,10 +22,10 @@ FORMATS = ("csv", "parquet", "npz", "mat")
 
 
 def opener(kind: str) -> Callable[[Path | BinaryIO, Sequence[Column]], Table]:
-    """What makes a table of format ``kind`` from a path (or an open file, which only CSV can write to) and columns.
+    """Factory of a table of format ``kind`` from a path (or an open file, CSV only) and columns.
 
     Raises:
-        ValueError: no such format, or what it needs is not installed.
+        ValueError: unknown format, or its library is not installed.
     """
     match kind:
         case "csv":

@@ -1,8 +1,7 @@
-"""Every signal of a log at the same instants of vehicle time, known filter delays removed.
+"""Resamples every signal of a log at common instants of vehicle time, known filter delays removed.
 
-Between samples a signal is taken for a straight line. A channel no faster than the instants has its value on that line;
-of a faster one, an instant gets the line's mean over one period about it. Where a sample is missing or not usable there
-is no value, and the cell is NaN.
+Signals are interpolated linearly. A channel slower than the instants gets the interpolated value; a faster one gets the
+mean of the interpolation over one period about the instant. A missing or unusable sample gives NaN.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,12 +27,12 @@ from onboard.offline.tables.vehicle_time import UNKNOWN, Timed, timed
 from onboard.recording.reader import LogReader
 
 _IMU_UNITS = (("gyro", "rad/s"), ("accel", "m/s^2"))
-_MARGIN_NS = 100_000_000  # kept behind: the longest filter delay, half a period, a few samples
-_LONGEST_HOLE = 2.5  # periods that a straight line may bridge
+_MARGIN_NS = 100_000_000  # history kept: longest filter delay, half a period, a few samples
+_LONGEST_HOLE = 2.5  # longest gap interpolated, sample periods
 
 
 class Aligned(NamedTuple):
-    """The table's columns and its rows, a block at a time."""
+    """The table's columns and its rows, block by block."""
 
     columns: list[Column]
     blocks: Iterator[Rows]
@@ -44,8 +43,8 @@ def aligned(tables: FlightTables, channels: Sequence[str] | None, rate_hz: float
 
     Args:
         tables: of a log, with its vehicle.
-        channels: only these; every channel that carries a signal where None.
-        rate_hz: of the instants, which are whole multiples of its period.
+        channels: only these; None: every channel that carries a signal.
+        rate_hz: rate of the instants, which are whole multiples of its period.
 
     Raises:
         ValueError: no vehicle is known, a channel that carries no signal, or a rate that is not positive.
@@ -83,16 +82,16 @@ def dump_aligned(
     force: bool = False,
     progress: Progress | None = None,
 ) -> DumpResult:
-    """Write every signal at the same instants of vehicle time into one table, ``target/aligned.kind`` or an open file.
+    """Write every signal at common instants of vehicle time into one table, ``target/aligned.kind`` or an open file.
 
     Args:
         log: a flight, with its vehicle file.
         target: as for :func:`dump`.
-        rate_hz: of the instants.
-        selection: which channels, and which of the instants.
+        rate_hz: rate of the instants.
+        selection: channels and times.
         kind: format; an open file takes CSV only.
         force: as for :func:`dump`.
-        progress: gets a task that counts the bytes of the log.
+        progress: receives a task that counts the bytes of the log.
 
     Raises:
         ValueError: no vehicle is known, or a channel cannot be resampled, or the format cannot be had, or see
@@ -175,11 +174,11 @@ class _Track:
 
     @property
     def first_ns(self) -> int | None:
-        """Time of the oldest sample; None while there is none."""
+        """Time of the oldest sample, ns; None if there is none."""
         return int(self._time_ns[0]) if len(self._time_ns) else None
 
     def add(self, samples: Timed) -> None:
-        """Take samples; one that is not usable has no value."""
+        """Add samples; an unusable one becomes NaN."""
         known = samples.time_ns != UNKNOWN
         rows = samples.rows[known]
         values = si.imu(rows) if self._is_imu else si.scalar(rows, self._signal.zero_count)[:, None]
@@ -188,7 +187,7 @@ class _Track:
         self._values = np.concatenate([self._values, values])
 
     def forget(self, before_ns: int) -> None:
-        """Drop what is older, and keep one sample before it."""
+        """Drop older samples but the last one before ``before_ns``."""
         first = max(0, int(np.searchsorted(self._time_ns, before_ns)) - 1)
         self._time_ns, self._values = self._time_ns[first:], self._values[first:]
 
@@ -208,7 +207,7 @@ class _Track:
 
 
 class _Line:
-    """Straight lines from sample to sample; nothing beside a sample that is not usable, and none across a hole."""
+    """Linear interpolation; NaN next to an unusable sample and across a gap."""
 
     def __init__(self, time_ns: NDArray[np.int64], values: FloatArray, widest_ns: float) -> None:
         self._time_ns = np.maximum.accumulate(time_ns)
@@ -221,7 +220,7 @@ class _Line:
         self._breaks = np.concatenate([zero, np.cumsum(self._broken, axis=0)])
 
     def _at(self, at_ns: NDArray[np.int64]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Piece, time into it (n, 1), value (n, columns), and whether there is a piece at all."""
+        """Index of the segment, time into it (n, 1), value (n, columns), and whether it is valid."""
         piece = np.clip(np.searchsorted(self._time_ns, at_ns, side="right") - 1, 0, len(self._step_ns) - 1)
         since = (at_ns - self._time_ns[piece]).astype(np.float64)[:, None]
         rise = (self._known[piece + 1] - self._known[piece]) / np.maximum(self._step_ns[piece], 1)[:, None]

@@ -1,4 +1,4 @@
-"""CSV: the unit of a column in its head."""
+"""CSV writer; column headings contain the unit."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +13,8 @@ class CsvTable:
     """A CSV file, or a stream that stays open.
 
     Args:
-        target: path, or where to write.
-        columns: of the table.
+        target: path, or open file.
+        columns: columns of the table.
     """
 
     def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
@@ -24,7 +24,7 @@ class CsvTable:
         self._file.write(header(columns))
 
     def write(self, rows: Rows) -> None:
-        """Take rows (n,)."""
+        """Write rows (n,)."""
         self._file.write(self._encoder.block(rows))
 
     def close(self) -> None:

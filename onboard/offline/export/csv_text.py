@@ -1,8 +1,8 @@
-"""Columns of numbers and text to CSV (RFC 4180, LF line ends), a block of rows at a time and without a loop over rows.
+"""Formats columns of numbers and text as CSV (RFC 4180, LF line ends), vectorised over blocks of rows.
 
-Every cell is laid into a field of fixed width with NUL as filler, the fields of a block make a matrix of bytes, and
-what is not NUL is the text. What recurs is formatted once: 16-bit counts and their products with a scale that stays are
-looked up in tables, other floats and text are formatted by distinct value.
+Every cell is written into a fixed-width field padded with NUL; the fields of a block form a matrix of bytes, from which
+the NULs are removed. Recurring values are formatted once: 16-bit counts and their products with a constant scale come
+from tables, other floats and text are formatted per distinct value.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows
 from onboard.offline.tables.columns import Column, Values
 
-Cells = NDArray[np.uint8]  # (n, width), NUL where there is nothing; (1, width) where all rows are alike
+Cells = NDArray[np.uint8]  # (n, width), NUL-padded; (1, width) if all rows are equal
 
 _POWERS = 10 ** np.arange(1, 20, dtype=np.uint64)
 _GROUP = np.uint64(10_000)
@@ -26,15 +26,15 @@ _DAY_NS, _SECOND_NS = 86_400_000_000_000, 1_000_000_000
 
 
 def header(columns: Sequence[Column]) -> bytes:
-    """The first line."""
+    """The header line."""
     return b",".join(_safe(column.header.encode()) for column in columns) + b"\n"
 
 
 class Encoder:
-    """Rows of one channel to lines; what it has formatted once it keeps, in constant memory.
+    """Formats rows of one channel as lines, with caches of constant size.
 
     Args:
-        columns: of the table.
+        columns: columns of the table.
     """
 
     def __init__(self, columns: Sequence[Column]) -> None:
@@ -65,7 +65,7 @@ class Encoder:
 
 
 class _Products:
-    """Cells of count x scale for every 16-bit count, filled as counts turn up; begun anew when the scale changes."""
+    """Cache of the cells of count x scale for 16-bit counts; cleared when the scale changes."""
 
     def __init__(self, digits: int | None) -> None:
         self._digits = digits
@@ -145,7 +145,7 @@ def _integers(values: Values) -> Cells:
         groups[:, column] = _groups().take((magnitude - rest * _GROUP).astype(np.intp))
         magnitude = rest
     result: Cells = groups.view(np.uint8)[:, -most:]
-    if fewest < most:  # leading zeros of the shorter ones
+    if fewest < most:  # leading zeros of shorter numbers
         result = result * np.logical_or.accumulate(result != ord("0"), axis=1)
         result[:, -1] = groups.view(np.uint8)[:, -1]
     if negative.any():
@@ -207,7 +207,7 @@ def _matrix(texts: list[bytes]) -> Cells:
 
 def _float_formatter(dtype: np.dtype[np.generic], digits: int | None) -> Callable[[NDArray[np.generic]], list[bytes]]:
     def short(values: NDArray[np.generic]) -> list[bytes]:
-        # float32 has a shortest text of its own, which str of the NumPy scalar gives
+        # str of the NumPy scalar gives the shortest float32 text
         source = values.tolist() if dtype == np.float64 else values
         return [str(value).encode() for value in source]
 

@@ -1,7 +1,7 @@
-"""A log as tables for other programs: a file a channel, raw counts and SI side by side or one of them.
+"""Writes a log as tables for other programs: one file per channel, raw counts, SI values or both.
 
-Memory does not grow with the log: CSV and Parquet are written as rows come; NPZ and MAT-files, which need the length of
-a column first, from temporary files beside the target.
+Memory does not grow with the log: CSV and Parquet are written directly; NPZ and MAT-files, which need the length of a
+column first, through temporary files beside the target.
 """
 
 import re
@@ -29,7 +29,7 @@ Opener = Callable[[Path | BinaryIO, Sequence[Column]], Table]
 
 
 class DumpResult(NamedTuple):
-    """What a dump wrote: files in the order of the channels, rows by channel, and what of the log was lost."""
+    """Result of a dump: files in the order of the channels, rows by channel, damage of the log."""
 
     files: tuple[Path, ...]
     rows: dict[str, int]
@@ -52,18 +52,18 @@ def dump(
     Args:
         log: the log, or its path.
         target: a directory, made if need be; or a binary file to write the CSV of the one selected channel to.
-        selection: what of the log.
-        kind: format, of ``onboard.offline.export.FORMATS``.
+        selection: part of the log.
+        kind: format, one of ``onboard.offline.export.FORMATS``.
         values: raw counts and all that was recorded, SI (without the counts and scales that it is made of), or both;
             what only replay needs is in the raw ones alone.
         force: replace files of the same names.
-        progress: gets a task that counts the bytes of the log.
+        progress: receives a task that counts the bytes of the log.
 
     Raises:
-        LogFormatError: ``log`` is no log of ours.
+        LogFormatError: ``log`` is not a heft log.
         ChannelError: it has no such channel.
         FileExistsError: there is such a file already, and ``force`` was not asked for.
-        ValueError: the selection or the format cannot be had.
+        ValueError: the selection or the format is not available.
         OSError: a file cannot be read or written.
     """
     make = opener(kind)
@@ -126,7 +126,7 @@ def _channels(tables: FlightTables, selection: Selection, values: Values) -> lis
 
 
 def _paths(folder: Path, channels: Collection[str], kind: str) -> dict[str, Path]:
-    """A file name for each channel; a name that is no file name gets its number, so that none is met twice."""
+    """A unique file name for each channel; a name unfit for a file is replaced by its number."""
     paths: dict[str, Path] = {}
     for number, name in enumerate(channels, 1):
         plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".")
@@ -149,7 +149,7 @@ def chosen_columns(every: Sequence[Column], values: Values, scratch: Collection[
 
 
 class _Pending:
-    """A channel's rows on their way into a table, gathered to blocks."""
+    """Buffer that joins a channel's rows into blocks for its table."""
 
     def __init__(
         self, make: Opener, target: Path | BinaryIO, tables: FlightTables, channel: str, values: Values
@@ -163,14 +163,14 @@ class _Pending:
         self._block = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // tables.log.channels[channel].itemsize))
 
     def add(self, rows: Rows) -> None:
-        """Take rows (n,) of the channel."""
+        """Add rows (n,) of the channel."""
         self._waiting.append(rows)
         self._waiting_rows += len(rows)
         if self._waiting_rows >= self._block:
             self._write()
 
     def close(self) -> None:
-        """Write what waits, and close."""
+        """Write the buffered rows and close."""
         try:
             self._write()
         finally:

@@ -1,7 +1,7 @@
-"""MAT-files of level 5, for MATLAB and Octave: a column vector a variable, and ``units``, a row of text for each.
+"""Writes level 5 MAT-files for MATLAB and Octave: one column vector per column, and ``units``, a row of text each.
 
-``scipy.io.savemat`` wants every array in memory at once; this writes what ``loadmat`` reads, a block at a time. Layout:
-"MAT File Format", MathWorks, the sections Level 5 MAT-Files.
+Written block by block, because ``scipy.io.savemat`` needs every array in memory. Layout: "MAT File Format", MathWorks,
+sections on Level 5 MAT-Files.
 """
 
 import struct
@@ -31,7 +31,7 @@ _TYPES = {  # miTYPE, mxCLASS
     "b1": (2, 9),
     "M8[ns]": (12, 14),  # UTC as ns since 1970, which datetime(..., 'ConvertFrom', 'epochtime') takes
 }
-_MOST_BYTES = (1 << 31) - 1  # of a variable
+_MOST_BYTES = (1 << 31) - 1  # largest size of a variable
 _NAME_BYTES = 63
 _DESCRIPTION = b"MATLAB 5.0 MAT-file, written by heft"
 
@@ -40,8 +40,8 @@ class MatTable:
     """A MAT-file.
 
     Args:
-        target: path.
-        columns: of the table.
+        target: path of the file.
+        columns: columns of the table.
     """
 
     def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
@@ -49,7 +49,7 @@ class MatTable:
         self._path, self._spool = target, Spool(target.parent, columns)
 
     def write(self, rows: Rows) -> None:
-        """Take rows (n,)."""
+        """Write rows (n,)."""
         self._spool.write(rows)
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class MatTable:
             self._spool.close()
 
     def _text(self, file: BinaryIO, number: int, name: str) -> None:
-        """Characters lie column by column: the first of every row, the second of every row ..."""
+        """Write a character matrix, stored column by column."""
         width = self._spool.dtypes[number].itemsize
 
         def places() -> Iterator[bytes]:
@@ -107,8 +107,8 @@ class MatTable:
     ) -> None:
         if size > _MOST_BYTES:
             raise ValueError(
-                f"{self._path}: {name} has {size:,} bytes, and a MAT-file holds 2 GiB a variable; cut the log with "
-                "--from and --until, or take npz or parquet"
+                f"{self._path}: {name} has {size:,} bytes, and a MAT-file variable is limited to 2 GiB; cut the log "
+                "with --from and --until, or use npz or parquet"
             )
         title = name.encode()[:_NAME_BYTES]
         shape = (self._spool.rows if rows is None else rows, width)

@@ -1,4 +1,4 @@
-"""NPZ: an array a column, by name, and their units as text arrays ``columns`` and ``units``."""
+"""NPZ writer: one array per column, by name, and text arrays ``columns`` and ``units``."""
 
 import zipfile
 from collections.abc import Sequence
@@ -16,8 +16,8 @@ class NpzTable:
     """An NPZ file, for ``numpy.load``.
 
     Args:
-        target: path.
-        columns: of the table.
+        target: path of the file.
+        columns: columns of the table.
     """
 
     def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
@@ -25,7 +25,7 @@ class NpzTable:
         self._path, self._spool = target, Spool(target.parent, columns)
 
     def write(self, rows: Rows) -> None:
-        """Take rows (n,)."""
+        """Write rows (n,)."""
         self._spool.write(rows)
 
     def close(self) -> None:

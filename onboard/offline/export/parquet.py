@@ -1,4 +1,4 @@
-"""Parquet by pyarrow: units in the metadata of the fields, a row group for each block."""
+"""Parquet writer (pyarrow): units in the metadata of the fields, one row group per block."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,8 +17,8 @@ class ParquetTable:
     """A Parquet file.
 
     Args:
-        target: path.
-        columns: of the table.
+        target: path of the file.
+        columns: columns of the table.
     """
 
     def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
@@ -27,7 +27,7 @@ class ParquetTable:
         self._schema: pa.Schema | None = None
 
     def write(self, rows: Rows) -> None:
-        """Take rows (n,)."""
+        """Write rows (n,)."""
         arrays = [_array(column.values(rows)) for column in self._columns]
         if self._writer is None or self._schema is None:
             fields = [
@@ -35,7 +35,7 @@ class ParquetTable:
                 for column, array in zip(self._columns, arrays, strict=True)
             ]
             self._schema = pa.schema(fields)
-            # dictionaries cost more time than they save: a third of the speed for a tenth of the size
+            # dictionary encoding costs a third of the speed for a tenth of the size
             self._writer = pq.ParquetWriter(self._target, self._schema, compression="lz4", use_dictionary=False)
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema), row_group_size=max(1, len(rows)))
 

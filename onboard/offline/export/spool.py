@@ -1,4 +1,4 @@
-"""Columns spooled to temporary files beside the target, for formats that need a column whole and its length first."""
+"""Spools columns to temporary files beside the target, for formats that need a column's length first."""
 
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -22,11 +22,11 @@ def seconds(values: Values) -> Values:
 
 
 class Spool:
-    """One temporary file a column; they are gone when it is closed.
+    """One temporary file per column, removed on close.
 
     Args:
-        directory: where the files go: a disk with room for the table once more.
-        columns: of the table.
+        directory: where the files go; needs space for the table once more.
+        columns: columns of the table.
     """
 
     def __init__(self, directory: Path, columns: Sequence[Column]) -> None:
@@ -39,7 +39,7 @@ class Spool:
         ]
 
     def write(self, rows: Rows) -> None:
-        """Take rows (n,)."""
+        """Write rows (n,)."""
         for number, (column, file) in enumerate(zip(self.columns, self._files, strict=True)):
             values = seconds(column.values(rows))
             self.dtypes[number] = values.dtype
@@ -47,14 +47,14 @@ class Spool:
         self.rows += len(rows)
 
     def blocks(self, number: int) -> Iterator[bytes]:
-        """The bytes of column ``number`` from its first row on, a block at a time."""
+        """The bytes of column ``number`` from its first row on, block by block."""
         file = self._files[number]
         file.seek(0)
         while block := file.read(BLOCK_BYTES):
             yield block
 
     def mapped(self, number: int) -> np.memmap[tuple[int], np.dtype[np.generic]]:
-        """Column ``number`` (n,), n > 0, mapped, not read."""
+        """Column ``number`` (n,), n > 0, memory-mapped."""
         self._files[number].flush()
         return np.memmap(self._files[number], self.dtypes[number], "r", shape=(self.rows,))
 

@@ -1,4 +1,4 @@
-"""``heft report``: a flight as one self-contained page, for a screen in any light and for paper."""
+"""``heft report``: a flight as one self-contained HTML page (light, dark, print)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,20 +13,20 @@ from onboard.recording.scan import Damage
 
 
 def report(log: Path, output: Path, progress: Progress | None = None) -> tuple[Damage, ...]:
-    """Write the page of ``log`` to ``output``; returns what of the log could not be read.
+    """Write the page of ``log`` to ``output``; returns the damage of the log.
 
     Raises:
-        LogFormatError: it is no log of ours.
+        LogFormatError: not a heft log.
         OSError: a file cannot be read or written.
     """
-    story = gather(log, progress)
+    flight = gather(log, progress)
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(document(story), encoding="utf-8")
-    return story.info.damage
+    output.write_text(document(flight), encoding="utf-8")
+    return flight.info.damage
 
 
 def clock_plot(said: Mapping[str, Rows], start_ns: int, duration_s: float, output: Path) -> None:
-    """Plot each clock's residuals, rate and state over the flight; the suffix of ``output`` says the format.
+    """Plot each clock's residuals, rate and state over the flight; the suffix of ``output`` selects the format.
 
     Args:
         said: CLOCK rows by clock.
@@ -35,7 +35,7 @@ def clock_plot(said: Mapping[str, Rows], start_ns: int, duration_s: float, outpu
         output: the file to write.
 
     Raises:
-        ValueError: there is no clock, or the suffix is of no known format.
+        ValueError: no clock, or unknown suffix.
         OSError: the file cannot be written.
     """
     with theme.figures():

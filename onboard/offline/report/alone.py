@@ -1,9 +1,9 @@
-"""What each sweep says by itself, from the states that the estimator logged.
+"""Estimate of each sweep by itself, from the logged states of the estimator.
 
-A growing least squares adds information, and the logged triangle ``[R z]`` is its square root. So what the rows between
-two states brought is ``T' T`` of the later less that of the earlier, exactly; with the prior it is the estimate of
-those rows alone, and the pieces between neighbouring states are the blocks that make its interval honest. No row is
-made again. The regressor's noise is not in the log and not taken out here, which it is on board.
+A growing least squares adds information, and the logged triangle ``[R z]`` is its square root. So the information of
+the rows between two states is ``T' T`` of the later minus that of the earlier, exactly; with the prior it gives the
+estimate of those rows alone, and the parts between neighbouring states are the blocks of its jackknife interval. Rows
+are not recomputed. Unlike on board, the regressor's noise is not corrected, as it is not in the log.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.consistency import BlockScores, HonestEstimate
+from onboard.estimation.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.memory import FOR_EVER
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
@@ -21,7 +21,7 @@ from onboard.offline.report.flight_data import Sweep
 
 
 class Alone(NamedTuple):
-    """A quantity from the rows of one sweep, up to several instants in it; NaN where they do not support it."""
+    """A quantity from the rows of one sweep, up to several instants in it; NaN where they do not determine it."""
 
     name: str
     unit: str
@@ -32,14 +32,14 @@ class Alone(NamedTuple):
 
 
 def alone(sweep: Sweep, identifier: Identifier) -> list[Alone]:
-    """Every quantity of ``identifier`` by ``sweep`` alone; those never supported are left out, all if rows fade.
+    """Every quantity of ``identifier`` by ``sweep`` alone, without those never determined; empty if rows fade.
 
     Args:
-        sweep: with the states of a growing least squares.
-        identifier: of the same vehicle, that has seen no rows: its prior, its quantities.
+        sweep: sweep with the states of a growing least squares.
+        identifier: identifier of the same vehicle without rows, for its prior and quantities.
     """
     size = identifier.rls.parameters + identifier.rls.considered + 1
-    if identifier.memory != FOR_EVER:  # what a state lacks of the one before it is not what its rows brought
+    if identifier.memory != FOR_EVER:  # the difference of states is then not the information of the rows
         return []
     if not identifier.quantities or not sweep.states or len(sweep.states[0]["triangle"]) != size * (size + 1) // 2:
         return []
@@ -62,9 +62,9 @@ def alone(sweep: Sweep, identifier: Identifier) -> list[Alone]:
         Y, C, y, sigma = rows[:, :p], rows[:, p:-1], rows[:, -1], np.ones(len(rows))
         rls.update(Y, y, sigma, C if C.shape[1] else None)
         blocks.add(np.full(len(rows), number + 0.5), Y, y, sigma)
-        honest = HonestEstimate(rls, blocks, [cause.sigma for cause in identifier.considered])
-        interval = honest.combination(weights)
-        spread = np.maximum(interval.sigma, np.sqrt(honest.formal_variance(weights)))
+        jackknife = JackknifeEstimate(rls, blocks, [cause.sigma for cause in identifier.considered])
+        interval = jackknife.combination(weights)
+        spread = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights)))
         supported = (spread <= SUPPORTED_SHRINKAGE * before) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         for part, found in zip(values, (interval.mean, interval.low, interval.high), strict=True):
             part[number] = np.where(supported, found, np.nan)
@@ -82,7 +82,7 @@ def _square(packed: FloatArray, size: int) -> FloatArray:
 
 
 def _root(information: FloatArray) -> FloatArray:
-    """Rows (r, size) with ``rows' rows = information``; what rounding made negative is left out."""
+    """Rows (r, size) with ``rows' rows = information``; eigenvalues negative by rounding are left out."""
     scale = np.sqrt(np.maximum(np.diag(information), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))

@@ -1,4 +1,4 @@
-"""The figures of the answer: torque and acceleration, masses by sweep, convergence."""
+"""Figures of the estimates: torque and acceleration, masses by sweep, convergence."""
 
 from typing import NamedTuple
 
@@ -15,42 +15,42 @@ from onboard.offline.report.figures import legend, second_axis, shade
 from onboard.offline.report.flight_data import FlightData, Sweep
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
 
-_LINES = 4  # of sweeps in one axes
+_LINES = 4  # sweeps per axes
 GRAM = {"kg": ("g", 1e3), "kg m^2": ("g m²", 1e3), "kg m": ("g m", 1e3)}
 
 
 def shown_unit(unit: str, size: float) -> tuple[str, float]:
-    """Unit and factor in which a value of ``size`` reads well."""
+    """Display unit and factor for a value of ``size``."""
     if unit in GRAM and abs(size) < 1.0:
         return GRAM[unit]
     return unit.replace("^2", "²"), 1.0
 
 
 class Side(NamedTuple):
-    """The measured side of one row of the regression: its place in ROW, its unit, what a number in the log is in it."""
+    """Measured side of one row of the regression: its index in ROW, unit, and factor from the logged number."""
 
     row: int
     unit: str
     factor: float
 
 
-def torque_and_acceleration(story: FlightData, side: Side) -> Figure | None:
-    """Measured side of a row and the joint's acceleration, sweep by sweep (figures 4.53 to 4.56 in kind)."""
-    shown = [sweep for sweep in story.sweeps if sweep.rows is not None and len(sweep.rows)]
+def torque_and_acceleration(flight: FlightData, side: Side) -> Figure | None:
+    """Measured side of a row and the joint's acceleration, sweep by sweep (as figures 4.53 to 4.56)."""
+    shown = [sweep for sweep in flight.sweeps if sweep.rows is not None and len(sweep.rows)]
     if not shown:
         return None
     figure, every = subplots(len(shown), 2, width_ratios=[2.1, 1.0])
     for sweep, over_time, against in zip(shown, every[::2], every[1::2], strict=True):
-        _over_time(over_time, story, sweep, side, first=sweep is shown[0])
+        _over_time(over_time, flight, sweep, side, first=sweep is shown[0])
         _against(against, sweep, side, first=sweep is shown[0])
     every[-2].set_xlabel("time, s")
     every[-1].set_xlabel("joint acceleration, rad/s²")
     return figure
 
 
-def _over_time(axes: Axes, story: FlightData, sweep: Sweep, side: Side, *, first: bool) -> None:
+def _over_time(axes: Axes, flight: FlightData, sweep: Sweep, side: Side, *, first: bool) -> None:
     assert sweep.rows is not None
-    at_s = story.seconds(sweep.rows["vehicle_ns"])
+    at_s = flight.seconds(sweep.rows["vehicle_ns"])
     other = second_axis(axes, "rad/s²")
     measured, _ = _measured(sweep.rows, side)
     [one] = axes.plot(at_s, measured, color=CYCLE[1])
@@ -63,7 +63,7 @@ def _over_time(axes: Axes, story: FlightData, sweep: Sweep, side: Side, *, first
 
 
 def _measured(rows: Rows, side: Side) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """The measured side, and which rows were used; nothing where a saturated sample was under the kernel."""
+    """The measured side, and which rows were used; rows with a saturated sample under the kernel are left out."""
     gate = rows["gate"][:, side.row]
     measured: FloatArray = side.factor * rows["measured"][:, side.row]
     return np.where(gate & GateReason.SATURATED, np.nan, measured), gate == 0
@@ -86,13 +86,13 @@ def _against(axes: Axes, sweep: Sweep, side: Side, *, first: bool) -> None:
         legend(axes, markerscale=4)
 
 
-def by_sweep(story: FlightData, found: dict[str, list[Alone]], truths: dict[str, float]) -> Figure | None:
-    """Each quantity as every sweep alone tells it, while it goes on and at its end (figures 4.57 to 4.60 in kind).
+def by_sweep(flight: FlightData, found: dict[str, list[Alone]], truths: dict[str, float]) -> Figure | None:
+    """Each quantity estimated by every sweep alone, over its course and at its end (as figures 4.57 to 4.60).
 
     Args:
-        story: the flight.
-        found: by sweep's name.
-        truths: by quantity, SI; where known.
+        flight: the flight.
+        found: estimates by sweep name.
+        truths: known true values by quantity, SI.
     """
     names = list(dict.fromkeys(one.name for answers in found.values() for one in answers if one.unit))
     if not names:
@@ -102,9 +102,9 @@ def by_sweep(story: FlightData, found: dict[str, list[Alone]], truths: dict[str,
         mine = [(sweep, one) for sweep, answers in found.items() for one in answers if one.name == name]
         unit, factor = shown_unit(mine[0][1].unit, mine[0][1].value[-1])
         if len(mine) > _LINES:
-            _ends(axes, story, [one for _, one in mine], factor)
+            _ends(axes, flight, [one for _, one in mine], factor)
         for sweep, one in mine if len(mine) <= _LINES else ():
-            at_s = story.seconds(one.at_ns)
+            at_s = flight.seconds(one.at_ns)
             [line] = axes.plot(at_s, factor * one.value, ".-", markersize=4, label=sweep)
             low, high = factor * one.low, factor * one.high
             axes.fill_between(at_s, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
@@ -124,9 +124,9 @@ def by_sweep(story: FlightData, found: dict[str, list[Alone]], truths: dict[str,
     return figure
 
 
-def _ends(axes: Axes, story: FlightData, found: list[Alone], factor: float) -> None:
-    """Of many sweeps, what each said at its end."""
-    at_s = [float(story.seconds(one.at_ns[-1])) for one in found]
+def _ends(axes: Axes, flight: FlightData, found: list[Alone], factor: float) -> None:
+    """Final estimates of many sweeps."""
+    at_s = [float(flight.seconds(one.at_ns[-1])) for one in found]
     value, low, high = (
         factor * np.array([part[-1] for part in parts]) for parts in zip(*(one[3:] for one in found), strict=True)
     )
@@ -134,7 +134,7 @@ def _ends(axes: Axes, story: FlightData, found: list[Alone], factor: float) -> N
 
 
 def _frame(axes: Axes, values: list[float], ends: list[float]) -> None:
-    """A vertical range that the last intervals fill to a third, whatever the first ones were."""
+    """Set the vertical range so that the last intervals fill a third of it."""
     middle, reach = float(np.mean(values)), max(abs(end - float(np.mean(values))) for end in ends)
     if np.isfinite(reach) and reach > 0.0:
         axes.set_ylim(middle - 3 * reach, middle + 3 * reach)
@@ -145,33 +145,33 @@ def _truth(axes: Axes, value: float | None, factor: float) -> None:
         axes.axhline(factor * value, color=COLOUR["true"], linestyle="--", linewidth=1.0, label="truth")
 
 
-def convergence(story: FlightData, truths: dict[str, float], *, quantities: bool) -> Figure | None:
-    """What was said in flight, with its 95 % band; from when the data supported it.
+def convergence(flight: FlightData, truths: dict[str, float], *, quantities: bool) -> Figure | None:
+    """Onboard estimates with their 95 % band, from the time they are determined.
 
     Args:
-        story: the flight.
-        truths: by quantity, SI; where known.
-        quantities: the quantities; else the base parameters.
+        flight: the flight.
+        truths: known true values by quantity, SI.
+        quantities: plot the quantities; else the base parameters.
     """
     names = [
         name
-        for name, rows in story.quantities.items()
+        for name, rows in flight.quantities.items()
         if bool(rows[-1]["supported"]) and bool(rows[-1]["unit"]) is quantities
     ]
     if not names:
         return None
     figure, every = subplots(-(-len(names) // 2), 2, height_in=1.15)
     for axes, name in zip(every, names, strict=False):
-        rows = story.quantities[name]
+        rows = flight.quantities[name]
         rows = rows[rows["supported"] != 0]
         unit, factor = shown_unit(rows["unit"][-1].decode(), float(rows["value"][-1]))
-        at_s = story.seconds(rows["vehicle_ns"])
+        at_s = flight.seconds(rows["vehicle_ns"])
         axes.fill_between(at_s, factor * rows["low"], factor * rows["high"], color=CYCLE[0], alpha=0.22, linewidth=0)
         axes.plot(at_s, factor * rows["value"], color=CYCLE[0])
         last = rows[-1]
         _frame(axes, [factor * last["value"]], [factor * last["low"], factor * last["high"]])
         _truth(axes, truths.get(name), factor)
-        shade(axes, story)
+        shade(axes, flight)
         axes.set_title(f"{name}, {unit}" if unit else name)
     for axes in every[len(names) :]:
         axes.set_visible(False)

@@ -1,7 +1,7 @@
-"""A free base's rate, predicted by what was identified, beside the gyro (figures 4.14 and 4.15 in kind).
+"""Rate of a free base predicted with the identified payload, compared with the gyro (as figures 4.14 and 4.15).
 
-The prediction knows the joints, the vehicle as drawn and the payload as said last; momentum and gyro offset, which
-nobody told, are fitted to the first part of the stretch. The rest is prediction.
+The prediction uses the joints, the nominal vehicle and the last payload estimate; momentum and gyro offset are fitted
+to the first part of the interval, and the rest is prediction.
 """
 
 from typing import NamedTuple
@@ -24,30 +24,32 @@ _FIRST, _ROUNDS = 10, 8
 
 
 class BaseRate(NamedTuple):
-    """Rates in IMU axes over one stretch without a gap, rad/s."""
+    """Rates in IMU axes over one interval without a gap, rad/s."""
 
     time_s: FloatArray  # (n,) since the log's start
     measured: FloatArray  # (n, 3)
     predicted: FloatArray  # (n, 3)
-    fitted: int  # ticks at the front that momentum and offset are fitted to
+    fitted: int  # first ticks, used to fit momentum and offset
 
     @property
     def rms(self) -> FloatArray:
-        """Of measured less predicted where nothing was fitted, (3,) rad/s."""
+        """Rms of measured minus predicted after the fitted part, (3,) rad/s."""
         return np.asarray(np.sqrt(np.mean((self.measured - self.predicted)[self.fitted :] ** 2, axis=0)))
 
 
-def base_rate(story: FlightData) -> BaseRate | None:
-    """The last stretch with the payload as it was said last; None where the log cannot show it."""
-    vehicle, model, roles = story.vehicle, story.model, story.roles
+def base_rate(flight: FlightData) -> BaseRate | None:
+    """Prediction over the last interval with the last payload estimate; None if the log lacks the data."""
+    vehicle, model, roles = flight.vehicle, flight.model, flight.roles
     if vehicle is None or model is None or roles is None or vehicle.file.estimation.method != "exiddm":
         return None
     payload = model.spec.payload_link
-    mass = story.quantities.get(f"m_{payload}")
+    mass = flight.quantities.get(f"m_{payload}")
     if mass is None or not mass[-1]["supported"]:
         return None
-    start_ns = max(int(mass[-1]["vehicle_ns"]) - round(_LONGEST_S * 1e9), *(told_ns for told_ns, _ in story.changes), 0)
-    log = LogReader(story.info.path)
+    start_ns = max(
+        int(mass[-1]["vehicle_ns"]) - round(_LONGEST_S * 1e9), *(told_ns for told_ns, _ in flight.changes), 0
+    )
+    log = LogReader(flight.info.path)
     parts: dict[str, list[Rows]] = {"row": [], "estimate": []}
     for channel, some in log.batches(list(parts), start_ns=start_ns):
         parts[channel].append(some)
@@ -71,11 +73,11 @@ def base_rate(story: FlightData) -> BaseRate | None:
         step = np.linalg.lstsq(A.reshape(-1, free), gap[:part].ravel())[0]
         momentum, offset = momentum + step[:3], offset + np.append(step[3:], np.zeros(6 - free))
     predicted = predict_base(links, period_s, chi, momentum, ()).rate @ R + offset
-    return BaseRate(story.seconds(rows["vehicle_ns"]), measured, predicted, fitted)
+    return BaseRate(flight.seconds(rows["vehicle_ns"]), measured, predicted, fitted)
 
 
 def _unbroken(rows: Rows, start_ns: int, period_ns: int) -> Rows:
-    """The longest run of rows from ``start_ns`` on, tick after tick, with everything measured."""
+    """The longest run of consecutive rows from ``start_ns`` on with every signal present."""
     rows = rows[rows["vehicle_ns"] >= start_ns]
     fields = ("joint_rad", "joint_rad_s", "joint_rad_s2", "measured")
     whole = np.logical_and.reduce([np.isfinite(rows[field]).all(axis=1) for field in fields])
@@ -87,7 +89,7 @@ def _unbroken(rows: Rows, start_ns: int, period_ns: int) -> Rows:
 
 
 def draw(found: BaseRate) -> Figure:
-    """Each axis with the gyro under the prediction, and what is left between them."""
+    """Plot of each axis: gyro, prediction, and their difference."""
     figure, every = subplots(4, sharex=True)
     degrees = np.degrees(1.0)
     for axis, axes in enumerate(every[:3]):

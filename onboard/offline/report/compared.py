@@ -1,4 +1,4 @@
-"""The answers beside the truth and beside what was published, where there are such."""
+"""Final estimates beside true and published values."""
 
 import tomllib
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from onboard.offline.report.flight_data import FlightData
 
 
 class Compared(NamedTuple):
-    """A last answer of the flight; SI. ``None`` where something is not known."""
+    """A final estimate of the flight, SI; unknown values are ``None``."""
 
     name: str
     label: str
@@ -22,24 +22,24 @@ class Compared(NamedTuple):
 
     @property
     def error_percent(self) -> float | None:
-        """Of the truth."""
+        """Relative error, percent of the truth."""
         return None if self.truth is None or not self.truth else 100.0 * (self.value / self.truth - 1.0)
 
     @property
     def covered(self) -> bool | None:
-        """Whether the interval holds the truth."""
+        """Whether the interval contains the truth."""
         return None if self.truth is None else self.low <= self.truth <= self.high
 
 
-def compared(story: FlightData) -> list[Compared]:
-    """The last answer of every quantity with a unit, those with a published value first."""
-    rows = _published(story.name)
+def compared(flight: FlightData) -> list[Compared]:
+    """The final estimate of every quantity with a unit, those with a published value first."""
+    rows = _published(flight.name)
     order = {row["quantity"]: number for number, row in enumerate(rows)}
     labels = {row["quantity"]: row["label"] for row in rows}
     published = {row["quantity"]: row["identified_g"] * 1e-3 for row in rows if "identified_g" in row}
-    truths = truths_of(story)
+    truths = truths_of(flight)
     found = []
-    for name, said in story.quantities.items():
+    for name, said in flight.quantities.items():
         last = said[-1]
         if last["unit"]:
             value, low, high = (float(last[field]) for field in ("value", "low", "high"))
@@ -49,22 +49,22 @@ def compared(story: FlightData) -> list[Compared]:
     return sorted(found, key=lambda one: order.get(one.name, len(order)))
 
 
-def truths_of(story: FlightData) -> dict[str, float]:
-    """True values by quantity, SI: as the truth names them, or by the names that the published table gives."""
-    if story.truth is None:
+def truths_of(flight: FlightData) -> dict[str, float]:
+    """True values by quantity, SI, under the names of the truth file or of the published table."""
+    if flight.truth is None:
         return {}
-    truths: dict[str, float] = dict(story.truth.get("quantities", {}))
-    for row in _published(story.name):
-        if row.get("truth") in story.truth:
-            truths.setdefault(row["quantity"], float(story.truth[row["truth"]]))
-    for name in story.quantities:  # the same mass, from the rows with the payload held alone
+    truths: dict[str, float] = dict(flight.truth.get("quantities", {}))
+    for row in _published(flight.name):
+        if row.get("truth") in flight.truth:
+            truths.setdefault(row["quantity"], float(flight.truth[row["truth"]]))
+    for name in flight.quantities:  # the same mass, from the rows with the payload held alone
         if name.removesuffix("_held") in truths:
             truths.setdefault(name, truths[name.removesuffix("_held")])
     return truths
 
 
 def _published(vehicle: str) -> list[dict[str, Any]]:
-    """Rows of the packaged vehicle's published table; none where it has none."""
+    """Rows of the packaged vehicle's published table, possibly none."""
     try:
         path = config.packaged(vehicle).with_name("published.toml")
     except config.ConfigError:

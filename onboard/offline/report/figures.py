@@ -1,4 +1,4 @@
-"""The figures of a flight: what happened when, what the sensors said."""
+"""Figures of a flight: timeline, sensor signals, clocks."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -22,15 +22,15 @@ STATE_COLOUR = {
     ClockState.FLYWHEEL: COLOUR["warn"],
     ClockState.INVALID: COLOUR["bad"],
 }
-_LABEL_WIDTH = 0.035  # of the time axis: a phase that is shorter gets no name
+_LABEL_WIDTH = 0.035  # fraction of the time axis: shorter phases get no label
 
 
-def timeline(story: FlightData) -> Figure:
-    """Phases, use of rows, clocks, gaps, and whatever went wrong."""
-    lanes = _lanes(story)
+def timeline(flight: FlightData) -> Figure:
+    """Timeline of phases, row use, clocks, gaps, warnings and errors."""
+    lanes = _lanes(flight)
     longest = max((len(name) for name, _ in lanes), default=0)
     figure, [axes] = subplots(height_in=0.25 * max(1, len(lanes)), left_in=0.3 + 0.073 * longest)
-    duration_s = max(story.info.duration_s, 1e-9)
+    duration_s = max(flight.info.duration_s, 1e-9)
     axes.set_xlim(0.0, duration_s)
     axes.set_ylim(max(1, len(lanes)), 0)
     axes.set_yticks(np.arange(len(lanes)) + 0.5, [name for name, _ in lanes])
@@ -50,63 +50,63 @@ def timeline(story: FlightData) -> Figure:
 Span = tuple[float, float, str, str]  # start, end [s], colour, text
 
 
-def _lanes(story: FlightData) -> list[tuple[str, list[Span]]]:
+def _lanes(flight: FlightData) -> list[tuple[str, list[Span]]]:
     lanes: list[tuple[str, list[Span]]] = []
-    if story.phases:
-        lanes.append(("phase", [_phase_span(story, number) for number in range(len(story.phases))]))
-    if story.changes:
-        ends_s = [float(story.seconds(told_ns)) for told_ns, _ in story.changes[1:]] + [story.info.duration_s]
+    if flight.phases:
+        lanes.append(("phase", [_phase_span(flight, number) for number in range(len(flight.phases))]))
+    if flight.changes:
+        ends_s = [float(flight.seconds(told_ns)) for told_ns, _ in flight.changes[1:]] + [flight.info.duration_s]
         held = [
-            (float(story.seconds(told_ns)), end_s, COLOUR["d"] if kind == "capture" else COLOUR["idle"], kind)
-            for (told_ns, kind), end_s in zip(story.changes, ends_s, strict=True)
+            (float(flight.seconds(told_ns)), end_s, COLOUR["d"] if kind == "capture" else COLOUR["idle"], kind)
+            for (told_ns, kind), end_s in zip(flight.changes, ends_s, strict=True)
         ]
         lanes.append(("payload, as noticed", held))
-    if story.gates is not None:
-        at_s = story.seconds(story.gates["vehicle_ns"])
-        used = (story.gates["gate"] == 0).any(axis=1)
+    if flight.gates is not None:
+        at_s = flight.seconds(flight.gates["vehicle_ns"])
+        used = (flight.gates["gate"] == 0).any(axis=1)
         lanes.append(("rows used", _runs(at_s, used, COLOUR["good"])))
-        for reason in (r for r in GateReason if story.gate_counts.get(int(r))):
-            refused = (story.gates["gate"] & int(reason) != 0).any(axis=1)
+        for reason in (r for r in GateReason if flight.gate_counts.get(int(r))):
+            refused = (flight.gates["gate"] & int(reason) != 0).any(axis=1)
             name = (reason.name or "").lower().replace("_", " ")
             lanes.append((f"refused: {name}", _runs(at_s, refused, COLOUR["idle"])))
-    for name, rows in sorted(story.clocks.items()):
-        at_s = np.append(story.seconds(rows["host_ns"]), story.info.duration_s)
+    for name, rows in sorted(flight.clocks.items()):
+        at_s = np.append(flight.seconds(rows["host_ns"]), flight.info.duration_s)
         states = [ClockState(int(state)) for state in rows["state"]]
         spans = [
             (start, end, STATE_COLOUR[state], "") for start, end, state in zip(at_s, at_s[1:], states, strict=False)
         ]
         lanes.append((f"clock {name}", _joined(spans)))
     troubles: dict[str, list[Span]] = {}
-    for rows in story.gaps:
+    for rows in flight.gaps:
         for row in rows:
-            end_s = float(story.seconds(row["host_ns"]))
+            end_s = float(flight.seconds(row["host_ns"]))
             span = (end_s - float(row["duration_ns"]) * 1e-9, end_s, COLOUR["bad"], "")
             troubles.setdefault(f"gap {row['channel'].decode(errors='replace')}", []).append(span)
-    for rows in story.events:
+    for rows in flight.events:
         for row in rows:
-            at = float(story.seconds(row["host_ns"]))
+            at = float(flight.seconds(row["host_ns"]))
             colour = COLOUR["bad"] if row["severity"] >= Severity.ERROR else COLOUR["warn"]
             troubles.setdefault(f"fault {row['source'].decode(errors='replace')}", []).append((at, at, colour, ""))
     lanes += sorted(troubles.items())
-    if story.truth and story.truth.get("faults"):
-        end_s = story.info.duration_s
+    if flight.truth and flight.truth.get("faults"):
+        end_s = flight.info.duration_s
         injected = [
             (f["start_s"], end_s if f.get("end_s") is None else f["end_s"], COLOUR["warn"], str(f["kind"]))
-            for f in story.truth["faults"]
+            for f in flight.truth["faults"]
         ]
         lanes.append(("injected", injected))
     return lanes
 
 
-def _phase_span(story: FlightData, number: int) -> Span:
-    phase = story.phases[number]
-    start_s, end_s = (float(story.seconds(t)) for t in (phase.start_ns, phase.end_ns))
+def _phase_span(flight: FlightData, number: int) -> Span:
+    phase = flight.phases[number]
+    start_s, end_s = (float(flight.seconds(t)) for t in (phase.start_ns, phase.end_ns))
     colour = COLOUR["a"] if phase.sweep else COLOUR["d"] if phase.name == "release" else COLOUR["idle"]
     return start_s, end_s, colour, phase.name.replace("phase ", "")
 
 
 def _runs(at_s: np.ndarray, flags: np.ndarray, colour: str) -> list[Span]:
-    """Stretches of time in which ``flags`` (n,) are true."""
+    """Intervals in which ``flags`` (n,) are true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     last = len(at_s) - 1
     return [(at_s[a], at_s[min(b, last)], colour, "") for a, b in edges.reshape(-1, 2)]
@@ -122,77 +122,77 @@ def _joined(spans: Sequence[Span]) -> list[Span]:
     return joined
 
 
-def shade(axes: Axes, story: FlightData) -> None:
-    """Sweeps as a tint behind a plot over the whole flight."""
-    for phase in story.phases:
+def shade(axes: Axes, flight: FlightData) -> None:
+    """Tint the sweeps in a plot over the whole flight."""
+    for phase in flight.phases:
         if phase.sweep or phase.name == "release":
             colour = COLOUR["a"] if phase.sweep else COLOUR["d"]
-            start_s, end_s = story.seconds(np.array([phase.start_ns, phase.end_ns]))
+            start_s, end_s = flight.seconds(np.array([phase.start_ns, phase.end_ns]))
             axes.axvspan(start_s, end_s, color=colour, alpha=0.08, linewidth=0)
-    axes.set_xlim(0.0, max(story.info.duration_s, 1e-9))
+    axes.set_xlim(0.0, max(flight.info.duration_s, 1e-9))
 
 
 def draw(axes: Axes, trace: Trace, column: int, label: str, colour: str, factor: float = 1.0) -> None:
-    """The mean of each bin as a line; where a bin spans more, its extent as a band."""
+    """Plot the mean of each bin as a line and its range as a band."""
     low, mean, high = (factor * part[:, column] for part in (trace.low, trace.mean, trace.high))
     axes.plot(trace.time_s, mean, color=colour, label=label, linewidth=1.0)
     if np.nanmax(high - low, initial=0.0) > 0.0:
         axes.fill_between(trace.time_s, low, high, color=colour, alpha=0.22, linewidth=0)
 
 
-def joints_and_cells(story: FlightData) -> Figure | None:
-    """Every joint and every load cell over the whole flight (figure 4.39 in kind)."""
-    panels = _joint_and_cell_channels(story)
+def joints_and_cells(flight: FlightData) -> Figure | None:
+    """Every joint and every load cell over the whole flight (as figure 4.39)."""
+    panels = _joint_and_cell_channels(flight)
     if not panels:
         return None
     figure, every = subplots(len(panels), height_in=1.2, sharex=True)
     for number, (axes, (channel, name, unit, factor)) in enumerate(zip(every, panels, strict=True)):
-        draw(axes, story.traces[channel], 0, name, CYCLE[number % len(CYCLE)], factor)
+        draw(axes, flight.traces[channel], 0, name, CYCLE[number % len(CYCLE)], factor)
         axes.set_title(name)
         axes.set_ylabel(unit)
-        _mark_flagged(axes, story, channel)
-        shade(axes, story)
+        _mark_flagged(axes, flight, channel)
+        shade(axes, flight)
     every[-1].set_xlabel("time, s")
     return figure
 
 
-def _joint_and_cell_channels(story: FlightData) -> list[tuple[str, str, str, float]]:
-    """Channel, what it is, unit as shown, factor to it."""
-    if story.roles is None:
+def _joint_and_cell_channels(flight: FlightData) -> list[tuple[str, str, str, float]]:
+    """Channel, label, display unit, factor to it."""
+    if flight.roles is None:
         return []
     found = []
-    for joint in story.roles.joints:
+    for joint in flight.roles.joints:
         shown = ("rad/s", 1.0) if joint.is_rate else ("deg", np.degrees(1.0))
         found.append((joint.channel, f"{joint.joint}: {joint.channel}", *shown))
-    found += [(cell.channel, f"load cell: {cell.channel}", "N", 1.0) for cell in story.roles.cells]
-    return [one for one in found if one[0] in story.traces]
+    found += [(cell.channel, f"load cell: {cell.channel}", "N", 1.0) for cell in flight.roles.cells]
+    return [one for one in found if one[0] in flight.traces]
 
 
-def _mark_flagged(axes: Axes, story: FlightData, channel: str) -> None:
-    at_s = story.flagged.get(channel)
+def _mark_flagged(axes: Axes, flight: FlightData, channel: str) -> None:
+    at_s = flight.flagged.get(channel)
     if at_s is not None:
         top = axes.get_xaxis_transform()
         [marks] = axes.plot(at_s, np.full(len(at_s), 0.97), "x", color=COLOUR["bad"], transform=top)
         legend(axes, [marks], ["not usable"])
 
 
-def sweeps(story: FlightData) -> Figure | None:
-    """Joint and load cell over each sweep, in one axes (figures 4.50, 4.51 in kind)."""
-    channels = _joint_and_cell_channels(story)
-    shown = [sweep for sweep in story.sweeps if sweep.traces]
+def sweeps(flight: FlightData) -> Figure | None:
+    """Joint and load cell over each sweep, in one axes (as figures 4.50, 4.51)."""
+    channels = _joint_and_cell_channels(flight)
+    shown = [sweep for sweep in flight.sweeps if sweep.traces]
     if not channels or not shown:
         return None
     rows = -(-len(shown) // 2)
     figure, every = subplots(rows, 2)
     for axes, sweep in zip(every, shown, strict=False):
-        _sweep(axes, story, sweep, channels, first=axes is every[0])
+        _sweep(axes, flight, sweep, channels, first=axes is every[0])
     for axes in every[len(shown) :]:
         axes.set_visible(False)
     return figure
 
 
 def _sweep(
-    axes: Axes, story: FlightData, sweep: Sweep, channels: Iterable[tuple[str, str, str, float]], *, first: bool
+    axes: Axes, flight: FlightData, sweep: Sweep, channels: Iterable[tuple[str, str, str, float]], *, first: bool
 ) -> None:
     axes.set_title(sweep.phase.name)
     other: Axes | None = None
@@ -205,7 +205,7 @@ def _sweep(
         else:
             axes.set_ylabel(unit)
         draw(target, sweep.traces[channel], 0, channel, colour, factor)
-    start_s, end_s = story.seconds(np.array([sweep.phase.start_ns, sweep.phase.end_ns]))
+    start_s, end_s = flight.seconds(np.array([sweep.phase.start_ns, sweep.phase.end_ns]))
     axes.set_xlim(start_s, end_s)
     if first:
         lines = [line for one in (axes, other) if one is not None for line in one.get_lines()]
@@ -213,7 +213,7 @@ def _sweep(
 
 
 def second_axis(axes: Axes, label: str) -> Axes:
-    """An axes over the same time with a scale of its own at the right."""
+    """Second axes over the same time with its own scale at the right."""
     other = axes.twinx()
     other.grid(visible=False)
     other.spines["right"].set_visible(True)
@@ -222,16 +222,16 @@ def second_axis(axes: Axes, label: str) -> Axes:
 
 
 def legend(axes: Axes, *entries: Any, **style: Any) -> None:
-    """The legend above the axes, right of the title, where it hides nothing."""
+    """Legend above the axes, right of the title."""
     axes.legend(*entries, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4, borderaxespad=0.0, **style)
 
 
-def imu(story: FlightData, name: str, rotation: np.ndarray | None) -> Figure:
-    """Specific force and angular rate of an IMU, in base axes where ``rotation`` is known (figures 4.46, 4.52 in kind).
+def imu(flight: FlightData, name: str, rotation: np.ndarray | None) -> Figure:
+    """Specific force and angular rate of an IMU, in base axes where ``rotation`` is known (as figures 4.46, 4.52).
 
-    The band is the extent of the samples in a bin; turned as a whole it is that of the axis nearest to each base axis.
+    The band is the range of the samples in a bin, rotated as an interval (an upper bound).
     """
-    trace = story.traces[name]
+    trace = flight.traces[name]
     figure, [force, rate] = subplots(2, sharex=True)
     for axes, columns, unit, what in (
         (force, slice(3, 6), "m/s²", "specific force (a − g)"),
@@ -244,13 +244,13 @@ def imu(story: FlightData, name: str, rotation: np.ndarray | None) -> Figure:
         axes.set_title(f"{name}: {what}, {'base' if rotation is not None else 'sensor'} axes")
         axes.set_ylabel(unit)
         legend(axes)
-        shade(axes, story)
+        shade(axes, flight)
     rate.set_xlabel("time, s")
     return figure
 
 
 def turned(trace: Trace, columns: slice, rotation: np.ndarray | None) -> Trace:
-    """Three columns in other axes: the means exactly, the extents about them as intervals are turned."""
+    """Three columns in other axes: means exactly, ranges as rotated intervals."""
     low, mean, high = (part[:, columns] for part in (trace.low, trace.mean, trace.high))
     if rotation is None:
         return Trace(trace.time_s, low, mean, high)
@@ -260,16 +260,16 @@ def turned(trace: Trace, columns: slice, rotation: np.ndarray | None) -> Trace:
     return Trace(trace.time_s, middle - half, centre, middle + half)
 
 
-def magnitudes(story: FlightData, names: Sequence[str]) -> Figure:
-    """Magnitude of the specific force of several IMUs, which needs no common axes (figures 4.27, 4.29 in kind)."""
+def magnitudes(flight: FlightData, names: Sequence[str]) -> Figure:
+    """Magnitude of the specific force of several IMUs, which needs no common axes (as figures 4.27, 4.29)."""
     figure, [axes] = subplots()
     for name, colour in zip(names, CYCLE, strict=False):
-        trace = story.traces[name]
+        trace = flight.traces[name]
         axes.plot(trace.time_s, np.linalg.norm(trace.mean[:, 3:6], axis=1), color=colour, label=name)
     axes.set_ylabel("m/s²")
     axes.set_xlabel("time, s")
     legend(axes)
-    shade(axes, story)
+    shade(axes, flight)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Everything a report shows, gathered in two passes over the log and in memory that does not grow with it."""
+"""Collects the data of a report in two passes over the log, in constant memory."""
 
 import tempfile
 from dataclasses import dataclass, field
@@ -37,11 +37,11 @@ _FEWEST_BLOCKS = 4
 
 @dataclass
 class Sweep:
-    """One phase that was flown to identify in."""
+    """One identification phase."""
 
     phase: Phase
-    blocks: int  # of time, taken to err independently
-    detailed: bool  # shown by itself; of many, some
+    blocks: int  # number of time blocks taken as independent
+    detailed: bool  # shown in detail (a selection, if there are many)
     rows: Rows | None = None  # thinned ROW
     traces: dict[str, Trace] = field(default_factory=dict)  # by channel, SI, unusable samples left out
     before: np.void | None = None  # the last ESTIMATE before it; None when there was none
@@ -50,7 +50,7 @@ class Sweep:
 
 @dataclass
 class FlightData:
-    """A flight as a report tells it; times in s since ``info.start_ns``."""
+    """Data of a flight for a report; times in s since ``info.start_ns``."""
 
     info: LogInfo
     vehicle: config.Vehicle | None
@@ -60,7 +60,7 @@ class FlightData:
     phases: tuple[Phase, ...]
     sweeps: list[Sweep]
     truth: true.Truth | None
-    notes: list[str]  # what could not be shown, and why
+    notes: list[str]  # what could not be shown, with the reason
     traces: dict[str, Trace] = field(default_factory=dict)
     flagged: dict[str, FloatArray] = field(default_factory=dict)  # times of unusable samples, by channel
     quantities: dict[str, Rows] = field(default_factory=dict)
@@ -71,11 +71,11 @@ class FlightData:
     rows_used: int = 0
     events: list[Rows] = field(default_factory=list)
     gaps: list[Rows] = field(default_factory=list)
-    changes: list[tuple[int, str]] = field(default_factory=list)  # of what is held: host time told, capture or ejection
+    changes: list[tuple[int, str]] = field(default_factory=list)  # changes of payload: host time, capture or ejection
 
     @property
     def name(self) -> str:
-        """Of the vehicle; of the file where the log names none."""
+        """Name of the vehicle; of the file if the log names none."""
         return self.info.metadata.get("flight", {}).get("vehicle", self.info.path.stem)
 
     def seconds(self, at_ns: NDArray[np.int64] | int) -> FloatArray:
@@ -95,14 +95,14 @@ def gather(path: Path, progress: Progress | None = None) -> FlightData:
     about = info(log)
     if progress is not None and task is not None:
         progress.update(task, completed=log.size)
-    story = _begin(log, about)
-    reader = _Reader(story, log)
+    flight = _begin(log, about)
+    reader = _Reader(flight, log)
     for batch in log.batches():
         reader.add(batch)
         if progress is not None and task is not None:
             progress.update(task, completed=log.size + log.position)
     reader.finish()
-    return story
+    return flight
 
 
 def _begin(log: LogReader, about: LogInfo) -> FlightData:
@@ -135,17 +135,17 @@ def _blocks(phase: Phase, vehicle: config.Vehicle) -> int:
 
 
 class _Reader:
-    """The second pass."""
+    """Second pass over the log."""
 
-    def __init__(self, story: FlightData, log: LogReader) -> None:
-        self._story = story
+    def __init__(self, flight: FlightData, log: LogReader) -> None:
+        self._story = flight
         self._zero = {
-            signal: roles.zero_count for signal, roles in (story.roles.signals if story.roles else {}).items()
+            signal: roles.zero_count for signal, roles in (flight.roles.signals if flight.roles else {}).items()
         }
         self._envelopes: dict[str, Envelope] = {}
         self._flagged: dict[str, Thinned] = {}
         self._sweep_envelopes: dict[tuple[int, str], Envelope] = {}
-        self._sweep_rows = [Thinned(1500) for _ in story.sweeps]
+        self._sweep_rows = [Thinned(1500) for _ in flight.sweeps]
         self._thinned: dict[str, Thinned] = {}
         self._quantities: dict[bytes, Thinned] = {}
         self._clocks: dict[bytes, Thinned] = {}
@@ -154,7 +154,7 @@ class _Reader:
         self._kind = {name: _kind(name, dtype) for name, dtype in log.channels.items()}
 
     def add(self, batch: Batch) -> None:
-        """Take the next rows; a channel's are worked on when there are enough of them."""
+        """Add the next rows; a channel's are processed in blocks."""
         waiting = self._waiting.setdefault(batch.channel, [])
         waiting.append(batch.rows)
         self._waiting_rows[batch.channel] = self._waiting_rows.get(batch.channel, 0) + len(batch.rows)
@@ -188,7 +188,7 @@ class _Reader:
                 self._estimates(batch.rows)
 
     def _signal(self, batch: Batch) -> None:
-        name, rows, story = batch.channel, batch.rows, self._story
+        name, rows, flight = batch.channel, batch.rows, self._story
         values = si.imu(rows) if rows.dtype == IMU else si.scalar(rows, self._zero.get(name, 0))[:, None]
         bad = ~si.usable(rows)
         if bad.any():
@@ -196,11 +196,11 @@ class _Reader:
             self._flagged.setdefault(name, Thinned(500)).add(rows[bad][["host_ns"]])
         at_ns = rows["host_ns"]
         if name not in self._envelopes:
-            self._envelopes[name] = Envelope(story.info.start_ns, values.shape[1], 1536)
+            self._envelopes[name] = Envelope(flight.info.start_ns, values.shape[1], 1536)
         self._envelopes[name].add(at_ns, values)
         if rows.dtype != SCALAR:
             return
-        for number, sweep in enumerate(story.sweeps):
+        for number, sweep in enumerate(flight.sweeps):
             if not sweep.detailed:
                 continue
             inside = (at_ns >= sweep.phase.start_ns) & (at_ns < sweep.phase.end_ns)
@@ -211,20 +211,20 @@ class _Reader:
                 self._sweep_envelopes[key].add(at_ns[inside], values[inside])
 
     def _rows(self, rows: Rows) -> None:
-        story = self._story
-        story.rows_total += rows["gate"].size
-        story.rows_used += int(np.count_nonzero(rows["gate"] == 0))
+        flight = self._story
+        flight.rows_total += rows["gate"].size
+        flight.rows_used += int(np.count_nonzero(rows["gate"] == 0))
         for bit in range(32):
             if count := int(np.count_nonzero(rows["gate"] & (1 << bit))):
-                story.gate_counts[1 << bit] = story.gate_counts.get(1 << bit, 0) + count
+                flight.gate_counts[1 << bit] = flight.gate_counts.get(1 << bit, 0) + count
         self._thinned.setdefault("row", Thinned(4000)).add(rows)
         at_ns = rows["vehicle_ns"]
-        for sweep, thinned in zip(story.sweeps, self._sweep_rows, strict=True):
+        for sweep, thinned in zip(flight.sweeps, self._sweep_rows, strict=True):
             if sweep.detailed:
                 thinned.add(rows[(at_ns >= sweep.phase.start_ns) & (at_ns < sweep.phase.end_ns)])
 
     def _estimates(self, rows: Rows) -> None:
-        """The states between which a sweep's own information lies."""
+        """Collect the estimator states at the start of, during and at the end of each sweep."""
         at_ns = rows["vehicle_ns"]
         for sweep in self._story.sweeps:
             first, last = sweep.phase.start_ns, sweep.phase.end_ns
@@ -238,24 +238,24 @@ class _Reader:
                 sweep.states.append(rows[row].copy())
 
     def finish(self) -> None:
-        """Work on what waits, and tell the story what was found."""
+        """Process the remaining rows and store the results in the flight's data."""
         for channel in [channel for channel, waiting in self._waiting.items() if waiting]:
             self._flush(channel)
-        story = self._story
-        zero_ns = story.info.start_ns
-        story.traces = {name: envelope.trace(zero_ns) for name, envelope in self._envelopes.items()}
+        flight = self._story
+        zero_ns = flight.info.start_ns
+        flight.traces = {name: envelope.trace(zero_ns) for name, envelope in self._envelopes.items()}
         for (number, name), envelope in self._sweep_envelopes.items():
-            story.sweeps[number].traces[name] = envelope.trace(zero_ns)
-        story.quantities = {name.decode(): _kept(thinned) for name, thinned in self._quantities.items()}
-        story.clocks = {name.decode(): _kept(thinned) for name, thinned in self._clocks.items()}
-        for sweep, thinned in zip(story.sweeps, self._sweep_rows, strict=True):
+            flight.sweeps[number].traces[name] = envelope.trace(zero_ns)
+        flight.quantities = {name.decode(): _kept(thinned) for name, thinned in self._quantities.items()}
+        flight.clocks = {name.decode(): _kept(thinned) for name, thinned in self._clocks.items()}
+        for sweep, thinned in zip(flight.sweeps, self._sweep_rows, strict=True):
             sweep.rows = thinned.rows
-        story.gates = self._thinned["row"].rows if "row" in self._thinned else None
-        story.flagged = {name: story.seconds(_kept(thinned)["host_ns"]) for name, thinned in self._flagged.items()}
+        flight.gates = self._thinned["row"].rows if "row" in self._thinned else None
+        flight.flagged = {name: flight.seconds(_kept(thinned)["host_ns"]) for name, thinned in self._flagged.items()}
 
 
 def _kind(name: str, dtype: np.dtype[np.void]) -> str:
-    """What the rows are, by what of them is used here: records of other versions may carry more fields."""
+    """Kind of the rows, by the fields used here: records of other versions may carry more fields."""
     fields = set(dtype.names or ())
     known = {
         "signal": dtype in (IMU, SCALAR),

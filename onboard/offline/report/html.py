@@ -1,4 +1,4 @@
-"""Small pieces of HTML: everything that comes out of a log is escaped here."""
+"""HTML fragments; escapes all text that comes from a log."""
 
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -18,7 +18,7 @@ class Cell(str):
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; cells are escaped, and of the class that a :class:`Cell` names. Empty without rows."""
+    """A table; cells are escaped and get the class of their :class:`Cell`. Empty without rows."""
     body = ""
     kinds = ["" for _ in headings]
     for row in rows:
@@ -42,12 +42,12 @@ def paragraph(text: str, kind: str = "") -> str:
 
 
 def figure(svg: str, caption: str) -> str:
-    """A figure and what it shows."""
+    """A figure with its caption."""
     return f"<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>\n"
 
 
 def card(what: str, value: str, unit: str, more: Iterable[str]) -> str:
-    """A number to be seen first."""
+    """A card with a headline number."""
     lines = "".join(f'<div class="more">{escape(line)}</div>' for line in more)
     number = f"{escape(value)} <small>{escape(unit)}</small>"
     return f'<div class="card"><div class="what">{escape(what)}</div><div class="value">{number}</div>{lines}</div>\n'
@@ -60,7 +60,7 @@ def verdicts(lines: Iterable[tuple[str, str]]) -> str:
 
 
 def page(title: str, head: str, sections: Sequence[tuple[str, str]]) -> str:
-    """The whole document; a section without content is left out."""
+    """The whole document; empty sections are left out."""
     style = files("onboard.offline.report").joinpath("page.css").read_text(encoding="utf-8")
     shown = [(f"s{number}", name, body) for number, (name, body) in enumerate(sections) if body]
     links = "".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, _ in shown)

@@ -1,4 +1,4 @@
-"""The sections of a report, in the order of the questions: did it work, what is held, can it be trusted."""
+"""Sections of a report: verdicts and estimates, timeline, signals, regression, clocks, events."""
 
 import math
 from collections.abc import Iterator
@@ -23,47 +23,47 @@ _EVENTS_SHOWN = 40
 _ROWS_SHOWN = 24
 
 
-def document(story: FlightData) -> str:
+def document(flight: FlightData) -> str:
     """The whole page."""
     with theme.figures():
-        return html.page(f"{story.name}: {story.info.path.name}", _head(story), list(_sections(story)))
+        return html.page(f"{flight.name}: {flight.info.path.name}", _head(flight), list(_sections(flight)))
 
 
-def _sections(story: FlightData) -> Iterator[tuple[str, str]]:
+def _sections(flight: FlightData) -> Iterator[tuple[str, str]]:
     draw = _Gallery()
-    truths = truths_of(story)
-    found = compared(story)
+    truths = truths_of(flight)
+    found = compared(flight)
     yield "Answers", _answers(found)
-    yield "Timeline", _timeline(story, draw)
+    yield "Timeline", _timeline(flight, draw)
     yield (
         "Encoder and load cell",
         draw(
-            figures.joints_and_cells(story),
+            figures.joints_and_cells(flight),
             "Joint angles and load cells over the whole flight; sweeps are tinted. Times are of arrival, which is some "
-            "milliseconds after the sample. Red crosses: samples that their device or a range limit calls not usable.",
+            "milliseconds after the sample. Red crosses: samples marked unusable by their device or a range limit.",
         )
-        + draw(figures.sweeps(story), "The same, sweep by sweep."),
+        + draw(figures.sweeps(flight), "The same, sweep by sweep."),
     )
-    yield "Accelerations and rates", _imus(story, draw)
-    yield "Base rate", _base_rate(story, draw)
-    yield "Torque and acceleration", _torques(story, draw)
-    yield "Sweep by sweep", _by_sweep(story, draw, truths)
+    yield "Accelerations and rates", _imus(flight, draw)
+    yield "Base rate", _base_rate(flight, draw)
+    yield "Torque and acceleration", _torques(flight, draw)
+    yield "Sweep by sweep", _by_sweep(flight, draw, truths)
     yield (
         "Convergence",
         draw(
-            answers.convergence(story, truths, quantities=True),
-            "What the onboard estimator said, with its 95 % interval, from when the data supported it. Dashed: truth.",
+            answers.convergence(flight, truths, quantities=True),
+            "Onboard estimates with their 95 % interval, from the time they are determined by the data. Dashed: truth.",
         )
-        + draw(answers.convergence(story, truths, quantities=False), "Supported base parameters, SI units."),
+        + draw(answers.convergence(flight, truths, quantities=False), "Base parameters the data determine, SI units."),
     )
-    yield "Clocks", _clocks(story, draw)
-    yield "Channels", _channels(story)
-    yield "Events", _events(story)
-    yield "Provenance", _provenance(story)
+    yield "Clocks", _clocks(flight, draw)
+    yield "Channels", _channels(flight)
+    yield "Events", _events(flight)
+    yield "Provenance", _provenance(flight)
 
 
 class _Gallery:
-    """Figures to HTML, each with ids of its own."""
+    """Converts figures to HTML, each with unique ids."""
 
     def __init__(self) -> None:
         self._number = 0
@@ -75,8 +75,8 @@ class _Gallery:
         return html.figure(theme.svg(figure, escape(caption), f"f{self._number}"), caption)
 
 
-def _head(story: FlightData) -> str:
-    about = story.info
+def _head(flight: FlightData) -> str:
+    about = flight.info
     when = about.metadata.get("flight", {}).get("wall_clock_ns")
     facts = [
         about.path.name,
@@ -86,12 +86,12 @@ def _head(story: FlightData) -> str:
     ]
     if when:
         facts.insert(1, f"{np.datetime64(int(when), 'ns').astype('datetime64[s]')} UTC")
-    head = f"<h1>{escape(story.name)}</h1>\n" + html.paragraph(" · ".join(facts), "sub")
-    masses = [one for one in compared(story) if one.supported and one.unit == "kg"]
+    head = f"<h1>{escape(flight.name)}</h1>\n" + html.paragraph(" · ".join(facts), "sub")
+    masses = [one for one in compared(flight) if one.supported and one.unit == "kg"]
     cards = [_card(one) for one in [one for one in masses if one.published] or masses][:6]
     if cards:
         head += f'<div class="cards">\n{"".join(cards)}</div>\n'
-    return head + html.verdicts(_verdicts(story)) + "".join(html.paragraph(note, "note") for note in story.notes)
+    return head + html.verdicts(_verdicts(flight)) + "".join(html.paragraph(note, "note") for note in flight.notes)
 
 
 def _card(one: Compared) -> str:
@@ -109,9 +109,9 @@ def _digits(value: float, width: float) -> str:
     return f"{value:.{decimals}f}"
 
 
-def _verdicts(story: FlightData) -> Iterator[tuple[str, str]]:
-    about = story.info
-    asked = compared(story)
+def _verdicts(flight: FlightData) -> Iterator[tuple[str, str]]:
+    about = flight.info
+    asked = compared(flight)
     answered = [one for one in asked if one.supported]
     if asked:
         kind = "good" if len(answered) == len(asked) else "warn" if answered else "bad"
@@ -122,9 +122,9 @@ def _verdicts(story: FlightData) -> Iterator[tuple[str, str]]:
         yield kind, f"{sum(inside)} of {len(inside)} intervals hold the truth."
     missing = sum(channel.missing for channel in about.channels)
     if about.unexplained:
-        yield "bad", f"{about.unexplained:,} records are missing and no gap record says why."
+        yield "bad", f"{about.unexplained:,} records are missing without a gap record."
     elif missing:
-        yield "warn", f"{missing:,} records are missing, and gap records name every one of them."
+        yield "warn", f"{missing:,} records are missing, all of them covered by gap records."
     else:
         yield "good", "No record is missing between the first and the last of any channel."
     loud = {Severity.ERROR: ("bad", "errors"), Severity.WARNING: ("warn", "warnings")}
@@ -133,10 +133,10 @@ def _verdicts(story: FlightData) -> Iterator[tuple[str, str]]:
             yield kind, f"{count} {word}; see Events."
     if about.damage:
         lost = sum(one.end - one.start for one in about.damage)
-        yield "bad", f"The log is damaged in {len(about.damage)} places ({lost:,} bytes); what could be read is here."
+        yield "bad", f"The log is damaged in {len(about.damage)} places ({lost:,} bytes); the readable part is shown."
     else:
-        yield "good", "The log is whole: every byte is as it was written."
-    for name, rows in sorted(story.clocks.items()):
+        yield "good", "The log is intact: every checksum is right."
+    for name, rows in sorted(flight.clocks.items()):
         state = ClockState(int(rows[-1]["state"]))
         if state is not ClockState.LOCKED:
             yield "warn", f"The clock of {name} ended {state.name.lower()}."
@@ -163,47 +163,49 @@ def _answers(found: list[Compared]) -> str:
     return html.table([headings[n] for n in keep], ([row[n] for n in keep] for row in rows))
 
 
-def _timeline(story: FlightData, draw: _Gallery) -> str:
+def _timeline(flight: FlightData, draw: _Gallery) -> str:
     keys = [
         ("a", "sweep"), ("idle", "other phase, or refused"), ("good", "used, or locked"),
         ("warn", "flywheel, or warning"), ("bad", "lost, or error"),
     ]  # fmt: skip
     legend = "".join(f'<span class="key" style="background: var(--{c})"></span>{escape(t)}' for c, t in keys)
-    body = draw(figures.timeline(story), "What happened when.") + f'<p class="note">{legend}</p>\n'
-    if story.rows_total:
+    body = draw(figures.timeline(flight), "What happened when.") + f'<p class="note">{legend}</p>\n'
+    if flight.rows_total:
         refused = ", ".join(
-            f"{(reason.name or '').lower().replace('_', ' ')} {story.gate_counts[int(reason)]:,}"
+            f"{(reason.name or '').lower().replace('_', ' ')} {flight.gate_counts[int(reason)]:,}"
             for reason in GateReason
-            if story.gate_counts.get(int(reason))
+            if flight.gate_counts.get(int(reason))
         )
-        used = f"{story.rows_used:,} of {story.rows_total:,} rows went into the estimate."
+        used = f"{flight.rows_used:,} of {flight.rows_total:,} rows went into the estimate."
         body += html.paragraph(f"{used} Refused, a row perhaps for several reasons: {refused or 'none'}.")
     return body
 
 
-def _imus(story: FlightData, draw: _Gallery) -> str:
-    names = [name for name, trace in story.traces.items() if trace.mean.shape[1] == 6]
-    frames = {one.channels[0]: one.frame for one in (story.roles.imus if story.roles else ()) if len(one.channels) == 1}
+def _imus(flight: FlightData, draw: _Gallery) -> str:
+    names = [name for name, trace in flight.traces.items() if trace.mean.shape[1] == 6]
+    frames = {
+        one.channels[0]: one.frame for one in (flight.roles.imus if flight.roles else ()) if len(one.channels) == 1
+    }
     body = ""
     for name in names:
         rotation = None
-        if story.model is not None and name in frames:
+        if flight.model is not None and name in frames:
             try:
-                rotation, _ = story.model.pose_in_base(frames[name])
+                rotation, _ = flight.model.pose_in_base(frames[name])
             except ModelError:
-                rotation = None  # on a moving link: its axes turn against the base
+                rotation = None  # on a moving link: no constant rotation to the base
         body += draw(
-            figures.imu(story, name, rotation),
+            figures.imu(flight, name, rotation),
             "Unfiltered. Line: mean of each bin of time, band: extent of its samples. An accelerometer measures "
             "specific force: free fall reads zero, and its own offset is still in.",
         )
     if len(names) > 1:
-        body += draw(figures.magnitudes(story, names), "Magnitude of the specific force of every IMU.")
+        body += draw(figures.magnitudes(flight, names), "Magnitude of the specific force of every IMU.")
     return body
 
 
-def _base_rate(story: FlightData, draw: _Gallery) -> str:
-    found = base_rate(story)
+def _base_rate(flight: FlightData, draw: _Gallery) -> str:
+    found = base_rate(flight)
     if found is None:
         return ""
     rms = ", ".join(f"{value:.3f}" for value in np.degrees(found.rms))
@@ -215,17 +217,17 @@ def _base_rate(story: FlightData, draw: _Gallery) -> str:
     )
 
 
-def _torques(story: FlightData, draw: _Gallery) -> str:
-    if story.identifier is None or story.roles is None:
+def _torques(flight: FlightData, draw: _Gallery) -> str:
+    if flight.identifier is None or flight.roles is None:
         return ""
-    rows = [row.name for row in story.identifier.model.rows]
+    rows = [row.name for row in flight.identifier.model.rows]
     body = ""
-    for cell in story.roles.cells:
+    for cell in flight.roles.cells:
         if cell.name in rows:
             moment = cell.keys.measures == "moment"
             unit, factor = ("mN m", 1e3 * cell.keys.lever_m) if moment else ("N", 1.0)
             body += draw(
-                answers.torque_and_acceleration(story, answers.Side(rows.index(cell.name), unit, factor)),
+                answers.torque_and_acceleration(flight, answers.Side(rows.index(cell.name), unit, factor)),
                 f"{cell.name}: both sides of the rows, through the same smoothing kernel, on vehicle time. The line is "
                 "a straight fit to the rows used; the estimator's rows also carry the base's motion and the offset. "
                 "Ticks with a saturated sample are left out.",
@@ -233,12 +235,12 @@ def _torques(story: FlightData, draw: _Gallery) -> str:
     return body
 
 
-def _by_sweep(story: FlightData, draw: _Gallery, truths: dict[str, float]) -> str:
-    if story.identifier is None:
+def _by_sweep(flight: FlightData, draw: _Gallery, truths: dict[str, float]) -> str:
+    if flight.identifier is None:
         return ""
-    found = {sweep.phase.name: alone(sweep, story.identifier) for sweep in story.sweeps}
+    found = {sweep.phase.name: alone(sweep, flight.identifier) for sweep in flight.sweeps}
     body = draw(
-        answers.by_sweep(story, found, truths),
+        answers.by_sweep(flight, found, truths),
         "Each sweep identified by itself, from the prior and its own rows, as it goes on. Bands: 95 %. Dashed: truth.",
     )
     rows = [_alone_row(sweep, one, truths.get(one.name)) for sweep, every in found.items() for one in every]
@@ -246,7 +248,7 @@ def _by_sweep(story: FlightData, draw: _Gallery, truths: dict[str, float]) -> st
         return ""
     silent = [sweep for sweep, every in found.items() if not every]
     if len(rows) > _ROWS_SHOWN:
-        rows = []  # the figure says it
+        rows = []  # shown in the figure
     more = html.paragraph(f"By themselves these determine nothing: {', '.join(silent)}.") if silent else ""
     return body + html.table(["sweep", "quantity", "value", "95 % interval", "unit", "truth", "error %"], rows) + more
 
@@ -261,9 +263,9 @@ def _alone_row(sweep: str, one: Alone, truth: float | None) -> list[object]:
     return [sweep, one.name, Cell(_digits(factor * value, width)), Cell(span), unit, Cell(known), Cell(error)]
 
 
-def _clocks(story: FlightData, draw: _Gallery) -> str:
+def _clocks(flight: FlightData, draw: _Gallery) -> str:
     rows = []
-    for name, said in sorted(story.clocks.items()):
+    for name, said in sorted(flight.clocks.items()):
         last = said[-1]
         state = ClockState(int(last["state"]))
         kind = {ClockState.LOCKED: "good", ClockState.FLYWHEEL: "warn"}.get(state, "bad")
@@ -280,13 +282,15 @@ def _clocks(story: FlightData, draw: _Gallery) -> str:
     )
     table = html.table(["clock", "state", "tick µs", "sigma µs", "residual µs", "marks", "rejected"], rows)
     return (
-        table + draw(figures.clocks(story.clocks, story.info.start_ns, story.info.duration_s), caption) if rows else ""
+        table + draw(figures.clocks(flight.clocks, flight.info.start_ns, flight.info.duration_s), caption)
+        if rows
+        else ""
     )
 
 
-def _channels(story: FlightData) -> str:
+def _channels(flight: FlightData) -> str:
     rows = []
-    for channel in story.info.channels:
+    for channel in flight.info.channels:
         rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
         lost = Cell(f"{channel.unexplained:,}", "n bad" if channel.unexplained else "n")
         counts = [Cell(f"{count:,}") for count in (channel.missing, channel.gaps)]
@@ -304,25 +308,25 @@ def _channels(story: FlightData) -> str:
     return html.table(["channel", "record", "rows", "Hz", "missing", "in gaps", "unexplained", "flagged"], rows)
 
 
-def _events(story: FlightData) -> str:
-    rows = [row for rows in story.events for row in rows]
+def _events(flight: FlightData) -> str:
+    rows = [row for rows in flight.events for row in rows]
     shown = []
     for row in rows[:_EVENTS_SHOWN]:
         severity = int(row["severity"])
         kind, word = ("bad", "error") if severity >= Severity.ERROR else ("warn", "warning")
         texts = [row[field].decode(errors="replace") for field in ("source", "code", "text")]
-        shown.append([Cell(f"{float(story.seconds(row['host_ns'])):.3f}"), Cell(word, kind), *texts])
+        shown.append([Cell(f"{float(flight.seconds(row['host_ns'])):.3f}"), Cell(word, kind), *texts])
     more = html.paragraph(f"And {len(rows) - _EVENTS_SHOWN} more: heft info.") if len(rows) > _EVENTS_SHOWN else ""
     table = html.table(["time s", "", "source", "code", "what"], shown)
     return table + more if shown else html.paragraph("No warning and no error.")
 
 
-def _provenance(story: FlightData) -> str:
-    rows = [[name, key, value] for name, items in story.info.metadata.items() for key, value in items.items()] + [
-        ["file", name, f"{size:,} bytes"] for name, size in story.info.attachments.items()
+def _provenance(flight: FlightData) -> str:
+    rows = [[name, key, value] for name, items in flight.info.metadata.items() for key, value in items.items()] + [
+        ["file", name, f"{size:,} bytes"] for name, size in flight.info.attachments.items()
     ]
     body = html.table(["", "", ""], rows)
-    if story.vehicle is not None:
-        text = escape(story.vehicle.text)
-        body += f"<details><summary>{escape(story.vehicle.path.name)}</summary><pre>{text}</pre></details>\n"
+    if flight.vehicle is not None:
+        text = escape(flight.vehicle.text)
+        body += f"<details><summary>{escape(flight.vehicle.path.name)}</summary><pre>{text}</pre></details>\n"
     return body

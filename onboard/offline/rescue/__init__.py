@@ -1,1 +1,1 @@
-"""Logs of several recorders on one clock and in one file (``heft resync``, ``heft merge``)."""
+"""Puts logs of several recorders on one clock and in one file (``heft resync``, ``heft merge``)."""

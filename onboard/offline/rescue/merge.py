@@ -1,8 +1,9 @@
-"""The logs of several recorders of one flight as one log, in the order of time.
+"""Merges the logs of several recorders of one flight into one log, ordered by time.
 
-Channels keep their names. Where several logs have a channel of one name, events and gap records are told apart by the
-name of their log; samples are only when that is asked for, because whoever reads them must know. What names a channel
-inside a row (a gap record, a clock) follows. Attachments and metadata of the later logs are put under their log's name.
+Channels keep their names. If several logs have a channel of one name, events and gap records are prefixed with the name
+of their log; channels of samples only with ``rename``, because their readers depend on the names. Channel names inside
+rows (gap records, clocks) are changed alike. Attachments and metadata of the later logs are prefixed with their log's
+name.
 """
 
 import heapq
@@ -23,7 +24,7 @@ from onboard.recording.writer import LogWriter
 
 
 class Part(NamedTuple):
-    """One recorder's log, and how its clock is put on that of the first: ``host_ns x rate + shift_ns``."""
+    """One recorder's log, and its clock relative to the first: ``host_ns x rate + shift_ns``."""
 
     segments: Sequence[Path]
     shift_ns: int = 0
@@ -31,12 +32,12 @@ class Part(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of the log."""
+        """Name of the log."""
         return self.segments[0].stem
 
 
 class Merged(NamedTuple):
-    """Rows by channel of the new log, what could not be read of the old ones, and what somebody should know."""
+    """Rows by channel of the new log, damage of the old ones, and warnings."""
 
     rows: dict[str, int]
     damage: tuple[Damage, ...]
@@ -49,14 +50,14 @@ def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress
     Args:
         parts: the logs, at least two.
         output: the file to create.
-        rename: whether a channel of samples that several logs have is told apart by the name of its log.
-        progress: gets a task that counts the bytes of the logs.
+        rename: prefix a channel of samples that several logs have with the name of its log.
+        progress: receives a task that counts the bytes of the logs.
 
     Raises:
-        ChannelError: a channel of samples that several logs have, and no ``rename``; or a name that gets too long.
+        ChannelError: several logs have a channel of samples without ``rename``, or a name gets too long.
         ValueError: fewer than two logs, or two of one name.
-        FileExistsError: ``output`` is there already.
-        LogFormatError: a log is none of ours.
+        FileExistsError: ``output`` exists.
+        LogFormatError: a file is not a heft log.
         OSError: a log cannot be read, or the output not written.
     """
     stems = [part.name for part in parts]
@@ -88,7 +89,7 @@ def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress
 
 
 def _names(parts: Sequence[Part], logs: Sequence[LogReader], rename: bool) -> list[dict[str, str]]:
-    """For each log: its channels, and what they are called in the new one."""
+    """For each log: its channels and their names in the new one."""
     owners: dict[str, list[str]] = {}
     for part, log in zip(parts, logs, strict=True):
         for channel in log.channels:

@@ -1,1 +1,1 @@
-"""Reading a log: its channels as columns and SI values, by time and phase, and the vehicle file it carries."""
+"""Reads a log as tables: columns, SI values, selection by time and phase, the attached vehicle file."""

@@ -1,6 +1,6 @@
-"""A channel's rows as flat columns for other programs: raw counts and, beside them, SI.
+"""Flat columns of a channel's rows for other programs: raw counts and SI values.
 
-A converted column stands where the row carries its own scale: ``gyro_raw`` with ``gyro_scale_rad_s`` gives ``gyro_x``
+A converted column is made where the row carries its scale: ``gyro_raw`` with ``gyro_scale_rad_s`` gives ``gyro_x``
 to ``gyro_z`` in rad/s, ``value_raw`` with ``scale`` and ``unit`` gives ``value`` in that unit. Converted vectors name
 their frame (``gyro_imu_base_x``), and the zero count is taken off converted values. Rows that were given times
 (:func:`with_times`) have ``time_s`` and, where the log knows it, ``utc`` in front.
@@ -99,17 +99,17 @@ class Column(NamedTuple):
 
     @property
     def converted(self) -> bool:
-        """Whether it is SI made of counts beside it."""
+        """Whether it is an SI value converted from other columns."""
         return self.digits is not None
 
     @property
     def header(self) -> str:
-        """Name and unit, as the head of a column."""
+        """Column heading: name and unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 def unit_of(field: str) -> str:
-    """The unit that a field's name ends with; empty where it names none."""
+    """Unit in a field name's suffix; empty if there is none."""
     words = field.split("_")
     suffixes = ("_".join(words[-n:]) for n in (3, 2, 1) if n <= len(words))
     return next((_UNIT_OF_SUFFIX[suffix] for suffix in suffixes if suffix in _UNIT_OF_SUFFIX), "")
@@ -166,9 +166,9 @@ def columns(
 
     Args:
         dtype: of the channel's rows.
-        units: field to unit, where the log names one; the field's name tells the others.
-        sample: some of the rows (possibly none): where a row names its unit itself, the first one's is that of the
-            converted column, and rows of another unit are NaN there.
+        units: field to unit, from the log; other units come from the field name.
+        sample: some of the rows (possibly none): where rows carry their unit, the first one's becomes that of the
+            converted column, and rows with another unit are NaN there.
         meaning: of the channel: the frame that stands in the names of converted vectors, and the zero count.
     """
     result: list[Column] = []
@@ -222,7 +222,7 @@ def _converted(
     def converter(index: tuple[int, ...]) -> Callable[[Rows], Values]:
         def values(rows: Rows) -> Values:
             counts = (_element(rows, f"{base}_raw", index) - meaning.zero_count).astype(np.float64)
-            with np.errstate(over="ignore", invalid="ignore"):  # the product is then inf or NaN, and written so
+            with np.errstate(over="ignore", invalid="ignore"):  # an overflow is written as inf or NaN
                 product: NDArray[np.float64] = counts * rows[scale].astype(np.float64)
             if text:
                 product[rows["unit"] != text] = np.nan

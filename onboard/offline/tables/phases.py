@@ -1,4 +1,4 @@
-"""The phases of a flight, as its phase channel told them; stamped on arrival, good to some milliseconds."""
+"""Phases of a flight from its phase channel, timed by arrival (error of some milliseconds)."""
 
 from typing import NamedTuple
 
@@ -10,8 +10,8 @@ from onboard.recording.reader import LogReader
 class Phase(NamedTuple):
     """One phase: ``start_ns`` to ``end_ns`` (not included) of the recording host's clock.
 
-    ``name`` says what the vehicle file makes of the code: ``sweep 1``, ``sweep 2`` in the order flown for phases to
-    identify in, ``release``, ``end``, else ``phase CODE``.
+    ``name`` follows the vehicle file: ``sweep 1``, ``sweep 2`` in flown order for identification phases, ``release``,
+        ``end``, else ``phase CODE``.
     """
 
     start_ns: int
@@ -26,8 +26,8 @@ def phases_of(log: LogReader, settings: config.Phases | None, end_ns: int) -> tu
 
     Args:
         log: a flight's log.
-        settings: what the vehicle file says of phases.
-        end_ns: when the last one ends.
+        settings: phase codes of the vehicle file.
+        end_ns: end of the last phase.
     """
     if settings is None or log.channels.get(settings.channel) != SCALAR:
         return ()

@@ -1,4 +1,4 @@
-"""Which part of a log is meant: channels, times, phases."""
+"""Selects a part of a log by channels, times and phases."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from onboard.recording.reader import LogReader
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a log is asked for.
+    """Selection of a part of a log.
 
     Args:
-        channels: only these; all where None.
-        start_s: from here on, in s since the log's first record.
-        end_s: up to here.
-        phases: only these phases, by name or code; all where empty.
+        channels: only these; None: all.
+        start_s: start, s since the log's first record.
+        end_s: end, likewise.
+        phases: only these phases, by name or code; empty: all.
     """
 
     channels: tuple[str, ...] | None = None
@@ -28,14 +28,14 @@ class Selection:
     phases: tuple[str, ...] = ()
 
     def windows(self, log: LogReader, vehicle: config.Vehicle | None) -> list[tuple[int, int]] | None:
-        """Stretches ``[start, end)`` of the host's clock in ns; None for all of the log.
+        """Intervals ``[start, end)`` of the host's clock, ns; None for all of the log.
 
         Args:
             log: the log.
             vehicle: that flew, which says what its phases are; None where it is not known.
 
         Raises:
-            ValueError: a phase that the log does not have, or no phases at all, or an end before the start.
+            ValueError: unknown phase, a log without phases, or an end before the start.
         """
         if self.start_s is None and self.end_s is None and not self.phases:
             return None
@@ -70,7 +70,7 @@ def _phase_settings(log: LogReader, vehicle: config.Vehicle | None) -> config.Ph
 
 
 def span_of(log: LogReader) -> tuple[int, int]:
-    """First and last ``host_ns`` of any channel, by a pass over the log; zeros for an empty one."""
+    """First and last ``host_ns`` over all channels, by a pass over the log; zeros if it is empty."""
     first_ns, last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
     for batch in log.batches():
         first_ns = min(first_ns, int(batch.rows["host_ns"].min()))

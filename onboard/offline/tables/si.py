@@ -1,4 +1,4 @@
-"""Rows to SI values, by the scale that each row carries."""
+"""SI values of rows, by the scale that each row carries."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,12 @@ def imu(rows: Rows) -> FloatArray:
 
 
 def scalar(rows: Rows, zero_count: int = 0) -> FloatArray:
-    """Values (n,) in the unit the rows name."""
+    """Values (n,) in the rows' unit."""
     values: FloatArray = (rows["value_raw"] - zero_count) * rows["scale"]
     return values
 
 
 def usable(rows: Rows) -> NDArray[np.bool_]:
-    """Which rows (n,) of an IMU or a scalar channel are good samples."""
+    """Which rows (n,) of an IMU or a scalar channel are usable samples."""
     assert rows.dtype in (IMU, SCALAR)
     return np.asarray((rows["status"] & UNUSABLE) == 0)

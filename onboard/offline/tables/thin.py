@@ -1,7 +1,6 @@
-"""Signals of any length in constant memory, for plots: envelopes over bins of time, and every so-many-th row.
+"""Reduces signals of any length for plots in constant memory: envelopes over time bins, and every k-th row.
 
-Both start as fine as they can and halve their resolution whenever they are full, so nothing has to be known of the
-length beforehand.
+Both start at full resolution and halve it whenever they are full, so the length need not be known beforehand.
 """
 
 from typing import NamedTuple
@@ -14,7 +13,7 @@ from onboard.estimation.arrays import FloatArray
 
 
 class Trace(NamedTuple):
-    """Columns of a signal over n bins of time: what a line shows, and what a pixel must not hide."""
+    """Mean and extremes of a signal's columns over n time bins."""
 
     time_s: FloatArray  # (n,) middle of the bin
     low: FloatArray  # (n, columns)
@@ -23,13 +22,13 @@ class Trace(NamedTuple):
 
 
 class Envelope:
-    """Lowest, mean and highest value in each bin of time.
+    """Minimum, mean and maximum per time bin.
 
     Args:
-        start_ns: left end of the first bin; what is before it counts into it.
-        columns: of the signal.
-        bins: at most; an odd number has one more.
-        width_ns: of a bin at first.
+        start_ns: start of the first bin, which also takes earlier values.
+        columns: number of columns of the signal.
+        bins: largest number of bins, rounded up to even.
+        width_ns: initial width of a bin.
     """
 
     def __init__(self, start_ns: int, columns: int, bins: int = 2048, width_ns: int = 1_000_000) -> None:
@@ -41,7 +40,7 @@ class Envelope:
         self._count: FloatArray = np.zeros((bins, columns))
 
     def add(self, at_ns: NDArray[np.int64], values: FloatArray) -> None:
-        """Take values (n, columns); NaN is no value."""
+        """Add values (n, columns); NaN is ignored."""
         if not len(at_ns):
             return
         while (int(at_ns.max()) - self._start_ns) // self._width_ns >= len(self._low):
@@ -73,7 +72,7 @@ class Envelope:
         self._width_ns *= 2
 
     def trace(self, zero_ns: int) -> Trace:
-        """The bins that hold anything, their times counted from ``zero_ns``."""
+        """The non-empty bins, with times relative to ``zero_ns``."""
         full = self._count.any(axis=1)
         count = self._count[full]
         known = count > 0
@@ -86,7 +85,7 @@ class Envelope:
 
 
 class Thinned:
-    """Every k-th row of a channel, k as small as ``capacity`` rows allow; and the last one."""
+    """Every k-th row of a channel (k as small as ``capacity`` allows), and the last one."""
 
     def __init__(self, capacity: int = 2000) -> None:
         self._capacity, self._stride, self._seen, self._kept = capacity, 1, 0, 0
@@ -94,7 +93,7 @@ class Thinned:
         self._last: Rows | None = None
 
     def add(self, rows: Rows) -> None:
-        """Take the next rows (n,)."""
+        """Add the next rows (n,)."""
         if not len(rows):
             return
         part = rows[-self._seen % self._stride :: self._stride].copy()
@@ -108,7 +107,7 @@ class Thinned:
 
     @property
     def rows(self) -> Rows | None:
-        """What was kept; None when there was nothing."""
+        """The rows kept; None if there are none."""
         if self._last is None:
             return None
         kept = np.concatenate(self._parts)

@@ -1,6 +1,6 @@
-"""What was true in a simulated flight: a file beside the log, ``LOG.truth.json``, never in it.
+"""True values of a simulated flight: the file ``LOG.truth.json`` beside the log.
 
-The harness writes it when the flight is over; nothing that flies reads it, and a real flight has none.
+The simulator writes it after the flight; no flight code reads it, and a real flight has none.
 """
 
 import json
@@ -13,20 +13,20 @@ Truth = dict[str, Any]
 
 
 def beside(log: Path) -> Path:
-    """Where the truth of ``log`` stands."""
+    """Path of the truth file of ``log``."""
     return log.with_name(f"{log.name}.truth.json")
 
 
 def write(log: Path, truth: Truth) -> None:
-    """Keep ``truth`` beside ``log``: scalars, text, lists, arrays and maps of them."""
+    """Write ``truth`` (scalars, text, lists, arrays and maps of them) beside ``log``."""
     beside(log).write_text(json.dumps(truth, indent=1, default=_plain) + "\n", encoding="utf-8")
 
 
 def read(log: Path) -> Truth | None:
-    """The truth of ``log``; None where it has none.
+    """The truth of ``log``; None if there is no file.
 
     Raises:
-        ValueError: the file is no JSON object.
+        ValueError: the file is not a JSON object.
     """
     path = beside(log)
     if not path.exists():

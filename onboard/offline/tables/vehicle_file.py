@@ -1,4 +1,4 @@
-"""The vehicle file that a log carries."""
+"""Reads the vehicle file attached to a log."""
 
 import tempfile
 from pathlib import Path
@@ -9,7 +9,7 @@ from onboard.recording.reader import LogReader
 
 
 def vehicle_of(log: LogReader, directory: Path) -> config.Vehicle:
-    """The vehicle a log was flown with, its attached files laid out in ``directory``.
+    """The vehicle a log was flown with; its attached files are written to ``directory``.
 
     Raises:
         ConfigError: the attachments are missing or cannot be used.
@@ -20,7 +20,7 @@ def vehicle_of(log: LogReader, directory: Path) -> config.Vehicle:
 
 
 def attached_vehicle(log: LogReader) -> config.Vehicle:
-    """The same, for who needs what the file says and not the files beside it.
+    """The vehicle of a log, without the files it refers to.
 
     Raises:
         ConfigError: as :func:`vehicle_of`.

@@ -1,4 +1,4 @@
-"""Every sample of a log on vehicle time, by the timebase that flies: fed with the log as the flight was.
+"""Samples of a log on vehicle time, by the onboard timebase fed from the log.
 
 A sample is timed when its clock has heard what came up to ``_LAG_NS`` after it, as the estimator does; samples from
 before a clock's first solution wait for it, ``_PATIENCE_NS`` at most.
@@ -23,7 +23,7 @@ _PATIENCE_NS = 60_000_000_000
 
 
 class Timed(NamedTuple):
-    """Samples of a channel and when they were taken; filter delays are not removed."""
+    """Samples of a channel and their vehicle times; filter delays are not removed."""
 
     channel: str
     time_ns: NDArray[np.int64]  # (n,) vehicle time, or UNKNOWN
@@ -31,7 +31,7 @@ class Timed(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a step has timed; every sample before ``until_ns`` has come."""
+    """Samples timed in a step; no later step has samples before ``until_ns``."""
 
     until_ns: int
     samples: list[Timed]
@@ -47,7 +47,7 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
     """The samples of ``channels``, which have clocks, in steps of time; every row of them, in the order of the file.
 
     Raises:
-        OSError: the medium refused.
+        OSError: the log cannot be read.
     """
     timebase = timebase_of(vehicle)
     source = Interleaved(log, vehicle.channels)

@@ -1,1 +1,1 @@
-"""What a log or a flight looks like in a terminal: ``heft info``, ``heft watch``, the result of ``heft hil``."""
+"""Terminal views of a log or a flight: ``heft info``, ``heft watch``, the result of ``heft hil``."""

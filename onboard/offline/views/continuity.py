@@ -1,4 +1,4 @@
-"""Sequence numbers of a channel, and which of them are missing, as sets of ranges."""
+"""Missing sequence numbers of a channel, as sets of ranges."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ NO_RANGES: Ranges = np.empty((0, 2), np.int64)
 
 
 def union(ranges: Ranges) -> Ranges:
-    """The same numbers as ``ranges`` (n, 2), in disjoint ranges that ascend and do not touch."""
+    """The numbers of ``ranges`` (n, 2) as ascending, disjoint, non-adjacent ranges."""
     ranges = ranges[np.argsort(ranges[:, 0], kind="stable")]
     if not len(ranges):
         return NO_RANGES
@@ -21,27 +21,27 @@ def union(ranges: Ranges) -> Ranges:
 
 
 def count(ranges: Ranges) -> int:
-    """How many numbers are in disjoint ``ranges`` (n, 2)."""
+    """Count of numbers in disjoint ``ranges`` (n, 2)."""
     return int((ranges[:, 1] - ranges[:, 0] + 1).sum())
 
 
 def common(a: Ranges, b: Ranges) -> int:
-    """How many numbers are in both of two sets."""
+    """Count of numbers in both of two sets."""
     return count(union(a)) + count(union(b)) - count(union(np.concatenate([a, b])))
 
 
 class Continuity:
-    """Follows one channel through a log: call ``add`` with its rows in order."""
+    """Tracks the sequence numbers of one channel: call ``add`` with its rows in order."""
 
     def __init__(self) -> None:
         self.rows = 0
-        self.repeated = 0  # rows whose number is not greater than the one before: doubled, or a restart
+        self.repeated = 0  # rows whose number is not above the previous one: duplicate, or restart
         self.first_sequence = self.last_sequence = 0
         self.first_ns = self.last_ns = 0
         self._missing: list[Ranges] = []
 
     def add(self, rows: Rows) -> None:
-        """Take the next rows (n,), n > 0."""
+        """Add the next rows (n,), n > 0."""
         sequence = rows["sequence"].astype(np.int64)
         if not self.rows:
             self.first_sequence, self.first_ns = int(sequence[0]), int(rows["host_ns"][0])
@@ -57,11 +57,11 @@ class Continuity:
 
     @property
     def missing(self) -> Ranges:
-        """Numbers (n, 2) between the first row and the last that no row has."""
+        """Numbers missing between the first and the last row, ranges (n, 2)."""
         return np.concatenate([NO_RANGES, *self._missing])
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate of arrival; None where fewer than two instants are known."""
+        """Mean rate of arrival, Hz; None for fewer than two instants."""
         duration_ns = self.last_ns - self.first_ns
         return (self.rows - 1) * 1e9 / duration_ns if duration_ns > 0 else None

@@ -1,4 +1,4 @@
-"""What a log holds, on one screen."""
+"""Summary of a log on one screen (``heft info``)."""
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,11 +22,11 @@ _DAMAGE_SHOWN = 5
 
 @dataclass(frozen=True)
 class ChannelInfo:
-    """One channel: what was recorded, what is missing, and whether a gap record says so.
+    """One channel: rows recorded, missing, and covered by gap records.
 
-    ``missing``: sequence numbers between the first row and the last that no row has. ``gaps``: numbers that gap
-    records name and no row has, before the first row and after the last too. ``unexplained``: missing numbers that no
-    gap record names. ``flagged``: rows whose status is not 0.
+    ``missing``: sequence numbers missing between the first and the last row. ``gaps``: numbers in gap records without a
+        row, also before the first and after the last row. ``unexplained``: missing numbers in no gap record.
+        ``flagged``: rows whose status is not 0.
     """
 
     name: str
@@ -55,7 +55,7 @@ class EventLine:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """What a log holds. Times are of the recording host's CLOCK_MONOTONIC."""
+    """Summary of a log. Times are the recording host's CLOCK_MONOTONIC."""
 
     path: Path
     size_bytes: int
@@ -89,7 +89,7 @@ class LogInfo:
 
     @property
     def unexplained(self) -> int:
-        """Missing rows of all channels that no gap record names."""
+        """Missing rows of all channels without a gap record."""
         return sum(channel.unexplained for channel in self.channels)
 
 
@@ -163,16 +163,16 @@ class _Gatherer:
 
 
 def printable(data: bytes) -> str:
-    """What can be shown on a terminal without changing its state."""
+    """Text with control characters replaced, safe for a terminal."""
     text = bytes(data).decode(errors="backslashreplace")
     return "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in text)
 
 
 def info(log: LogReader | str | Path) -> LogInfo:
-    """Read all of ``log`` once more than its survey does, in constant memory.
+    """Summarise ``log`` in one further pass over it, in constant memory.
 
     Raises:
-        LogFormatError: it is no log of ours.
+        LogFormatError: not a heft log.
         OSError: it cannot be read.
     """
     reader = log if isinstance(log, LogReader) else LogReader(log)
@@ -267,7 +267,7 @@ def _verdict(about: LogInfo) -> list[RenderableType]:
     if len(about.damage) > _DAMAGE_SHOWN:
         lines.append(Text(f"and {len(about.damage) - _DAMAGE_SHOWN} more", style="red"))
     if not about.damage:
-        lines.append(Text("whole: every byte is as it was written", style="green"))
+        lines.append(Text("intact: every checksum is right", style="green"))
     if about.unexplained:
-        lines.append(Text(f"{about.unexplained:,} rows are missing and no gap record says why", style="bold red"))
+        lines.append(Text(f"{about.unexplained:,} rows are missing without a gap record", style="bold red"))
     return lines

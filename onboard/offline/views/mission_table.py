@@ -1,8 +1,8 @@
-"""A flight's answer beside the truth and beside what was published: the table that ``heft hil`` ends with.
+"""Result table of ``heft hil``: the onboard estimates beside true and published values.
 
-The numbers are the last the onboard estimator said before it landed, read back from the log; nothing is computed again.
-What is compared stands in the packaged vehicle's ``published.toml``: masses (``row``), centres of mass (``centre``) and
-``inertia``, each with the unit that it is shown in, and what somebody else found, where somebody has.
+The numbers are the last onboard estimates, read from the log without recomputation. The packaged vehicle's
+``published.toml`` lists what is compared: masses (``row``), centres of mass (``centre``) and ``inertia``, each with its
+display unit and, if there is one, the published value.
 """
 
 import tomllib
@@ -24,7 +24,7 @@ Result = dict[str, Any]
 
 
 def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
-    """The last QUANTITY of each name in a log; empty when the estimator never answered."""
+    """The last QUANTITY of each name in a log; empty if there is no estimate."""
     answers: dict[str, dict[str, Any]] = {}
     for _, rows in log.batches(["quantity"]) if "quantity" in log.channels else ():
         for row in rows[-256:]:
@@ -79,7 +79,7 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
 
 
 def _accounts(log: LogReader, produced: dict[str, int]) -> Iterator[tuple[str, dict[str, int]]]:
-    """Samples produced, recorded, and named as missing by GAP records, for each channel of the devices."""
+    """Samples produced, recorded, and in GAP records, for each channel of the devices."""
     recorded = dict.fromkeys(produced, 0)
     missing = dict.fromkeys(produced, 0)
     for channel, rows in log.batches():
@@ -93,7 +93,7 @@ def _accounts(log: LogReader, produced: dict[str, int]) -> Iterator[tuple[str, d
 
 
 def _capture(log: LogReader, truth: dict[str, Any]) -> dict[str, Any] | None:
-    """When a payload was caught, and when the flight computer said so, s of mission time; None where none was."""
+    """Mission time [s] of a capture and of its detection; None without a capture."""
     if not truth.get("capture_s"):
         return None
     said = [row for _, rows in log.batches() if rows.dtype == records.EVENT for row in rows[rows["code"] == b"capture"]]

@@ -1,4 +1,4 @@
-"""What a flight said of itself: its clocks, why rows were left out, and its last answers; read from the log."""
+"""Clock solutions, counts of gate reasons and last estimates of a flight, read from its log."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,12 +17,12 @@ from onboard.recording.reader import LogReader
 from onboard.timebase.clock import ClockState
 from onboard.timebase.delays import Delay
 
-_POINTS = 4000  # of a clock that are kept for a plot
+_POINTS = 4000  # points per clock kept for a plot
 
 
 @dataclass
 class LogOverview:
-    """By clock the CLOCK rows (of a long flight some), rows of the regression, last answers, and delays removed."""
+    """CLOCK rows by clock (thinned for a long flight), counts of rows, last estimates, delays removed."""
 
     clocks: dict[str, np.ndarray] = field(default_factory=dict)
     rows: int = 0
@@ -32,7 +32,7 @@ class LogOverview:
     delays: tuple[Delay, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; None for what the data do not support."""
+        """Plain values; None for quantities that the data do not determine."""
         return {
             "clocks": {name: _clock_json(rows[-1]) for name, rows in sorted(self.clocks.items())},
             "delays": [delay._asdict() for delay in self.delays],
@@ -42,7 +42,7 @@ class LogOverview:
 
 
 def summary(log: LogReader) -> LogOverview:
-    """Read it from ``log``; empty parts for what the log does not have."""
+    """Read the overview of ``log``; parts that the log lacks are empty."""
     found = LogOverview(delays=_delays(log))
     clocks: dict[str, Thinned] = {}
     fields = {name: set(dtype.names or ()) for name, dtype in log.channels.items()}
@@ -66,7 +66,7 @@ def _delays(log: LogReader) -> tuple[Delay, ...]:
 
 
 def count_gates(found: LogOverview, gate: np.ndarray) -> None:
-    """Add ROW's reasons, (n, rows), to the counts of ``found``."""
+    """Add the gate reasons of ROW, (n, rows), to the counts of ``found``."""
     found.rows += gate.size
     found.used += int(np.count_nonzero(gate == 0))
     for reason in GateReason:
@@ -92,7 +92,7 @@ def _answer_json(row: np.void) -> dict[str, Any]:
 
 
 def render(found: LogOverview) -> RenderableType:
-    """``found`` as tables; nothing for what the log does not have."""
+    """``found`` as tables, without those that are empty."""
     parts = [part for part in (_clocks(found), _delay_lines(found), _gates(found), _answers(found)) if part is not None]
     return Group(*parts)
 
@@ -137,7 +137,7 @@ def _gates(found: LogOverview) -> RenderableType | None:
 
 
 def _answers(found: LogOverview) -> RenderableType | None:
-    """The quantities; base parameters only where there is nothing else."""
+    """Table of the quantities; of base parameters if there are no others."""
     supported = {name: row for name, row in found.answers.items() if row["supported"]}
     supported = {name: row for name, row in supported.items() if row["unit"]} or supported
     if not supported:

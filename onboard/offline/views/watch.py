@@ -1,7 +1,7 @@
-"""``heft watch``: a flight on one screen, from its rings while it flies or from its log.
+"""``heft watch``: live state of a flight on one screen, from its rings or from its log.
 
-The board takes batches and shows what it knows. It reads no clock: "now" is the newest stamp it has seen, so a log
-played fast looks as the flight did.
+The board takes batches and reads no clock: "now" is the newest stamp received, so a log played fast looks like the
+flight.
 """
 
 import math
@@ -20,10 +20,10 @@ from onboard.estimation.gates import GateReason
 from onboard.offline.views.info import printable
 from onboard.timebase.clock import ClockState
 
-_RATE_NS = 2_000_000_000  # rates and gates are those of the last two seconds
-_QUIET_NS = 1_000_000_000  # a channel that had a rate and says nothing for so long is marked
-_POINTS = 32  # of the trend of an interval; it has always the whole flight
-_TREND_NS = 250_000_000  # between two of them at first
+_RATE_NS = 2_000_000_000  # window for rates and gate shares
+_QUIET_NS = 1_000_000_000  # silence after which a channel is marked
+_POINTS = 32  # points of an interval's trend over the whole flight
+_TREND_NS = 250_000_000  # initial spacing of these points
 _EVENTS = 4
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _STATE_STYLE = {
@@ -78,17 +78,17 @@ class _Answer:
 
 
 class Board:
-    """What is known of a flight so far.
+    """State of a flight from the batches so far.
 
     Args:
-        title: stands on top.
+        title: heading.
     """
 
     def __init__(self, title: str) -> None:
         self.title = title
         self.start_ns: int | None = None
         self.now_ns = 0
-        self.lost = 0  # rows that a ring had overrun before they were looked at: the viewer's loss, not the flight's
+        self.lost = 0  # rows overwritten in a ring before they were read here; the log has them
         self._channels: dict[str, _Channel] = {}
         self._clocks: dict[str, np.void] = {}
         self._answers: dict[str, _Answer] = {}
@@ -98,7 +98,7 @@ class Board:
         self._phase = ""
 
     def add(self, batch: Batch) -> None:
-        """Take rows in."""
+        """Add rows."""
         name, rows = batch
         if not len(rows):
             return
@@ -132,7 +132,7 @@ class Board:
                 self._events.append((int(row["host_ns"]), int(row["severity"]), said))
 
     def render(self) -> RenderableType:
-        """The board as it stands."""
+        """The board as a renderable."""
         side = Table.grid(padding=(0, 3))
         side.add_row(self._channel_table(), Group(self._clock_table(), Text(), self._gate_lines()))
         parts: list[RenderableType] = [self._head(), Text(), side]
@@ -195,7 +195,7 @@ class Board:
             row = answer.last
             unit = printable(row["unit"])
             if not unit and not row["supported"]:
-                continue  # base parameters that the data do not hold would fill the screen
+                continue  # undetermined base parameters are left out to save space
             if not row["supported"]:
                 table.add_row(Text(name, "dim"), Text("not determined yet", "dim"), "", unit, "", "")
                 continue
@@ -216,7 +216,7 @@ class Board:
 
 
 def trend(values: Iterable[float]) -> str:
-    """Positive ``values`` as a line of blocks on a logarithmic scale, the largest a full block."""
+    """Positive ``values`` as a line of block characters on a logarithmic scale; the largest is a full block."""
     logs = [math.log(value) for value in values if value > 0.0]
     if not logs:
         return ""

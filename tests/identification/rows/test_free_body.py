@@ -41,7 +41,7 @@ def quantities_of(urdf=URDF, held=5e-7):
 
 
 class Gaussian(NamedTuple):
-    """Stands for an HonestEstimate of nine parameters that are the nine quantities."""
+    """Stands for an JackknifeEstimate of nine parameters that are the nine quantities."""
 
     covariance: np.ndarray
     level: float = 0.95

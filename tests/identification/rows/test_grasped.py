@@ -110,7 +110,7 @@ def test_scales_do_not_follow_the_noise():
         errors.append(grasped(who).value[0] / TOOL.mass_kg - 1)
         scales = [k for k, name in enumerate(who.base.names) if name.startswith("scale")]
         assert len(scales) == 6
-        assert np.abs(who.honest().mean[scales]).max() < 4 * 0.0025
+        assert np.abs(who.block_jackknife().mean[scales]).max() < 4 * 0.0025
     assert abs(np.mean(errors)) < 3e-4
 
 

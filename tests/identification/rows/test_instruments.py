@@ -83,9 +83,9 @@ def test_instruments_take_the_bias_out_of_a_flight(flown, rng):
     for instruments in (False, True):
         one = identifier(flown.vehicle, instruments, WIDTH_S)
         feed(one, signals)
-        errors.append(np.abs((one.honest().mean if instruments else one.rls.solve().mean) / truth - 1.0)[0])
+        errors.append(np.abs((one.block_jackknife().mean if instruments else one.rls.solve().mean) / truth - 1.0)[0])
         if instruments:
-            interval = one.honest().combination(np.eye(10))
+            interval = one.block_jackknife().combination(np.eye(10))
             assert np.mean((interval.low <= truth) & (truth <= interval.high)) >= 0.8
     assert errors[0] > 0.03
     assert errors[1] < 0.015

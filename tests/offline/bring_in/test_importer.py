@@ -178,7 +178,7 @@ def test_a_pause_in_the_source_is_an_event(tmp_path):
         ({"gyro_raw": np.full((6, 3), 40_000)}, "'gyro_raw' does not fit 16 bits in row 1"),
         ({"gyro_raw": np.full((6, 3), 0.5)}, "'gyro_raw' is no whole count in row 1; say values"),
         ({"erpm_raw": np.array([0, 1, np.inf, 3, 4, 5])}, "'erpm_raw' is no usable number in row 3"),
-        ({"erpm_raw": np.array(list("abcdef"))}, "'erpm_raw' holds cells that are no numbers"),
+        ({"erpm_raw": np.array(list("abcdef"))}, "'erpm_raw' holds cells that are not numbers"),
     ],
 )
 def test_a_recording_that_cannot_be_right_is_refused(tmp_path, changes, message):
@@ -219,7 +219,7 @@ def test_pickled_objects_are_not_loaded(tmp_path):
     ("old", "new", "message"),
     [
         ("world\n", "world;more\n", "row 2 has 11 cells where the header names 10"),
-        ("0.2;1;2;3", "x;1;2;3", "'t' holds cells that are no numbers"),
+        ("0.2;1;2;3", "x;1;2;3", "'t' holds cells that are not numbers"),
         ("t;ax", "time;ax", "no column 't'"),
     ],
 )

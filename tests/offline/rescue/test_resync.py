@@ -102,7 +102,7 @@ def test_logs_of_different_flights_are_refused(
 
     assert cli.main(["resync", str(parabola[0]), str(log), "--vehicle", "dymaflex_parabolic"]) == cli.FAILED
 
-    assert "what one recorder felt is not in the other" in capsys.readouterr().err
+    assert "the recordings have no common motion" in capsys.readouterr().err
 
 
 def test_two_imus_on_one_body_are_aligned_without_a_vehicle_file(
