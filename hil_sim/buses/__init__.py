@@ -1,1 +1,1 @@
-"""The media between twins and flight computer, and the ends of them in process (T0) or on ptys and sockets (T1)."""
+"""Simulated buses between twins and flight computer, with ends in process (T0) or on ptys and sockets (T1)."""

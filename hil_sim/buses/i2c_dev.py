@@ -1,8 +1,8 @@
-"""``/dev/i2c-N`` for smbus2 in this process: its ``ioctl``, ``os.open`` and ``os.close`` answered by simulated slaves.
+"""``/dev/i2c-N`` for smbus2 in this process: replaces its ``ioctl``, ``os.open`` and ``os.close`` by simulated slaves.
 
-smbus2 runs as it is, down to the structures it hands to the kernel; only the three functions through which it reaches
-the kernel are replaced, and only for the registered paths. Numbers are those of ``uapi/linux/i2c-dev.h`` and
-``uapi/linux/i2c.h``. An SMBus block read asks the slave for 33 bytes, as an adapter without length-byte support would.
+smbus2 is unmodified, including the structures it passes to the kernel; only its three kernel functions are replaced,
+and only for the registered paths. Numbers are those of ``uapi/linux/i2c-dev.h`` and ``uapi/linux/i2c.h``. An SMBus
+block read asks the slave for 33 bytes, as an adapter without length-byte support would.
 """
 
 import ctypes
@@ -29,7 +29,7 @@ _FUNC_BLOCK_PROC_CALL: Final = 0x0000_8000
 
 
 class I2cTarget(Protocol):
-    """Whatever answers on the simulated wires."""
+    """An I2C bus or slave that performs transfers."""
 
     def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
         """START, write, repeated START, read, STOP; raises OSError with the kernel's errno."""
@@ -140,7 +140,7 @@ class _Adapter:
 
 
 class _Kernel:
-    """Stands for the ``os`` module inside smbus2, and holds what is open."""
+    """Replaces the ``os`` module inside smbus2, and keeps the open descriptors."""
 
     O_RDWR = os.O_RDWR
 
@@ -153,7 +153,7 @@ class _Kernel:
         adapter = self.adapters.get(path)
         if adapter is None:
             return os.open(path, flags)
-        fd = os.open(os.devnull, flags)  # a number that nobody else has
+        fd = os.open(os.devnull, flags)  # a descriptor number not in use
         self._open[fd] = adapter
         self._slaves[fd] = 0
         return fd
@@ -175,7 +175,7 @@ _kernel: Final = _Kernel()
 
 
 class InstalledI2c:
-    """A path that smbus2 finds a bus behind, until ``uninstall`` or the end of the ``with`` block."""
+    """A path at which smbus2 finds a simulated bus, until ``uninstall`` or the end of the ``with`` block."""
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -189,7 +189,7 @@ class InstalledI2c:
         self.uninstall()
 
     def uninstall(self) -> None:
-        """Take the path away; with the last one, smbus2 gets its own ``ioctl`` and ``os`` back."""
+        """Remove the path; after the last one, smbus2's own ``ioctl`` and ``os`` are restored."""
         _kernel.adapters.pop(self.path, None)
         if not _kernel.adapters:
             vars(smbus2).update(ioctl=fcntl.ioctl, os=os)
@@ -200,7 +200,7 @@ class _Several:
         self._slaves = slaves
 
     def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
-        """Ask one slave after the other; the first that acknowledges answers."""
+        """Offer the transfer to each slave; the first that acknowledges answers."""
         refusal = _fail(errno.EREMOTEIO)
         for slave in self._slaves:
             try:
@@ -211,15 +211,15 @@ class _Several:
 
 
 def install_i2c(path: str, slaves: I2cTarget | Sequence[I2cTarget], clock: Callable[[], int]) -> InstalledI2c:
-    """Put simulated slaves behind ``path`` for every ``smbus2.SMBus(path)`` of this process.
+    """Serve ``path`` by simulated slaves for every ``smbus2.SMBus(path)`` of this process.
 
     Args:
         path: For example ``/dev/i2c-1``; it need not exist, and is hidden if it does.
         slaves: A bus, or the slaves on it.
-        clock: ``CLOCK_MONOTONIC`` ns, or the virtual clock that stands for it; read once a transfer.
+        clock: ``CLOCK_MONOTONIC`` ns, or a virtual clock; read once per transfer.
 
     Raises:
-        ValueError: something is installed at this path already.
+        ValueError: a bus is already installed at this path.
     """
     if path in _kernel.adapters:
         raise ValueError(f"A simulated bus is at {path} already; uninstall it first.")

@@ -1,8 +1,8 @@
-"""An I2C bus behind a Unix stream socket: one request, one reply, in order (little-endian).
+"""Serves an I2C bus on a Unix stream socket: one request, one reply, in order (little-endian).
 
-Request: u8 operation (0 write, 1 write_read), u8 address, u16 length, u16 read count, the bytes to write.
-Reply: u16 errno (0: done), u16 count, the bytes read. A reply is held back for as long as the transfer would occupy
-real wires; one transfer is on the wires at a time.
+Request: u8 operation (0 write, 1 write_read), u8 address, u16 length, u16 read count, the bytes to write. Reply: u16
+errno (0: done), u16 count, the bytes read. A reply is delayed by the transfer's time on real wires; transfers are
+serialised.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ class _Client:
 
 
 class I2cSocket:
-    """The listening socket and its clients, moved by ``advance``.
+    """The listening socket and its clients; ``advance`` performs the work.
 
     Args:
         path: Where to listen.
@@ -58,7 +58,7 @@ class I2cSocket:
         return min((client.replies[0][0] for client in self._clients if client.replies), default=NEVER)
 
     def advance(self, now_ns: int) -> None:
-        """Answer what was asked, and send the replies that are due."""
+        """Process requests and send the replies that are due."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 connection, _ = self._listener.accept()
@@ -69,7 +69,7 @@ class I2cSocket:
                 self._receive(client, now_ns)
                 while client.replies and client.replies[0][0] <= now_ns:
                     client.connection.sendall(client.replies.popleft()[1])
-            except (ConnectionError, BlockingIOError):  # gone, or does not take its replies
+            except (ConnectionError, BlockingIOError):  # closed, or does not read its replies
                 client.connection.close()
                 self._clients.remove(client)
 

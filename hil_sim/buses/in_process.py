@@ -1,4 +1,4 @@
-"""Tier T0: the flight computer's ends of the buses in its own process, on a virtual clock.
+"""Tier T0: the flight computer's bus ends in its own process, on a virtual clock.
 
 smbus2 with its ioctl answered, python-can's ``virtual`` interface, port objects for ``serial.Serial``, and pulse
 datagrams. Nothing here reads a clock or starts a thread.
@@ -30,7 +30,7 @@ class VirtualCan:
 
     @property
     def listening(self) -> bool:
-        """Always: in one process nobody can be late."""
+        """Always true in one process."""
         return True
 
     def take(self) -> list[tuple[int, bytes | int]]:
@@ -78,7 +78,7 @@ class _CanPort(Port):
 
 
 class EdgePort(Port):
-    """Edges as datagrams to ``path``; it serves every tier."""
+    """Edges as datagrams to ``path``; used in every tier."""
 
     def __init__(self, path: Path, seed: int) -> None:
         self._link = EdgeDatagrams(path)

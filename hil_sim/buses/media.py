@@ -1,8 +1,7 @@
-"""The media between the twins and the flight computer (serial lines are in ``serial_bus``).
+"""Simulated I2C, CAN and pulse lines between twins and flight computer (serial lines: ``serial_bus``).
 
-``I2cBus``, ``CanBus`` and ``PulseLine`` are the wires: a mission plugs its twins into them and advances them; the
-runner chooses what is at the other end. Nothing here reads a clock or starts a thread, so a run is the same to the
-byte each time.
+``I2cBus``, ``CanBus`` and ``PulseLine`` are the wires: a mission connects its twins to them and advances them; the
+runner chooses the other end. Nothing here reads a clock or starts a thread, so a run is reproducible to the byte.
 """
 
 import errno
@@ -33,13 +32,13 @@ class Bus(Protocol):
 
     @property
     def due_ns(self) -> int:
-        """When something next happens on it."""
+        """Time of the next event, ns."""
 
     def inject(self, faults: DeviceFaults) -> None:
-        """Set what breaks."""
+        """Set the faults."""
 
     def advance(self, now_ns: int) -> None:
-        """Let everything happen that is due at ``now_ns``."""
+        """Process everything due at ``now_ns``."""
 
 
 class I2cSlave(Protocol):

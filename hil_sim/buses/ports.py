@@ -1,7 +1,7 @@
-"""The flight computer's end of each bus of a scenario, whatever tier it is in.
+"""The flight computer's end of each bus of a scenario, in any tier.
 
-A tier is a function from a bus's table to its ``Port``; ``open_ports`` asks it for every bus. The random numbers of the
-first bus of a kind are drawn from the seed itself, so a second one beside it changes nothing.
+A tier is a function from a bus's table to its ``Port``; ``open_ports`` calls it for every bus. The first bus of a kind
+uses the seed itself, so adding a second one does not change its random numbers.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ from hil_sim.scenario.device_tables import BusTable, SerialBusTable
 
 
 class Port:
-    """One end: the bus behind it, and how to open it from the other side. Subclasses have the rest.
+    """Base of a bus end: the bus and the URL that opens it.
 
     Args:
         bus: The bus.
@@ -33,21 +33,21 @@ class Port:
 
     @property
     def due_ns(self) -> int:
-        """When something next happens here or on the bus."""
+        """Time of the next event here or on the bus, ns."""
         return self.bus.due_ns
 
     def receive(self) -> None:
-        """Take in what was asked, before the bus goes on."""
+        """Read requests, before the bus advances."""
 
     def advance(self, now_ns: int) -> None:
-        """Hand out what is due, after the bus went on."""
+        """Deliver what is due, after the bus advanced."""
 
     def counts(self) -> dict[str, int]:
-        """What it did and lost."""
+        """Counters of transfers and losses."""
         return {}
 
     def close(self) -> None:
-        """Unplug it."""
+        """Close it."""
 
 
 OpenPort = Callable[[str, BusTable, int, int], Port]
@@ -77,12 +77,12 @@ class Ports:
         self.close()
 
     def close(self) -> None:
-        """Unplug everything."""
+        """Close all ports."""
         self._close()
 
 
 def open_ports(tables: Mapping[str, BusTable], open_port: OpenPort, seed: int = 0) -> Ports:
-    """Open every bus; when one cannot be opened, those before it are closed again.
+    """Open every bus; if one fails, those already open are closed.
 
     Args:
         tables: ``[bus.*]`` of a scenario.

@@ -1,4 +1,4 @@
-"""The loop that keeps a mission in step with a clock, whatever its buses end in."""
+"""Real-time loop: advances a mission with the clock and serves its bus ends."""
 
 import select
 from collections.abc import Callable
@@ -11,7 +11,7 @@ _SHORTEST_NAP_S: Final = 50e-6  # events closer than this go out together
 
 
 class Advancing(Protocol):
-    """What is kept in step: ``hil_sim.mission.Mission`` on its buses, or a smaller one in a test."""
+    """Object advanced by the loop: ``hil_sim.mission.Mission``, or a smaller one in a test."""
 
     @property
     def end_ns(self) -> int:
@@ -22,7 +22,7 @@ class Advancing(Protocol):
         """Whether it has been advanced to its end."""
 
     def advance(self, now_ns: int) -> None:
-        """Let world and twins go on to ``now_ns``."""
+        """Advance plant and twins to ``now_ns``."""
 
 
 class Server:
@@ -33,8 +33,8 @@ class Server:
         clock: ``CLOCK_MONOTONIC``, ns.
 
     Attributes:
-        late_max_ns: How late the loop ever was.
-        turns: How often it went round.
+        late_max_ns: Largest lateness of the loop.
+        turns: Number of loop iterations.
     """
 
     def __init__(self, ports: Ports, clock: Callable[[], int]) -> None:

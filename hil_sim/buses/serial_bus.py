@@ -1,10 +1,10 @@
-"""Serial buses: one twin at the end of a line, its faults, and the flight computer's end in this process or on a pty.
+"""Simulated serial line: twin, line faults, and the flight computer's end in this process or on a pty.
 
 ``SerialBus`` is the medium; a mission plugs its twin in and advances it, as with the other buses. Tier T0 is
 ``VirtualSerial``: a port object on the virtual clock that has what ``drivers.ports.SerialPort`` asks for, and
 ``install_serial`` lets ``serial.Serial`` open it by path. Tier T1 is ``PtySerial``: the same twin on a pseudo-terminal
-for any program. A pty has no parity, no modem lines and no speed of its own, but the speed that its user sets is seen
-here and honoured.
+for any program. A pty has no parity, no modem lines and no speed of its own; the speed set by its user is read here and
+applied.
 """
 
 from collections import deque

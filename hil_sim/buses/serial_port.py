@@ -1,8 +1,8 @@
 """The flight computer's ends of a serial bus: a port object in this process (T0), and a pseudo-terminal (T1).
 
 ``VirtualSerial`` behaves as pyserial 3.5 does on Linux with ``timeout=0``: ``read`` returns what is there, a port whose
-adapter is gone raises ``serial.SerialException`` in the words of pyserial, and opening throws away what came before.
-What arrives while nobody has the port open is lost.
+adapter is unplugged raises ``serial.SerialException`` with pyserial's text, and opening discards earlier input.
+Characters that arrive while the port is closed are lost.
 """
 
 import errno

@@ -1,10 +1,10 @@
 """A CAN adapter that speaks the Lawicel ASCII protocol over a pseudo-terminal (CANUSB manual; python-can ``slcan``).
 
 Commands: ``Sn`` and ``sxxyy`` bit rate, ``O`` open, ``L`` listen only, ``C`` close, ``tIIIL..`` and ``TIIIIIIIIL..``
-send, ``r`` and ``R`` remote frames (nobody answers the long ones), ``V`` and ``v`` versions, ``N`` serial number,
-``F`` status flags, ``Z`` time stamps, ``M`` and ``m`` acceptance filter (taken, and everything passes). CR says done,
-BELL says no. As with the real thing: open and close are refused when they change nothing, and an adapter at the wrong
-bit rate hears and says nothing.
+send, ``r`` and ``R`` remote frames (extended ones are not answered), ``V`` and ``v`` versions, ``N`` serial number,
+``F`` status flags, ``Z`` time stamps, ``M`` and ``m`` acceptance filter (accepted without effect). CR acknowledges,
+BELL refuses. As in the real adapter, open and close are refused when they change nothing, and an adapter at the wrong
+bit rate neither receives nor sends.
 """
 
 import errno

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from hil_sim.devices.canopen_node import CanopenNode
 from hil_sim.devices.object_dictionary import Access, DataType, Entry
-from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, told_phases
+from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, reported_phases
 
 _PHASE = 0x2000_01_08
 _EVENTS = 0x2000_02_08
@@ -36,7 +36,7 @@ class ArmController(CanopenNode):
         self._changes = [(start_ns + round(time_s * 1e9), phase) for time_s, phase in phase_changes]
         if self._changes != sorted(self._changes, key=lambda change: change[0]):
             raise ValueError("The phase changes are not in order of time; sort them.")
-        self._changes = told_phases(self._changes, faults)
+        self._changes = reported_phases(self._changes, faults)
         self._changes.reverse()
         self._phase = self._events = 0  # not objects of their own: an NMT reset does not touch the sequence
         u8 = DataType.U8

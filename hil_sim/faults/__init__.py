@@ -1,6 +1,6 @@
-"""Faults as data: what breaks, where, from when to when; ``vocabulary`` says what there is."""
+"""Faults as data: kind, device, start and end; the kinds are listed in ``vocabulary``."""
 
-from hil_sim.faults.inputs import FaultyImu, FaultyScalar, told_phases
+from hil_sim.faults.inputs import FaultyImu, FaultyScalar, reported_phases
 from hil_sim.faults.oscillator import FaultyClock
 from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, FaultWindow, PowerCycle, garbled
 from hil_sim.faults.vocabulary import CLOCK_KINDS, INPUT_KINDS, Fault, FaultError, FaultKind
@@ -21,5 +21,5 @@ __all__ = [
     "FaultyScalar",
     "PowerCycle",
     "garbled",
-    "told_phases",
+    "reported_phases",
 ]

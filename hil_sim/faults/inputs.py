@@ -1,4 +1,4 @@
-"""What a device measures, with the faults of an input: stuck, saturated, wrong, delayed."""
+"""Applies input faults to analogue inputs: stuck, saturated, wrong, delayed."""
 
 import math
 from collections.abc import Callable
@@ -85,10 +85,10 @@ class FaultyImu:
         return counts
 
 
-def told_phases(
+def reported_phases(
     changes: list[tuple[int, int]], faults: DeviceFaults, wrap: Callable[[int], int] = lambda code: code & 0xFF
 ) -> list[tuple[int, int]]:
-    """(time in ns, code) of the changes that are told, of those that there are, with the faults of an input.
+    """Reported changes (time in ns, code) of the true ones, with the faults of an input.
 
     Args:
         changes: What changes, in order.

@@ -1,4 +1,4 @@
-"""A device's clock with the faults of an oscillator: slow, and jumps."""
+"""Applies oscillator faults to a device's clock: slow, clock jump."""
 
 import math
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from hil_sim.sensing.analog import ChipClock
 
 
 class _Segment(NamedTuple):
-    """From ``healthy_ns`` of the healthy clock on, the faulty one goes on from ``shown_ns`` at ``rate``."""
+    """From ``healthy_ns`` of the healthy clock on, the faulty one continues from ``shown_ns`` at ``rate``."""
 
     healthy_ns: float
     shown_ns: float
@@ -25,7 +25,7 @@ class _Segment(NamedTuple):
 class FaultyClock:
     """A ``ChipClock`` with the faults ``slow`` and ``clock_jump``.
 
-    A time that it never shows, because it was put forward over it, is the instant of the jump.
+    A reading skipped by a forward jump maps to the instant of the jump.
 
     Args:
         clock: The healthy oscillator.

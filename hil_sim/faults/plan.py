@@ -1,4 +1,4 @@
-"""The faults of a mission on the true clock, handed out to the devices they happen to."""
+"""The faults of a mission on the true clock, distributed to their devices."""
 
 import math
 import zlib
@@ -116,7 +116,7 @@ class DeviceFaults:
         return self.repeats(FaultKind.PULSE_SPURIOUS, after_ns, until_ns)
 
     def repeats(self, kind: FaultKind, after_ns: int, until_ns: int) -> list[int]:
-        """True times in (``after_ns``, ``until_ns``] of what a fault of ``kind`` does every ``value`` s, in order."""
+        """True times in (``after_ns``, ``until_ns``] at which a fault of ``kind`` acts, every ``value`` s, in order."""
         edges: list[int] = []
         for window in self.windows:
             if window.kind is not kind:
@@ -156,7 +156,7 @@ class FaultPlan:
         """Check that every fault was asked for by a device.
 
         Raises:
-            FaultError: a fault names a device that nobody built.
+            FaultError: a fault names a device that does not exist.
         """
         left = sorted(self._windows.keys() - self._asked)
         if left:

@@ -1,6 +1,6 @@
-"""Faults as data: what breaks, where, from when to when. The twins and the buses apply them.
+"""Kinds of faults and their effects, applied by the twins and the buses.
 
-One vocabulary for every twin and every wire. In the twins:
+In the twins:
 
 ==================  =======================  ==========================================================================
 kind                devices                  effect between ``start_s`` and ``end_s``
@@ -14,7 +14,7 @@ kind                devices                  effect between ``start_s`` and ``en
 ``wrong``           analogue inputs          plausible and false: the reading is ``1 + value`` times what it should be
 ``wrong``           phase, SYNC counter      ``value`` is added to the number
 ``delayed``         analogue inputs, phase   the input shows what was ``value`` seconds ago
-``garbage``         any twin                 what it says is random bits, in transfers, CAN frames and characters of the
+``garbage``         any twin                 it sends random bits, in transfers, CAN frames and characters of the
                                              right form
 ``slow``            CAN nodes, polled cells  it answers (SYNC, SDO, a question) ``value`` seconds late
 ``slow``            all that have a clock    its oscillator runs slow by the share ``value`` (0.02: 2 %)
@@ -33,7 +33,7 @@ On the wires:
 ==================  =======================  ==========================================================================
 kind                bus                      effect between ``start_s`` and ``end_s``
 ==================  =======================  ==========================================================================
-``nack``            I2C                      nobody acknowledges; errno as above
+``nack``            I2C                      no slave acknowledges; errno as above
 ``timeout``         I2C                      transfers are made, and end in ETIMEDOUT
 ``stuck_bus``       I2C                      SDA is held low: no transfer begins, EBUSY
 ``bus_off``         CAN                      the flight computer's controller is off the bus; error frames say when
@@ -49,12 +49,10 @@ kind                bus                      effect between ``start_s`` and ``en
 ``unplug``          serial                   the adapter is pulled out of the flight computer
 ==================  =======================  ==========================================================================
 
-A clock have the MPU-6050, the sync box, the nIMU, the QSB and the node of our own making; polled cells are those on
-Modbus and DSC.
+Devices with a clock: MPU-6050, sync box, nIMU, QSB, custom node. Polled cells: Modbus and DSC.
 
-Everything random is drawn from the device's name, so a fault does the same in every run.
-A fault that its device cannot apply is refused when the device is built: a fault that silently does nothing would
-make a fault test pass for the wrong reason.
+Random numbers are seeded by the device's name, so a fault is reproducible. A fault that its device cannot apply is
+refused when the device is built; ignored, it would make a fault test pass for the wrong reason.
 """
 
 import math

@@ -2,8 +2,8 @@
 
 Numbers and structures are those of ``uapi/linux/fuse.h`` (protocol 7.37, Linux 6.1). One request is read, one reply
 written, both in a single call. With CUSE_UNRESTRICTED_IOCTL the kernel hands over an ioctl with its bare argument; a
-device that needs the caller's memory answers with the areas it wants, and the kernel asks again with their bytes: no
-state is kept between the rounds. Callers of 32-bit programs are refused, for their structures differ.
+device that needs the caller's memory answers with the areas it needs, and the kernel repeats the request with their
+bytes: no state is kept in between. 32-bit callers are refused, because their structures differ.
 """
 
 import errno
@@ -47,7 +47,7 @@ class Area(NamedTuple):
 
 
 class Ask(NamedTuple):
-    """An ioctl that has to see ``inputs`` and will fill ``outputs``: the kernel is to ask again with them."""
+    """An ioctl that needs ``inputs`` and will fill ``outputs``: the kernel repeats the request with them."""
 
     inputs: Sequence[Area]
     outputs: Sequence[Area] = ()
@@ -69,13 +69,13 @@ class Failed(NamedTuple):
 
 
 class Later(NamedTuple):
-    """A call that takes effect at an instant: ``act`` is given it, and may be called once."""
+    """A call that takes effect at an instant, passed to ``act``, which is called once."""
 
     act: Callable[[int], Done | Failed]
 
 
 class CharacterDevice(Protocol):
-    """What a device file does. ``handle`` tells its open files apart; what is raised is a bug."""
+    """A device file. ``handle`` identifies the open file; methods must not raise."""
 
     def open(self, handle: int) -> None:
         """A program opened the file."""
@@ -100,9 +100,9 @@ class _Kind(Enum):
 
 
 class CuseNode:
-    """``/dev/NAME``, there for as long as this is open.
+    """``/dev/NAME``, which exists while this object is open.
 
-    Call ``receive``, then read the clock, then ``advance``: so no call takes effect before it was made.
+    Call ``receive``, then read the clock, then ``advance``, so that no call takes effect before it was made.
 
     Args:
         name: Of the node, ``i2c-9``.
@@ -204,7 +204,7 @@ class CuseNode:
             self._init(unique, body)
         elif opcode in (_FLUSH, _DESTROY):
             self._reply(unique, 0)
-        elif opcode != _INTERRUPT:  # of a call that ends of itself
+        elif opcode != _INTERRUPT:  # the interrupted call ends by itself
             self._reply(unique, errno.ENOSYS)
 
     def _init(self, unique: int, body: bytes) -> None:

@@ -1,9 +1,9 @@
-"""``/dev/i2c-N`` on simulated wires: what ``drivers/i2c/i2c-dev.c`` and the SMBus emulation of ``i2c-core-smbus.c`` do.
+"""``/dev/i2c-N`` on simulated wires; behaves like the kernel's ``i2c-dev.c`` and ``i2c-core-smbus.c``.
 
 Structures and numbers are those of ``uapi/linux/i2c.h`` and ``uapi/linux/i2c-dev.h`` on a 64-bit machine. A call
-returns when its transfers would have left real wires; one transfer is on the wires at a time. Errors carry the errno
-that the bus gave. SMBus block reads fetch 33 bytes, as an adapter does that cannot stop at the length byte. Packet
-error codes and 10-bit addresses are not offered, nor protocol mangling.
+returns after its transfers' time on real wires; transfers are serialised. Errors carry the errno of the bus. SMBus
+block reads fetch 33 bytes, like an adapter that cannot stop at the length byte. Not supported: packet error codes,
+10-bit addresses, protocol mangling.
 """
 
 import errno
@@ -45,11 +45,11 @@ class _Transfer(NamedTuple):
 
 
 class _More(Exception):  # noqa: N818 - a request, not an error
-    """The call has to see more of the caller's memory."""
+    """The call needs more of the caller's memory."""
 
 
 class _CallerMemory:
-    """What the kernel has brought of the caller's memory, taken in the order in which it was asked for."""
+    """Areas of the caller's memory passed by the kernel, read in the order requested."""
 
     def __init__(self, data: bytes, room: int) -> None:
         self._data = data

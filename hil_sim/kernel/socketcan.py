@@ -1,9 +1,8 @@
 """The simulated CAN bus on a network interface of the kernel (``vcan0``).
 
-On a virtual interface a frame that one socket sends reaches every other socket, so this end plays all nodes at once,
-and stamps are the kernel's own: they are later than the simulated wire by what the serving loop is late. Frames that
-follow each other closely go out together, or a loop that is held up between a SYNC and its answer would stamp the
-answer as late as no real node is.
+On a virtual interface a frame sent by one socket reaches every other socket, so this end acts for all nodes. Stamps are
+the kernel's: later than the simulated wire by the lateness of the serving loop. Frames in close succession are sent
+together; otherwise a delay of the loop between a SYNC and its answer would make the answer unrealistically late.
 """
 
 import os

@@ -1,1 +1,1 @@
-"""Truth: the bodies, moved by MuJoCo, and the motion that is prescribed to them."""
+"""True motion: bodies simulated by MuJoCo, and the prescribed motion of joints and base."""

@@ -1,4 +1,4 @@
-"""The five joints' motion as a sequence of holds and swings, a function of mission time."""
+"""Prescribed motion of the five joints: holds and multi-tone swings as a function of mission time."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ class _Swinging(NamedTuple):
 
 
 class ArmSwings(Program):
-    """The sequence table as joint motion: sums of tones under an envelope, about one posture.
+    """Joint motion of the sequence table: sums of tones under an envelope, about one posture.
 
     Args:
         scenario: its ``[arm]`` and ``[[sequence]]``.

@@ -1,8 +1,8 @@
-"""The five-joint arm bolted to a bench, in gravity, a six-axis load cell between its last link and a gripper.
+"""The five-joint arm on a fixed base in gravity, with a six-axis load cell between its last link and a gripper.
 
-The joints follow a prescribed motion exactly. MuJoCo's inverse dynamics says what force and moment the wrist carries;
-the cell's readings and the encoders' counts are made of that with errors drawn once a run. The sizes of the errors are
-those of a small cell (40 N, 2 N m); no cross-talk, no drift within the run, joint zeros exact.
+The joints follow a prescribed motion exactly. MuJoCo's inverse dynamics gives force and moment at the wrist; the cell's
+readings and the encoders' counts follow with errors drawn once per run. Error sizes are those of a small cell (40 N, 2
+N m); no cross-talk, no drift within a run, joint zeros exact.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ COUNT_rad = 2.0 * np.pi / COUNTS_PER_TURN
 
 @dataclass(frozen=True)
 class WristErrors:
-    """What is wrong with the wrist's readings: standard deviations by axis of forces, N, and of moments, N m."""
+    """Errors of the wrist's readings: standard deviations per axis of forces, N, and of moments, N m."""
 
     noise: tuple[float, float] = (0.010, 3e-4)  # of a sample
     step: tuple[float, float] = (0.010, 2.5e-4)  # of a count
@@ -41,7 +41,7 @@ class Run(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """The same as the sensors have it."""
+    """Sensor readings of a run."""
 
     time_s: FloatArray  # (n,)
     angle_rad: FloatArray  # (n, 5), in whole counts, the middle of each
@@ -50,7 +50,7 @@ class Readings(NamedTuple):
 
 
 def world(tool: Body | None, gripper: Body = GRIPPER) -> mujoco.MjModel:
-    """The arm as MuJoCo has it."""
+    """MuJoCo model of the arm."""
     inside = "" if tool is None else body_xml("tool", tool, TOOL_m)
     hand = body_xml("gripper", gripper, GRASP_m, '<site name="cell"/>' + inside)
     return mujoco.MjModel.from_xml_string(
@@ -64,7 +64,7 @@ def world(tool: Body | None, gripper: Body = GRIPPER) -> mujoco.MjModel:
 def run(
     tool: Body, motion: JointMotion, grasp_s: float, end_s: float, gripper: Body = GRIPPER, step_s: float = 2e-3
 ) -> Run:
-    """One run: the gripper alone until the tool is in it, at once and gently, then both."""
+    """One run: the gripper alone, then, from ``grasp_s`` on without shock, gripper and tool."""
     t = np.asarray(step_s * np.arange(round(end_s / step_s)), np.float64)
     held = t >= grasp_s
     q, dq, ddq = motion.at(t)
@@ -79,7 +79,7 @@ def run(
 
 
 def read(flown: Run, errors: WristErrors, rng: np.random.Generator) -> Readings:
-    """What the cell and the encoders say about a run."""
+    """Readings of the cell and the encoders for a run."""
     noise, step, bias = (np.repeat(pair, 3) for pair in (errors.noise, errors.step, errors.bias))
     scaled = flown.wrench * (1.0 + errors.scale * rng.standard_normal(6)) + bias * rng.standard_normal(6)
     counts = np.rint((scaled + noise * rng.standard_normal(scaled.shape)) / step)

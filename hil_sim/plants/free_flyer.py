@@ -1,12 +1,12 @@
-"""A free-flyer with a five-joint arm and a payload in free fall, moved by MuJoCo; truth for identification.
+"""Free-flyer with a five-joint arm and a payload in free fall, simulated by MuJoCo.
 
-Geometry: the ExoSPHERES base (23.1 kg, 0.45 x 0.45 x 0.41 m) with the DYMAFLEX arm (yaw-pitch-roll-pitch-roll,
-3.399 kg) of Limparis section 4.3. The dissertation gives neither the lengths of the links nor how the arm's mass is
-shared out: those are ours, for a reach of 0.68 m.
+Geometry: the ExoSPHERES base (23.1 kg, 0.45 x 0.45 x 0.41 m) with the DYMAFLEX arm (yaw-pitch-roll-pitch-roll, 3.399
+kg) of Limparis section 4.3. The dissertation gives neither the link lengths nor the distribution of the arm's mass:
+chosen here for a reach of 0.68 m.
 
 The joints follow a prescribed motion. MuJoCo integrates the whole vehicle (RK4); its control callback gives the joint
-torques that make the prescribed accelerations at every stage, so there is no zero-order hold and no servo error worth
-the name. The base is free: what it does is MuJoCo's answer.
+torques of the prescribed accelerations at every stage, so there is no zero-order hold and the servo error is
+negligible. The motion of the free base is MuJoCo's result.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 
 JOINTS = 5
-_STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: pulls back what integration error there is
+_STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Body:
         return Body(mass_kg, np.asarray(centre_of_mass_m, np.float64), inertia)
 
     def grown(self, mass_kg: float) -> "Body":
-        """The same body of the same density, larger or smaller about its frame's origin."""
+        """The body scaled about its frame's origin to another mass at the same density."""
         factor = (mass_kg / self.mass_kg) ** (1.0 / 3.0)
         return Body(mass_kg, self.centre_of_mass_m * factor, self.inertia_kg_m2 * factor**5)
 
@@ -74,7 +74,7 @@ class JointMotion:
 
     @staticmethod
     def draw(rng: np.random.Generator, swing_rad: float = 0.35, harmonics: int = 3) -> "JointMotion":
-        """An exciting motion: every joint swings with some 0.1 to 0.6 Hz, all at once, no two alike."""
+        """Random exciting motion: all joints swing at once, at 0.1 to 0.6 Hz, each differently."""
         shape = (JOINTS, harmonics)
         amplitude = swing_rad / np.sqrt(harmonics) * rng.uniform(0.6, 1.2, shape)
         rate = 2.0 * np.pi * rng.uniform(0.1, 0.6, shape)
@@ -91,14 +91,14 @@ class JointMotion:
 
 
 class Motion(Protocol):
-    """What the joints are made to do."""
+    """Prescribed joint motion."""
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Angle, rate and acceleration at times (n,); (n, joints) each."""
 
 
 class Flight(NamedTuple):
-    """Truth on the grid of the samples."""
+    """True signals on the grid of the samples."""
 
     time_s: FloatArray  # (n,)
     q_rad: FloatArray  # (n, 5)
@@ -110,7 +110,7 @@ class Flight(NamedTuple):
 
 
 class Jump(NamedTuple):
-    """What a capture changes at once, in the IMU's axes and the last link's."""
+    """Step changes at a capture, in the IMU's axes and the last link's."""
 
     velocity_m_s: FloatArray  # (3,) of the IMU
     rate_rad_s: FloatArray  # (3,) of the base, IMU axes
@@ -143,7 +143,7 @@ def arm_xml(held: str, arm: Sequence[Body] = ARM) -> str:
 
 
 def world(payload: Body | None, base: Body = BASE, arm: Sequence[Body] = ARM, step_s: float = 2e-3) -> mujoco.MjModel:
-    """The vehicle as MuJoCo has it: a free base, five hinges, the payload welded to the last link."""
+    """MuJoCo model of the vehicle: a free base, five hinges, the payload welded to the last link."""
     held = "" if payload is None else body_xml("payload", payload, GRASP_m)
     inner = arm_xml(f'<site name="wrist"/>{held}', arm)
     site = f'<site name="imu" pos="{_numbers(IMU_POSITION_m)}" quat="{_numbers(IMU_QUATERNION)}"/>'
@@ -157,7 +157,7 @@ def world(payload: Body | None, base: Body = BASE, arm: Sequence[Body] = ARM, st
 
 
 def fly(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray, duration_s: float) -> Flight:
-    """One flight: released with a rate of the base that nobody chose, then the arm moves.
+    """One flight: released with an initial rate of the base, then the arm moves.
 
     Args:
         model: from :func:`world`.
@@ -169,10 +169,10 @@ def fly(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | Flo
 
 
 class FreeFlight:
-    """A flight that goes on in chunks, and may capture a payload and let it go on the way.
+    """A flight computed in chunks, with capture and release of a payload.
 
-    A capture is plastic: from one sample to the next the payload is welded to the gripper, and the linear and angular
-    momentum of vehicle and payload together are what they were; the joints go on as prescribed. The velocity that the
+    A capture is plastic: from one sample to the next the payload is welded to the gripper, the total linear and angular
+        momentum is conserved, and the joints continue as prescribed. The velocity that the
     IMU gains in it is in the specific force of that sample, as a mean over it.
 
     Args:
@@ -216,7 +216,7 @@ class FreeFlight:
         return Flight(*(np.concatenate(parts) for parts in zip(*self._flown, strict=True)))
 
     def advance(self, samples: int) -> Flight:
-        """The next so many samples, one or more."""
+        """The next ``samples`` samples, one or more."""
         flown = _advance(self._model, self._data, self._motion, self._samples, samples)
         flown.specific_force_m_s2[0] += self._impulse_m_s / self.step_s
         self._impulse_m_s = np.zeros(3)
@@ -227,7 +227,7 @@ class FreeFlight:
     def capture(
         self, payload: Body, velocity_m_s: Sequence[float] | FloatArray, rate_rad_s: Sequence[float] | FloatArray
     ) -> Jump:
-        """Take a payload that meets the gripper.
+        """Capture a payload at the gripper.
 
         Args:
             payload: in the grasp frame.
@@ -235,7 +235,7 @@ class FreeFlight:
             rate_rad_s: of the payload, the same.
 
         Returns:
-            What changes at once; what of it the IMU feels is in its next sample.
+            The step changes; the velocity step of the IMU is in its next sample.
 
         Raises:
             ValueError: a payload is held already.
@@ -271,7 +271,7 @@ class FreeFlight:
         return Jump(self._impulse_m_s, imu.xmat.reshape(3, 3).T @ R_WB @ jump[3:], force, moment)
 
     def release(self) -> None:
-        """Let go of the payload; nothing pushes it.
+        """Release the payload without an impulse.
 
         Raises:
             ValueError: nothing is held.
@@ -291,7 +291,7 @@ class FreeFlight:
 
 
 class Capture(NamedTuple):
-    """A payload that is captured in mid-flight, and how it comes; see :meth:`FreeFlight.capture`."""
+    """A payload captured in flight and its relative motion; see :meth:`FreeFlight.capture`."""
 
     payload: Body
     time_s: float
@@ -300,7 +300,7 @@ class Capture(NamedTuple):
 
 
 def fly_with_capture(flight: FreeFlight, capture: Capture, duration_s: float) -> Flight:
-    """The rest of a flight, until ``duration_s``; the payload is held from the first sample at or after its time."""
+    """Complete a flight to ``duration_s``; the payload is held from the first sample at or after the capture time."""
     flight.advance(int(np.ceil((capture.time_s - flight.time_s) / flight.step_s - 1e-9)))
     flight.capture(capture.payload, capture.velocity_m_s, capture.rate_rad_s)
     flight.advance(round((duration_s - flight.time_s) / flight.step_s))

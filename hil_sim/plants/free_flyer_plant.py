@@ -1,9 +1,9 @@
-"""The free-flyer with its arm as a mission flies it: what was built, how it was let go, the payload that it captures.
+"""Plant of the free-flyer mission: vehicle as built, release, arm motion, capture of the payload.
 
-MuJoCo (``hil_sim.plants.free_flyer``) integrates the whole flight when the plant is made, at a few ms a step; nothing
-that the flight computer does could change it. The sensors' finer grid lies on splines through those steps, each side of
-the capture for itself; the shock of the capture is in one row of that grid, as a mean over it. Chunks of it are handed
-out as time goes on, so no sensor sees what is to come.
+MuJoCo (``hil_sim.plants.free_flyer``) integrates the whole flight when the plant is created, at steps of a few ms (the
+flight computer does not act on it). The sensors' finer grid is interpolated by splines, separately before and after the
+capture; the shock of the capture is in one row of that grid, as its mean. Rows are released in chunks as time advances,
+so no sensor reads future rows.
 """
 
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ WRIST = "wrist"  # the flange of the last joint
 
 
 class Truth(NamedTuple):
-    """What happens, on the sensors' grid, (n, ...) each; IMU axes are those of ``free_flyer``'s own IMU."""
+    """True signals on the sensors' grid, (n, ...) each; IMU axes are those of ``free_flyer``'s IMU."""
 
     q_rad: FloatArray  # (n, 5)
     rate_rad_s: FloatArray  # (n, 3) of the base, IMU axes
@@ -39,14 +39,14 @@ class FreeFlyerPlant(world.Plant):
 
     Args:
         scenario: the mission.
-        rng: draws what was built, the release, the motion and the capture, in this order.
+        rng: draws the as-built errors, the release, the motion and the capture, in this order.
 
     Attributes:
         base: as built.
         arm: its links, as built.
         payload: what is captured.
-        capture_s: mission time from which it is held.
-        flight: truth on the sensors' grid, all of it; rows from ``count`` on are still to come.
+        capture_s: mission time of the capture.
+        flight: true signals of the whole flight; rows from ``count`` on are not yet released.
     """
 
     def __init__(self, scenario: FreeFlyerScenario, rng: np.random.Generator) -> None:
@@ -62,7 +62,7 @@ class FreeFlyerPlant(world.Plant):
         self.capture_s, self.flight = self._fly(rng)
 
     def _fly(self, rng: np.random.Generator) -> tuple[float, Truth]:
-        """When the payload is caught, and all that happens."""
+        """Capture time and true signals of the whole flight."""
         every, capture = self._scenario.physics.integration_steps, self._scenario.capture
         coarse_s, steps = every * self.step_s, -(-self.rows // every) + 1
         held = self.payload if capture is None else None
@@ -159,7 +159,7 @@ def _box(payload: Payload) -> free_flyer.Body:
 
 
 def _built(drawn: free_flyer.Body, sigma: Built, rng: np.random.Generator) -> free_flyer.Body:
-    """A part as it came out."""
+    """A part with its as-built errors."""
     change = np.zeros((3, 3))
     half_trace = 0.5 * np.trace(drawn.inertia_kg_m2)
     mass_kg = drawn.mass_kg * (1.0 + sigma.mass_relative * rng.standard_normal())

@@ -1,4 +1,4 @@
-"""What moves without asking MuJoCo: the arm controller's commands, the rocket under the plate, and the air.
+"""Prescribed motion of the rocket mission: the arm controller's commands, the rocket's motion, the air.
 
 Everything is a function of mission time on the plant's grid ``t_k = k h``. The rocket is prescribed (some 180 kg
 against the arm's 0.3 kg). Its angular rate is kept on the half steps ``t_k - h/2``: the difference of two of them over
@@ -35,7 +35,7 @@ class Reference(NamedTuple):
 
 
 class Program:
-    """A sequence as a clock knows it.
+    """Timing of a sequence.
 
     Attributes:
         spans: the steps in order, without gaps.
@@ -59,7 +59,7 @@ class ArmProgram(Program):
     """The sequence table as commanded joint angle: minimum-jerk strokes and the phases they belong to.
 
     Attributes:
-        ejection_s: mission time at which the tip mass leaves; None when the sequence has no ejection.
+        ejection_s: mission time of the tip mass's ejection; None without one.
     """
 
     def __init__(self, scenario: RocketScenario) -> None:
@@ -118,10 +118,10 @@ def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.ran
     """Draw one flight of the rocket: free coning, structural vibration, re-entry.
 
     Args:
-        scenario: sizes of it all.
+        scenario: parameters of the motion.
         step_s: grid step h.
         count: number of grid points n.
-        rng: phases and noise come from here, in a fixed order.
+        rng: source of phases and noise, in a fixed order.
     """
     times_s: FloatArray = step_s * np.arange(count, dtype=np.float64)
     rigid_accel, rate_start = _coning(scenario.rocket, times_s, step_s, rng)

@@ -1,8 +1,7 @@
-"""The free-flyer on an air-bearing table: x, y and yaw are free, gravity is normal but for a tilt, pucks drag.
+"""The free-flyer on an air-bearing table: x, y and yaw are free; table tilt and drag of three pucks.
 
-MuJoCo integrates the whole vehicle (RK4); its control callback gives the joint torques that make the prescribed
-accelerations, and puts each puck's drag on the base where the puck is: a viscous part, and one of nearly constant size
-against the motion (Coulomb's, rounded within 2 mm/s).
+MuJoCo integrates the whole vehicle (RK4); its control callback gives the joint torques of the prescribed accelerations
+and applies each puck's drag at its place: a viscous part and a Coulomb part (rounded within 2 mm/s).
 """
 
 import math
@@ -30,19 +29,19 @@ from hil_sim.plants.motion import STANDARD_GRAVITY
 
 PUCKS_m = ((0.200, 0.0), (-0.100, 0.173), (-0.100, -0.173))  # of the carriage, base axes
 _ROUNDING_m_s = 2e-3
-_STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: pulls back what integration error there is
+_STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error
 
 
 @dataclass(frozen=True)
 class Drag:
-    """Of one puck on the table."""
+    """Drag coefficients of one puck."""
 
     viscous_N_s_m: float = 0.0  # noqa: N815
     coulomb_N: float = 0.0  # noqa: N815
 
 
 class PlanarFlight(NamedTuple):
-    """Truth on the grid of the samples."""
+    """True signals on the grid of the samples."""
 
     time_s: FloatArray  # (n,)
     q_rad: FloatArray  # (n, 5)
@@ -92,7 +91,7 @@ def fly(
     drags: Sequence[Drag],
     duration_s: float,
 ) -> PlanarFlight:
-    """One run: let go with a velocity that nobody chose, then the arm moves.
+    """One run: released with an initial velocity, then the arm moves.
 
     Args:
         model: from :func:`world`.

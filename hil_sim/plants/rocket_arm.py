@@ -1,20 +1,21 @@
-"""The bodies, moved by MuJoCo: a plate that follows the rocket, an arm on one hinge, a tip mass that leaves.
+"""Rocket arm simulated by MuJoCo: a plate with prescribed motion, an arm on one hinge, an ejected tip mass.
 
 How the plate is prescribed: it is a free body of 1e6 kg and 1e6 kg m^2 (isotropic, so no gyroscopic moment of its own),
-pushed at every step by exactly the force that gives the prescribed acceleration. The arm's reaction disturbs it by some
-1e-6 m/s^2; at every chunk its pose is put back to the identity and its velocity to the profile. In free fall nothing
-depends on pose or on a common velocity, so that costs nothing, and the arm, the accelerometer and the gyro feel the
-base motion by MuJoCo's own equations.
+driven at every step by the force of the prescribed acceleration. The arm's reaction disturbs it by some 1e-6 m/s^2; at
+every chunk its pose is put back to the identity and its velocity to the profile. In free fall nothing depends on pose
+or on a common velocity, so this reset has no effect on the relative motion; the base motion acts on arm, accelerometer
+and gyro through MuJoCo's equations.
 
-Integration is MuJoCo's semi-implicit Euler with implicit damping off, so that the acceleration its sensors report is
-the one the joint makes: ``(q[k+1] - 2 q[k] + q[k-1]) / h^2 = qacc[k]``. Velocities then belong to half steps,
-``t_k - h/2``; the history says so for the gyro and the joint rate.
+Integration is MuJoCo's semi-implicit Euler with implicit damping off, so that the reported acceleration is that of the
+joint: ``(q[k+1] - 2 q[k] + q[k-1]) / h^2 = qacc[k]``. Velocities then belong to half steps, ``t_k - h/2``, as the field
+names of the history state.
 
 The load cell is MuJoCo's torque sensor at the arm's own origin: the moment about the joint axis that the actuator's
 output flange exerts on everything beyond it. Friction, ripple, rotor inertia and servo act on the joint, proximal to
 it; stops, drag and ejection act on the arm, distal to it. Left out: the compliance of the gear and of the cell (a
 resonance near 100 Hz would change the acceleration of a fast sweep by 3e-4), and the rotor's reaction on the rocket.
-Known limit: forces that hang on the joint angle (drag's lever, ripple) foresee it along a straight line for one chunk.
+Known limit: forces that depend on the joint angle (drag's lever, ripple) use a linear extrapolation of it within a
+chunk.
 """
 
 from collections.abc import Iterator
@@ -33,11 +34,11 @@ from hil_sim.scenario.tables import ScenarioError
 _BASE_MASS_kg = 1e6
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_IMPEDANCE = 0.05  # of contacts: small, so that they are springs and dampers and add no inertia (5 % here)
+_IMPEDANCE = 0.05  # of contacts: small, so that they act as spring-dampers with little added inertia (5 %)
 
 
 class History(NamedTuple):
-    """What happened so far, on the grid ``t_k = k h``; rows from ``count`` on are not yet computed."""
+    """Computed signals on the grid ``t_k = k h``; rows from ``count`` on are not yet computed."""
 
     specific_force_imu_m_s2: FloatArray  # (n, 3), IMU axes as designed: a - g, in free fall the acceleration itself
     rate_half_imu_rad_s: FloatArray  # (n, 3), IMU axes, at t_k - h/2
@@ -48,7 +49,7 @@ class History(NamedTuple):
 
 
 class MassProperties(NamedTuple):
-    """Of everything the load cell carries, in frame 3 (origin on the joint axis)."""
+    """Mass properties of all bodies beyond the load cell, in frame 3 (origin on the joint axis)."""
 
     mass_kg: float
     first_moment_kg_m: FloatArray  # (3,): m c = MX, MY, MZ
@@ -73,7 +74,7 @@ def mass_properties(scenario: RocketScenario, *, with_tip: bool) -> MassProperti
 
 
 class Plant(world.Plant):
-    """The rocket's arm, computed chunk by chunk up to the time asked for.
+    """The rocket's arm, computed chunk by chunk up to the requested time.
 
     Args:
         scenario: the mission.
@@ -172,7 +173,7 @@ class Plant(world.Plant):
         state[0, :12] = state[0, 0], 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, state[0, 8], 0.0, 0.0, 0.0
         state[0, 12:15] = self.base.angular_rate_half_rad_s[first]
         q, dq = state[0, 8], state[0, 15]
-        q_ahead = q + dq * self.step_s * np.arange(n)  # of forces that depend on the angle; renewed every chunk
+        q_ahead = q + dq * self.step_s * np.arange(n)  # extrapolated angle for forces that depend on it
         R = self._attitudes(rows)  # (n, 3, 3) plate to world
         control = np.zeros((n, mujoco.mj_stateSize(self._model, _CONTROL)))
         control[:, 0] = self._servo_command[rows]
@@ -254,11 +255,11 @@ def _tip_radius_m(scenario: RocketScenario) -> float:
 
 
 def build(scenario: RocketScenario, *, with_tip: bool) -> mujoco.MjModel:
-    """The compiled world, its contacts as stiff and as damped as the scenario says.
+    """The compiled MuJoCo model with the scenario's contact stiffness and damping.
 
     A contact of constant impedance d gives the force (k r + b v + a) / R with R = (1 - d) / d times MuJoCo's own
     estimate of the inverse mass at the contact; a direct solref gives k = stiffness / d and b = damping / d (MuJoCo,
-    Computation, "Solver parameters"). So both are scaled by d R, which is known only once the model is compiled.
+    Computation, "Solver parameters"). So both are scaled by d R, which is known only after compilation.
     """
     model = mujoco.MjModel.from_xml_string(mjcf(scenario, with_tip=with_tip))
     stops = scenario.stops

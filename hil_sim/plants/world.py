@@ -1,7 +1,7 @@
-"""What a mission and its sensors ask of the bodies, whatever moves them.
+"""Interface between plants and the sensors and mission that read them.
 
-A plant lays the truth of the whole mission on a grid, ``t_k = k h`` of mission time. Its arrays are there from the
-start and fill up as it advances; sensors keep them and read no row beyond those that are there.
+A plant computes true signals on a grid ``t_k = k h`` of mission time. Its arrays have full length from the start and
+are filled as it advances; sensors read only rows already computed.
 """
 
 from abc import ABC, abstractmethod
@@ -12,11 +12,11 @@ from hil_sim.plants.motion import Program
 
 
 class NotYetComputedError(RuntimeError):
-    """A sensor was asked about the future."""
+    """A sensor was asked for a time not yet computed."""
 
 
 class Inertial(NamedTuple):
-    """What an IMU would feel at its place, in its axes as designed."""
+    """True input of an IMU at its place, in its design axes."""
 
     specific_force_m_s2: FloatArray  # (n, 3): a - g, in free fall the acceleration itself
     rate_rad_s: FloatArray  # (n, 3): row k belongs to t_k - ``rate_late`` h
@@ -24,14 +24,14 @@ class Inertial(NamedTuple):
 
 
 class Plant(ABC):
-    """Bodies in motion. ``at`` names a place in them; a plant with one place of a kind calls it "".
+    """Moving bodies. ``at`` names a place; a plant with one place of a kind uses "".
 
     Attributes:
         step_s: grid step h.
         chunk: rows computed at a time.
         rows: rows of the whole mission.
         count: rows computed so far; whole chunks.
-        program: what the arm was told to do, and when.
+        program: commanded sequence of the arm.
     """
 
     step_s: float
@@ -45,7 +45,7 @@ class Plant(ABC):
         """Motion at an IMU's place.
 
         Raises:
-            ScenarioError: no such place; so do all below.
+            ScenarioError: no such place (also raised by the methods below).
         """
 
     @abstractmethod
@@ -66,7 +66,7 @@ class Plant(ABC):
 
     @abstractmethod
     def truth(self) -> dict[str, Any]:
-        """What an estimate is to be compared with: scalars, text, lists and arrays, SI units."""
+        """True values for comparison with estimates: scalars, text, lists and arrays, SI units."""
 
     @abstractmethod
     def _run_chunk(self) -> None:

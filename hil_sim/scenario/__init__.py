@@ -1,1 +1,1 @@
-"""A mission as data: tables of TOML, checked; ``packaged/`` holds the scenarios that come with heft."""
+"""Scenarios as validated TOML tables; ``packaged/`` holds those shipped with heft."""

@@ -1,8 +1,8 @@
 """Tables of a scenario: the buses, ``[bus.NAME]``, and the devices on them, ``[device.NAME]``.
 
 A device is a twin of ``hil_sim.devices`` by ``kind``, on ``bus``; ``measures`` names the ``[sensor.*]`` table of its
-sensing element, and ``at`` the place in the plant where that sits, if there are several. Its name is the one that the
-flight computer records it under, and that faults, its clock and its random numbers go by.
+sensing element, and ``at`` the place in the plant where that sits, if there are several. Its name is also the flight
+computer's channel name and the key of its faults, clock and random numbers.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
@@ -18,7 +18,7 @@ _SCALARS: tuple[Quantity, ...] = ("joint_angle", *_FORCES, "servo_torque", "phas
 
 
 class Signal(NamedTuple):
-    """Something a device measures.
+    """A signal that a device measures.
 
     Attributes:
         sensor: Name of the table of its sensor.

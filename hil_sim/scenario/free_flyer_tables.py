@@ -1,6 +1,6 @@
 """Tables of a scenario with a free-flyer that captures a payload: ``[scenario] plant = "free_flyer"``.
 
-The vehicle as drawn is that of ``hil_sim.plants.free_flyer``; ``[as_built]`` says how far off what was built may be.
+The nominal vehicle is that of ``hil_sim.plants.free_flyer``; ``[as_built]`` gives the as-built tolerances.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
@@ -39,13 +39,13 @@ class AsBuilt(Table):
 
 
 class Release(Table):
-    """``[release]``: how the vehicle is let go; each component of its rate lies within +- ``rate_rad_s``."""
+    """``[release]``: initial motion; each component of the rate lies within +- ``rate_rad_s``."""
 
     rate_rad_s: NonNegative
 
 
 class Payload(Table):
-    """``[payload]``: a solid box, its centre of mass and its turn in the frame of the grasp."""
+    """``[payload]``: a solid box, its centre of mass and orientation in the grasp frame."""
 
     mass_kg: PositiveFloat
     size_mm: Vector
@@ -54,7 +54,7 @@ class Payload(Table):
 
 
 class Capture(Table):
-    """``[capture]``: the payload is caught at some time between two; by sigma, how it then moves past the gripper."""
+    """``[capture]``: time window of the capture and sigmas of the payload's motion relative to the gripper."""
 
     earliest_s: PositiveFloat
     latest_s: PositiveFloat

@@ -1,9 +1,9 @@
-"""A mission as data: the TOML of ``scenarios/`` read into frozen objects, every unit in its key, unknown keys refused.
+"""Reads scenario TOML into frozen objects; units are in the keys, unknown keys are refused.
 
-``scenario_tables`` has what all scenarios have, ``rocket_tables`` and ``free_flyer_tables`` what moves in them; with
-``sensor_tables`` and ``device_tables`` they are the schema. The numbers and where they come from stand in the TOML
-file, beside each other. A scenario may be ``based_on`` another: its tables lie over those of the other, but the wiring
-(``bus``, ``device``, ``clock``) is its own or all the other's, never a mixture.
+The schema: ``tables`` has the common tables, ``rocket_tables`` and ``free_flyer_tables`` those of the plants,
+``sensor_tables`` and ``device_tables`` the rest. The TOML file gives the source of each number beside it. A scenario
+may be ``based_on`` another: its tables override those of the other, but the wiring (``bus``, ``device``, ``clock``) is
+taken from one of the two as a whole.
 """
 
 import tomllib
@@ -45,7 +45,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
 
 
 def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, dict[str, Any]]:
-    """What to call a file, and its tables over those of the one that it is based on."""
+    """Label of a file, and its tables merged over those of its base."""
     if str(name_or_path).endswith(".toml"):
         label = str(name_or_path)
         source: Traversable = Path(name_or_path)
@@ -81,7 +81,7 @@ def parse(table: Mapping[str, Any], label: str = "scenario") -> Scenario:
 
 
 def _schema(table: Mapping[str, Any]) -> type[Scenario]:
-    """The tables of the plant that the header names; the header's own schema says what is wrong with another name."""
+    """Schema of the plant that the header names; an unknown name is reported by the header's own schema."""
     header = table.get("scenario")
     plant = header.get("plant") if isinstance(header, Mapping) else None
     return FreeFlyerScenario if plant == "free_flyer" else RocketScenario

@@ -1,7 +1,7 @@
-"""Tables of a scenario: what every sensor makes of the world, ``[sensor.NAME]``, and how right every clock is.
+"""Tables of a scenario: sensors, ``[sensor.NAME]``, and clock errors, ``[clock.NAME]``.
 
-A sensor table is a kind of sensor, as a datasheet describes it; each device that ``measures`` it draws an example of
-its own. ``quantity`` says which of the world's quantities it turns into a signal.
+A sensor table describes a sensor type as its datasheet does; each device that ``measures`` it draws its own errors.
+``quantity`` is the physical quantity measured.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
@@ -16,7 +16,7 @@ Quantity = Literal["inertial", "joint_angle", "joint_moment", "force", "servo_to
 
 
 class Table(BaseModel):
-    """Any table of a scenario: frozen, and keys that it does not know are refused."""
+    """Base of all tables: frozen, unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -104,7 +104,7 @@ class ForceCell(_Bridge):
 
 
 class MotorTorque(Table):
-    """The servo's torque as its drive knows it, from the current: all of it, friction included."""
+    """Servo torque from the motor current, friction included."""
 
     quantity: Literal["servo_torque"]
     scale_sigma: NonNegative

@@ -1,4 +1,4 @@
-"""Tables that every scenario has, whatever bodies it moves: its header, its sensors, clocks, buses, devices, faults."""
+"""Tables of every scenario: header, sensors, clocks, buses, devices, faults."""
 
 from typing import Annotated, Any, Literal
 

@@ -1,4 +1,4 @@
-"""What the tables of a scenario must agree on before anything is built: names of things that are there and fit."""
+"""Checks that the tables of a scenario refer to existing and matching sensors, clocks and buses."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,7 +13,7 @@ def problems(
     sensors: Mapping[str, Sensor],
     clocks: Mapping[str, Clock],
 ) -> Iterator[str]:
-    """What is wrong with the wiring: sentences with the remedy."""
+    """Yield each wiring error as a sentence with the remedy."""
     wanted = {clock for name, device in devices.items() for clock in device.clocks(name)}
     for clock in sorted(wanted - clocks.keys()):
         yield f"no [clock.{clock}] says how right that oscillator is; add it"
@@ -35,7 +35,7 @@ def problems(
         if isinstance(device, SyncBoxTable):
             yield from _plugged(f"device.{name}.line", device.line, buses, "pulse")
     if sum(isinstance(device, SyncBoxTable) for device in devices.values()) > 1:
-        yield "there are several sync boxes; one numbers time for everybody, take the others out"
+        yield "there are several sync boxes; keep one and remove the others"
     for (bus, place), count in Counter((device.bus, device.place) for device in devices.values()).items():
         if bus is not None and count > 1:
             yield f"bus {bus}: {count} devices are {place}; move one, or give it another"

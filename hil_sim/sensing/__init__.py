@@ -1,1 +1,1 @@
-"""Truth to signals: what each sensor makes of the world, errors drawn once per seed, and chip clocks."""
+"""Sensor models: true signals to measured signals with errors drawn once per seed, and chip clocks."""

@@ -1,8 +1,8 @@
-"""What a twin asks of the physics: its analogue inputs and its oscillator.
+"""Protocols of a twin's analogue inputs and oscillator.
 
-The twins in ``hil_sim.devices`` know registers, frames and timing, and nothing of bodies; whoever moves the bodies
-implements these Protocols. Every ``time_s`` is mission time: true seconds since all devices were powered up. A twin
-asks for no instant later than the ``now_ns`` it was last advanced to.
+The twins in ``hil_sim.devices`` model registers, frames and timing; the sensor models implement these Protocols. Every
+``time_s`` is mission time: true seconds since power-up of all devices. A twin requests no instant later than the
+``now_ns`` it was last advanced to.
 """
 
 from typing import Protocol
@@ -23,7 +23,7 @@ class ImuAnalog(Protocol):
             times_s: Increasing mission times, shape (n,).
             accel_lsb_per_g: Sensitivity of the selected accelerometer range.
             gyro_lsb_per_dps: Sensitivity of the selected gyroscope range.
-            dlpf_cfg: The chip's low-pass filter code; its bandwidth and its delay are in the answer.
+            dlpf_cfg: The chip's low-pass filter code; its bandwidth and delay are applied.
 
         Returns:
             Shape (n, 7): specific force x, y, z; temperature word; angular rate x, y, z. Sensor axes, quantised and
@@ -32,7 +32,7 @@ class ImuAnalog(Protocol):
 
 
 class ScalarAnalog(Protocol):
-    """One analogue input of a field node, as its converter sees it."""
+    """Analogue input at the converter of a field node."""
 
     def value(self, time_s: float) -> float:
         """SI value at a mission time: a joint angle in rad, or a force in N, filtered as the node's front end does."""

@@ -1,4 +1,4 @@
-"""What the arm controller knows of itself: the torque of its servo, and the phase of its sequence."""
+"""Signals of the arm controller: the torque of its servo, and the phase of its sequence."""
 
 import bisect
 from typing import Any
@@ -11,7 +11,7 @@ from hil_sim.sensing.sensors import interpolate_one
 
 
 class MotorTorqueSensor:
-    """The servo's torque by its motor current: gain and offset of the current measurement, and its noise."""
+    """Servo torque from the motor current, with gain error, offset and noise of the current measurement."""
 
     def __init__(self, plant: Plant, table: MotorTorque, rng: np.random.Generator, at: str = "") -> None:
         self._plant = plant

@@ -1,4 +1,4 @@
-"""What the free-flyer's encoders and base IMU say about a flight: counts, with errors drawn once per flight."""
+"""Samples of the free-flyer's encoders and base IMU, with errors drawn once per flight."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -16,7 +16,7 @@ ACCELEROMETER_STEP_m_s2 = STANDARD_GRAVITY / 16384.0  # at 2 g
 
 
 class Moved(Protocol):
-    """Truth on the grid of the samples, of a free flight or any other."""
+    """True signals on the grid of the samples, of a free flight or any other."""
 
     @property
     def time_s(self) -> FloatArray:
@@ -37,7 +37,7 @@ class Moved(Protocol):
 
 @dataclass(frozen=True)
 class ImuErrors:
-    """Standard deviations by axis of what is wrong with an IMU beside its noise."""
+    """Standard deviations per axis of an IMU's errors besides noise."""
 
     gyro_bias_rad_s: float = 0.0
     gyro_drift_rad_s2: float = 0.0

@@ -1,10 +1,10 @@
-"""Truth to counts: what each sensor makes of the plant, with errors drawn once per seed.
+"""Sensor models from true signals to counts, with errors drawn once per seed.
 
-Every answer is a pure function of mission time: noise is laid on the plant's grid before the filters, so it does not
-matter when or how often a device is asked. Between grid points a cubic through four of them is used (error below
+Every output is a pure function of mission time: noise is added on the plant's grid before the filters, so it does not
+depend on when or how often a device is read. Between grid points a cubic through four of them is used (error below
 2.5e-4 of a 100 Hz component on a 2 kHz grid).
 
-Warts, known: accelerometer non-linearity (0.5 % of full scale in the datasheet) and hysteresis of the load cell are
+Known limits: accelerometer non-linearity (0.5 % of full scale in the datasheet) and hysteresis of the load cell are
 left out; a filter change takes effect at once, without the chip's own transient.
 """
 
@@ -36,10 +36,10 @@ class LowPass(NamedTuple):
 def low_pass(bandwidth_Hz: float, delay_s: float, step_s: float) -> LowPass:
     """Two poles with half power at ``bandwidth_Hz`` and low-frequency group delay ``delay_s``, on a grid of ``step_s``.
 
-    A Butterworth pair delays by sqrt(2) / (2 pi bandwidth). Where the table asks for more, the rest is pure delay;
-    where it asks for less, the pair gets a real zero, and both conditions are solved together (so little delay costs a
-    peak in the pass band: 12 % at 5 Hz, 27 % at 260 Hz). The bilinear transform keeps the group delay at zero
-    frequency; the bandwidth is pre-warped.
+    A Butterworth pair delays by sqrt(2) / (2 pi bandwidth). For a longer delay in the table, the rest is pure delay;
+    for a shorter one, the pair gets a real zero, and both conditions are solved together (with a peak in the pass band:
+    12 % at 5 Hz, 27 % at 260 Hz). The bilinear transform keeps the group delay at zero frequency; the bandwidth is
+    pre-warped.
     """
     edge = 2.0 / step_s * math.tan(math.pi * bandwidth_Hz * step_s)  # rad/s, warped
     damping = math.sqrt(0.5)
@@ -91,14 +91,14 @@ def _lagrange(u: Place) -> tuple[Place, Place, Place, Place]:
 
 
 def within_limits(rng: np.random.Generator, shape: int | tuple[int, ...]) -> FloatArray:
-    """Normal deviates cut off at two standard deviations: no part outside its datasheet's limits is shipped."""
+    """Normal deviates truncated at two standard deviations, the datasheet limits."""
     low, high = special.ndtr([-2.0, 2.0])
     deviates: FloatArray = special.ndtri(rng.uniform(low, high, shape))
     return deviates
 
 
 class _Stream:
-    """A filter run once over the mission, as far as the plant has come."""
+    """A filter applied incrementally to the rows computed so far."""
 
     def __init__(self, response: LowPass, rows: int, columns: int) -> None:
         self.response = response
@@ -193,7 +193,7 @@ class ImuSensor:
         return t.temperature_start_degC + t.temperature_rise_K * settled
 
     def _sense(self) -> None:
-        """Bring the unfiltered channels up to the plant, always in the plant's own chunks: same sums, same last bit."""
+        """Extend the unfiltered channels to the plant's rows, in the plant's chunks for bit-identical results."""
         for first in range(self._raw_count, self._plant.count, self._plant.chunk):
             self._sense_rows(first, min(first + self._plant.chunk, self._plant.count))
 
@@ -236,7 +236,7 @@ class ImuSensor:
 
 
 class EncoderSensor:
-    """A motor-side encoder seen through the gear: the joint angle with two cyclic errors, in whole counts."""
+    """A motor-side encoder behind a gear: joint angle with two cyclic errors, in whole counts."""
 
     def __init__(self, plant: Plant, table: Encoder, rng: np.random.Generator, at: str = "") -> None:
         self.counts_per_revolution = table.counts_per_revolution
@@ -267,7 +267,7 @@ class EncoderSensor:
 class LoadCellSensor:
     """A force along an axis, or a moment over a lever, through a bridge and a transmitter.
 
-    It comes out with scale, zero, creep, filter and noise. ``lever_m`` is None where the force itself is measured.
+    Errors: scale, zero, creep, filter, noise. ``lever_m`` is None where the force itself is measured.
     """
 
     def __init__(self, plant: Plant, table: LoadCell | ForceCell, rng: np.random.Generator, at: str = "") -> None:

@@ -149,7 +149,7 @@ def rescue(
     found.sort(key=lambda one: one.misfit)
     if not found or found[0].misfit > BAD_FIT:
         told = f"the best leaves {found[0].misfit:.1f} times the noise" if found else "none leads to a fit"
-        raise ResyncError(f"of {len(clocks)} clocks {told}: what one recorder felt is not in the other")
+        raise ResyncError(f"of {len(clocks)} clocks {told}: the recordings have no common motion")
     for other in found[1:]:
         apart_s = abs(other.clock.offset_s - found[0].clock.offset_s)
         if apart_s > COARSE_SIGMA_S and other.misfit < AS_GOOD * found[0].misfit:

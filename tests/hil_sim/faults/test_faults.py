@@ -27,7 +27,7 @@ from hil_sim.faults import (
     FaultyImu,
     FaultyScalar,
     PowerCycle,
-    told_phases,
+    reported_phases,
 )
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, CanRig, FlatImu, RateClock, StairImu
 
@@ -187,7 +187,7 @@ def test_phases_are_told_as_the_input_shows_them(fault, told):
     kind, start_s, end_s, value = fault
     changes = [(START_NS + k * S, 3 + k) for k in (1, 2, 3)]
     faults = of(Fault(kind, "x", start_s, end_s, value))
-    assert told_phases(changes, faults) == [(START_NS + round(t * S), code) for t, code in told]
+    assert reported_phases(changes, faults) == [(START_NS + round(t * S), code) for t, code in told]
 
 
 # Connectors and clocks

@@ -122,7 +122,7 @@ def text_of(about, width=110):
 def test_the_screen_shows_it(log):
     shown = text_of(info(log))
     assert len(shown.splitlines()) < 40
-    for part in ("rocksat", "vehicle.toml (6 B)", "0.120 s", "7 error", "code_13", "2 rows are missing", "whole"):
+    for part in ("rocksat", "vehicle.toml (6 B)", "0.120 s", "7 error", "code_13", "2 rows are missing", "intact"):
         assert part in shown
     assert "\x1b" not in shown  # text in a log cannot steer the terminal
 
