@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from hil_sim.devices import mpu6050_map as reg
 from hil_sim.devices.mpu6050_fifo import Fifo
+from hil_sim.devices.mpu6050_fsync import FsyncLatch
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
 from hil_sim.sensing.analog import ChipClock, ImuAnalog
 
@@ -93,7 +94,7 @@ class Mpu6050:
         self._cycles = deque(faults.power_cycles())
         self._off_until_ns = 0
         self._now_ns = self._settled_ns = start_ns
-        self._pulses: list[tuple[float, float]] = []  # mission times of rise and fall
+        self._fsync = FsyncLatch()
         self._fifo = Fifo()
         self._made = 0  # samples
         self._grid = 0  # counts the restarts of the sample grid
@@ -151,7 +152,7 @@ class Mpu6050:
                 f"FSYNC rose at {rise_s:.6f} s and the sample of {self._last_s:.6f} s is already made; "
                 "advance the pulse source before the chip."
             )
-        self._pulses.append((rise_s, rise_s + high_ns * 1e-9))
+        self._fsync.high(rise_s, rise_s + high_ns * 1e-9)
         if self._reg[reg.INT_PIN_CFG] & 0x04:
             self._reg[reg.I2C_MST_STATUS] |= 0x80
 
@@ -269,7 +270,7 @@ class Mpu6050:
     def _make_samples(self, until_ns: int) -> None:
         if not self._running:
             self._last_s = max(self._last_s, (until_ns - self._start_ns) * 1e-9)  # the FSYNC latch rests too
-            self._forget_pulses()
+            self._fsync.forget(self._last_s)
             return
         chip_ns = self._clock.chip_ns(until_ns)
         if chip_ns < self._next_chip_ns:
@@ -281,10 +282,10 @@ class Mpu6050:
         latest_s = (until_ns - self._start_ns) * 1e-9
         times_s = np.minimum(self._clock.times_s(ticks_ns), latest_s)  # (n,)
         counts = self._convert(ticks_ns, times_s, latest_s)  # (n, 7)
-        self._latch_fsync(counts, times_s)
+        self._fsync.latch(counts, times_s, self._last_s, reg.SYNC_COLUMN[self._reg[reg.CONFIG] >> 3 & 7])
         self._last = counts[-1]
         self._last_s = float(times_s[-1])
-        self._forget_pulses()
+        self._fsync.forget(self._last_s)
         self._reg[reg.ACCEL_XOUT_H : reg.GYRO_ZOUT_L + 1] = self._last.astype(">i2").tobytes()
         self._reg[reg.INT_STATUS] |= reg.INT_DATA_RDY
         self._fill_fifo(counts, times_s)
@@ -300,50 +301,17 @@ class Mpu6050:
             slow_s = np.minimum(self._clock.times_s(ticks_ns // _SLOW_TICK_NS * _SLOW_TICK_NS), latest_s)
             counts[:, :3] = self._analog.counts(slow_s, accel_lsb, gyro_lsb, dlpf)[:, :3]
         self._add_self_test(counts, accel_lsb, gyro_lsb)
-        held = self._held_columns()
+        held = reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2])
         if held:
             counts[:, held] = self._last[held]
         return counts
 
     def _add_self_test(self, counts: NDArray[np.int16], accel_lsb: float, gyro_lsb: float) -> None:
         accel_on, gyro_on = self._reg[reg.ACCEL_CONFIG], self._reg[reg.GYRO_CONFIG]
-        if not (accel_on | gyro_on) & 0xE0:
-            return
-        response = np.zeros(7)
-        for axis in range(3):
-            if accel_on & 0x80 >> axis:
-                response[axis] = self._trim.accel_response_lsb()[axis] * accel_lsb / reg.ACCEL_LSB_PER_G[2]
-            if gyro_on & 0x80 >> axis:
-                response[4 + axis] = self._trim.gyro_response_lsb()[axis] * gyro_lsb / reg.GYRO_LSB_PER_DPS[0]
-        total = counts + np.rint(response * self._self_test_gain)
-        counts[:] = np.clip(total, -32768, 32767).astype(np.int16)
-
-    def _held_columns(self) -> list[int]:
-        """Columns of sensors that are off: standby bits, TEMP_DIS, and the gyro in CYCLE mode."""
-        power, standby = self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2]
-        if not (power & 0x28 or standby & 0x3F):
-            return []
-        held = [axis for axis in range(3) if standby & 0x20 >> axis]
-        if power & 0x08:
-            held.append(3)
-        held += [4 + axis for axis in range(3) if power & 0x20 or standby & 0x04 >> axis]
-        return held
-
-    def _latch_fsync(self, counts: NDArray[np.int16], times_s: NDArray[np.float64]) -> None:
-        """A sample is marked when the pin was high at any time since the sample before it."""
-        column = reg.SYNC_COLUMN[self._reg[reg.CONFIG] >> 3 & 7]
-        if column is not None:
-            before_s = np.concatenate(([self._last_s], times_s[:-1]))  # (n,)
-            marks = np.zeros(len(times_s), np.int16)
-            for rise_s, fall_s in self._pulses:
-                first = int(np.searchsorted(times_s, rise_s, "left"))
-                last = int(np.searchsorted(before_s, fall_s, "left"))
-                marks[first:last] = 1
-            counts[:, column] = (counts[:, column] & ~1) | marks
-
-    def _forget_pulses(self) -> None:
-        if self._pulses:
-            self._pulses = [pulse for pulse in self._pulses if pulse[1] > self._last_s]
+        if (accel_on | gyro_on) & 0xE0:
+            response = self._trim.response_lsb(accel_on, gyro_on, accel_lsb, gyro_lsb)
+            total = counts + np.rint(response * self._self_test_gain)
+            counts[:] = np.clip(total, -32768, 32767).astype(np.int16)
 
     # FIFO
 

@@ -2,6 +2,9 @@
 
 from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 SELF_TEST_X: Final = 0x0D  # [7:5] XA_TEST[4:2], [4:0] XG_TEST
 SELF_TEST_Y: Final = 0x0E
 SELF_TEST_Z: Final = 0x0F
@@ -78,3 +81,30 @@ class FactoryTrim(NamedTuple):
         """Output change with self-test on, at +-8 g: 4096 * 0.34 * (0.92 / 0.34)^((A_TEST - 1) / 30) (RM 4.1)."""
         x, y, z = (4096.0 * 0.34 * (0.92 / 0.34) ** ((code - 1) / 30.0) if code else 0.0 for code in self.accel)
         return x, y, z
+
+    def response_lsb(self, accel_on: int, gyro_on: int, accel_lsb: float, gyro_lsb: float) -> NDArray[np.float64]:
+        """What self-test adds to a sample at the ranges set, (7,) in the order of the data registers.
+
+        Args:
+            accel_on: ACCEL_CONFIG; bits 7 to 5 switch it on for x, y, z.
+            gyro_on: GYRO_CONFIG, likewise.
+            accel_lsb: LSB per g.
+            gyro_lsb: LSB per deg/s.
+        """
+        response = np.zeros(7)
+        for axis in range(3):
+            if accel_on & 0x80 >> axis:
+                response[axis] = self.accel_response_lsb()[axis] * accel_lsb / ACCEL_LSB_PER_G[2]
+            if gyro_on & 0x80 >> axis:
+                response[4 + axis] = self.gyro_response_lsb()[axis] * gyro_lsb / GYRO_LSB_PER_DPS[0]
+        return response
+
+
+def held_columns(power: int, standby: int) -> list[int]:
+    """Columns of sensors that are off by PWR_MGMT_1 and 2: standby bits, TEMP_DIS, and the gyro in CYCLE mode."""
+    if not (power & 0x28 or standby & 0x3F):
+        return []
+    held = [axis for axis in range(3) if standby & 0x20 >> axis]
+    if power & 0x08:
+        held.append(3)
+    return held + [4 + axis for axis in range(3) if power & 0x20 or standby & 0x04 >> axis]

@@ -139,18 +139,8 @@ class Fleet:
         return {"pulse": rows}
 
     def _device(self, name: str, stream: Stream, now: int, happens: set[tuple[str, str]]) -> dict[str, np.ndarray]:
-        ticks = stream.samples(now)
         told = (name, "told reset") in happens
-        if (told or (name, "reset") in happens) and len(ticks):
-            stream.shift = -int(ticks[0])
-        if (name, "wrap") in happens and len(ticks):
-            stream.shift -= min(1 << 16, int(ticks[0]) + stream.shift)
-        if (name, "jump") in happens:
-            stream.shift += round(2.0 * self.PERIOD_NS[name] * 60 / stream.tick_ns)
-        if (name, "slip") in happens and len(ticks) > 30:
-            ticks = ticks[20:]
-            if name == "imu":  # the only one whose ticks are the driver's own count
-                stream.shift += int(self.rng.choice([-1, 1]))
+        ticks = self._ticks(name, stream, now, {what for device, what in happens if device == name})
         first_ns, deaf = now - STEP_NS - 5_000_000, (name, "miss") in happens
         edges = self.edges[
             (self.edges > self._marked[name]) & (self.edges >= first_ns) & (self.edges < now - 3_000_000)
@@ -190,6 +180,21 @@ class Fleet:
             marks["value_raw"] = np.rint(angle(edges) * COUNTS_PER_RAD) if name == "qsb" else 0
             made[f"{name}_mark"] = np.repeat(marks, 2) if (name, "twice") in happens else marks
         return made
+
+    def _ticks(self, name: str, stream: Stream, now: int, mishaps: set[str]) -> np.ndarray:
+        """True ticks of the samples up to ``now`` (n,), after what happens to the ticks that the device tells."""
+        ticks = stream.samples(now)
+        if mishaps & {"told reset", "reset"} and len(ticks):
+            stream.shift = -int(ticks[0])
+        if "wrap" in mishaps and len(ticks):
+            stream.shift -= min(1 << 16, int(ticks[0]) + stream.shift)
+        if "jump" in mishaps:
+            stream.shift += round(2.0 * self.PERIOD_NS[name] * 60 / stream.tick_ns)
+        if "slip" in mishaps and len(ticks) > 30:
+            ticks = ticks[20:]
+            if name == "imu":  # the only one whose ticks are the driver's own count
+                stream.shift += int(self.rng.choice([-1, 1]))
+        return ticks
 
     def error_ns(self, name: str) -> float:
         """Of the newest sample's time."""
