@@ -18,14 +18,14 @@ from bench.clock_sensors import START_NS, CountingImu, Elapsed, Floats, Hands, W
 from drivers.records import Rows
 from hil_sim.buses.in_process import in_process
 from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.modbus_load_cell import ModbusLoadCell
-from hil_sim.devices.mpu6050 import Mpu6050
-from hil_sim.devices.nimu import Nimu
+from hil_sim.devices.modbus_load_cell import ModbusLoadCellTwin
+from hil_sim.devices.mpu6050 import Mpu6050Twin
+from hil_sim.devices.nimu import NimuTwin
 from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
-from hil_sim.devices.qsb import Qsb
+from hil_sim.devices.qsb import QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync_box import SyncBox
-from hil_sim.scenario.device_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config
 from onboard.flight.clocks import timebase_of
 from onboard.flight.devices import open_devices
@@ -199,20 +199,22 @@ class World:
 
     def _plug(self, rng: np.random.Generator, everything: bool) -> list[Callable[[int, int], None]]:
         analog = CountingImu()
-        imu = Mpu6050(analog, WarmingClock(rng, 0.01), START_NS)
+        imu = Mpu6050Twin(analog, WarmingClock(rng, 0.01), START_NS)
         self._buses["i2c_1"].add(imu)
         self.taken["imu"] = analog.taken_ns
         self.imu = analog
         pins: list[Callable[[int, int], None]] = [imu.fsync, self._buses["sync_line"].edge]
         if everything:
             hands, elapsed, tip = Hands(), Elapsed(), CountingImu()
-            qsb = Qsb(hands, WarmingClock(rng, 100e-6, 1e-8), START_NS)
+            qsb = QsbTwin(hands, WarmingClock(rng, 100e-6, 1e-8), START_NS)
             channels = [NodeChannel("angle", "rad", ValueType.I32, elapsed, 1, -6)]
             node = FrameNode(channels, WarmingClock(rng, 0.02), START_NS, node=7, line=LineFormat(230_400))
             self._buses["can_0"].add(Encoder406(1, elapsed, START_NS, counts_per_revolution=6_283_185))
-            self._buses["tty_imu"].add(Nimu(tip, WarmingClock(rng, 100e-6, 1e-8), START_NS))
+            self._buses["tty_imu"].add(NimuTwin(tip, WarmingClock(rng, 100e-6, 1e-8), START_NS))
             self._buses["tty_joint"].add(qsb)
-            self._buses["tty_cell"].add(ModbusLoadCell(elapsed, WarmingClock(rng, 100e-6), START_NS, capacity_n=1000.0))
+            self._buses["tty_cell"].add(
+                ModbusLoadCellTwin(elapsed, WarmingClock(rng, 100e-6), START_NS, capacity_n=1000.0)
+            )
             self._buses["tty_node"].add(node)
             pins += [qsb.dig_io, node.sync_edge]
             self.taken |= {"elbow": hands.taken_ns, "tip": tip.taken_ns}

@@ -24,7 +24,7 @@ from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
 from hil_sim.scenario.load import Scenario, ScenarioError, load
 from hil_sim.scenario.rocket_tables import RocketScenario
 from hil_sim.sensing.sensors import DriftingClock
-from hil_sim.twins import Sensor, Twins, sensor
+from hil_sim.twins import Sensor, Twins, emulators, sensor
 
 _VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
 
@@ -44,16 +44,18 @@ class Mission:
         now_ns: up to when the mission has been advanced.
 
     Raises:
-        ScenarioError: a ``[[fault]]`` table that is no fault, or a place in the plant that is not there.
+        ScenarioError: a device that is none, a ``[[fault]]`` table that is no fault, or a place in the plant that is
+            not there.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
         self.seed = seed
+        self._devices = emulators(scenario)
         self.plant = self._plant()
         self.sensors: dict[str, Sensor] = {}
         self._clocks: dict[str, DriftingClock] = {}
-        for name, device in scenario.device.items():
+        for name, device in self._devices.items():
             for signal, (table, _, at) in device.signals(name).items():
                 self.sensors[signal] = sensor(self.plant, scenario.sensor[table], self._rng(signal), at)
             for clock in device.clocks(name):
@@ -105,7 +107,7 @@ class Mission:
         self.start_ns = self.now_ns = start_ns
         plan = FaultPlan(self.faults, start_ns)
         clocks = {name: dataclasses.replace(clock, start_ns=start_ns) for name, clock in self._clocks.items()}
-        self._twins = Twins(self.scenario, buses, self.sensors, clocks, plan.of, start_ns, self.seed)
+        self._twins = Twins(self.scenario, self._devices, buses, self.sensors, clocks, plan.of, start_ns, self.seed)
         plan.check_all_taken()
         # the sync box first: what its pulse reaches may not be ahead of it
         can, lines = ([b for b in buses.values() if isinstance(b, kind)] for kind in (CanBus, PulseLine))

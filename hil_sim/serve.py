@@ -31,7 +31,7 @@ from hil_sim.buses.realtime import Server
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.scenario.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 
 _PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
 _USB_FRAME_NS: Final = 1_000_000  # no adapter hands characters over more often

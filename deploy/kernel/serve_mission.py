@@ -15,11 +15,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
-from hil_sim.realtime import Server
 
+from hil_sim.buses.realtime import Server
 from hil_sim.kernel.server import open_nodes
 from hil_sim.mission import Mission
-from hil_sim.scenario import load
+from hil_sim.scenario.load import load
 from hil_sim.serve import say, stops_on_signals
 
 REALTIME_PRIORITY = 60  # above the flight computer's own: hardware waits for no program

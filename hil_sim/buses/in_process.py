@@ -15,7 +15,7 @@ from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial, install_serial
 from hil_sim.devices.can_wire import WireFrame
-from hil_sim.scenario.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 
 
 class VirtualCan:

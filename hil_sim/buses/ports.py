@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from hil_sim.buses.media import Bus
-from hil_sim.scenario.device_tables import BusTable, SerialBusTable
+from hil_sim.scenario.bus_tables import BusTable, SerialBusTable
 
 
 class Port:

@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil_sim.devices.serial_wire import Heard, LineFormat, SerialDevice, SerialWire
+from hil_sim.devices.serial_wire import Heard, LineFormat, SerialStation, SerialWire
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after two status bytes
@@ -48,7 +48,7 @@ class SerialLink(Protocol):
 class _Wire(SerialWire):
     """One that knows which of the device's messages are samples."""
 
-    def __init__(self, device: SerialDevice, sample_length: Callable[[bytes], int]) -> None:
+    def __init__(self, device: SerialStation, sample_length: Callable[[bytes], int]) -> None:
         self._sample_length = sample_length
         self._ends_ns: deque[int] = deque()  # of samples that may still be under way
         super().__init__(device)
@@ -118,7 +118,7 @@ class SerialBus:
 
     def add(
         self,
-        device: SerialDevice,
+        device: SerialStation,
         made: Callable[[], int] = lambda: 0,
         sample_length: Callable[[bytes], int] = lambda message: 0,
     ) -> None:

@@ -1,10 +1,14 @@
 """The arm controller as the bus sees it: mission phase 2000h:1 and event counter 2000h:2 in TPDO1, on every change."""
 
 from collections.abc import Iterable
+from typing import Literal
 
+from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import CanopenNode
+from hil_sim.devices.emulator import Bench, Twin
 from hil_sim.devices.object_dictionary import Access, DataType, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, reported_phases
+from hil_sim.sensing.controller_sensors import PhaseSensor
 
 _PHASE = 0x2000_01_08
 _EVENTS = 0x2000_02_08
@@ -60,3 +64,16 @@ class ArmController(CanopenNode):
         self._events = (self._events + 1) & 0xFF
         self._event(self._tpdo_1, now_ns)
         self._next_change()
+
+
+class ArmControllerTable(CanNodeEmulator):
+    """The arm controller that tells the phase."""
+
+    quantities = ("phase",)
+
+    kind: Literal["arm_controller"]
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        twin = ArmController(self.node, bench.sensor(PhaseSensor).changes, bench.start_ns, faults=bench.faults)
+        return self.supervised(twin, bench.name)

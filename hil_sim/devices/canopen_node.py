@@ -13,7 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from hil_sim.devices.can_wire import Transmit
-from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, ObjectDictionary, SdoAbortError
+from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 from hil_sim.devices.sdo_server import serve
 from hil_sim.devices.tpdo import Tpdo
 from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
@@ -356,10 +356,10 @@ def _only_zero(value: int, now_ns: int) -> None:
     """1003h:0 takes a zero, which clears the error history."""
     del now_ns
     if value:
-        raise SdoAbortError(Abort.VALUE_RANGE)
+        raise DictionaryError(Abort.VALUE_RANGE)
 
 
 def _check_identifier(value: int, now_ns: int) -> None:
     del now_ns
     if value & ~0x7FF:
-        raise SdoAbortError(Abort.VALUE_RANGE)
+        raise DictionaryError(Abort.VALUE_RANGE)

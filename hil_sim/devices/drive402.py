@@ -19,15 +19,22 @@ index  object                         here
 6502h  supported drive modes          cyclic synchronous position and torque
 =====  =============================  ============================================================================
 """
+# ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Annotated, Final, Literal
 
+from pydantic import Field, PositiveFloat
+
+from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import OFF, OPERATIONAL, CanopenNode
-from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
+from hil_sim.devices.emulator import Bench, Signal, Twin
+from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.sensing.analog import ScalarAnalog
+from hil_sim.sensing.controller_sensors import MotorTorqueSensor
+from hil_sim.sensing.sensors import EncoderSensor
 
 # States by their bits in the statusword: 6, 5, 3, 2, 1, 0 (bit 4, voltage, and the others are added to them).
 SWITCH_ON_DISABLED = 0x40
@@ -263,7 +270,7 @@ class Drive402(CanopenNode):
     def _check_mode(value: int, now_ns: int) -> None:
         del now_ns
         if value not in (_MODE_CSP, _MODE_CST):
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
 
 
 def _wrap(increments: int) -> int:
@@ -274,3 +281,36 @@ def _wrap(increments: int) -> int:
 def _error_register(code: int) -> int:
     """1001h: generic error, and the bit of the error code's class."""
     return 0x01 | {2: 0x02, 3: 0x04, 4: 0x08, 8: 0x10}.get(code >> 12, 0)
+
+
+class Drive402Table(CanNodeEmulator):
+    """A CiA 402 drive. ``torque`` names its motor's sensor; ``channels``: what is recorded beside the angle."""
+
+    quantities = ("joint_angle",)
+
+    kind: Literal["drive402"]
+    torque: str
+    zero_count: Annotated[int, Field(ge=-(2**31), lt=2**31)] = 0
+    rated_torque_Nm: PositiveFloat
+    velocity_window_ms: PositiveFloat = 4.0
+    channels: tuple[Literal["velocity", "torque"], ...] = ()
+
+    def signals(self, name: str) -> dict[str, Signal]:
+        """See ``Emulator``."""
+        return {**super().signals(name), f"{name}_torque": Signal(self.torque, ("servo_torque",), self.at)}
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        encoder = bench.sensor(EncoderSensor)
+        twin = Drive402(
+            self.node,
+            encoder,
+            bench.sensor(MotorTorqueSensor, "torque"),
+            bench.start_ns,
+            increments_per_revolution=encoder.counts_per_revolution,
+            zero_increments=self.zero_count,
+            rated_torque_nm=self.rated_torque_Nm,
+            velocity_window_ns=round(self.velocity_window_ms * 1e6),
+            faults=bench.faults,
+        )
+        return self.supervised(twin, bench.name, *(f"{bench.name}_{channel}" for channel in self.channels))

@@ -17,15 +17,19 @@ within the manual's 50 ms.
 
 import math
 import re
-from typing import Final
+from typing import Annotated, Final, Literal
 
 import numpy as np
+from pydantic import Field
 
+from hil_sim.devices.emulator import FORCES, Bench, MeasuringEmulator, Twin
 from hil_sim.devices.sampled_scalar import SampledScalar
 from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.scenario.sensor_tables import NonNegative
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
+from hil_sim.sensing.sensors import LoadCellSensor
 
 _BAUD_RATES: Final = (2400, 4800, 9600, 19200, 38400, 57600, 76800, 115_200)
 _RATES_HZ: Final = (1, 2, 5, 10, 20, 50, 60, 100, 200, 500)
@@ -45,7 +49,7 @@ _LONGEST_DELAY_NS: Final = 50_000_000
 _CHORE_NS: Final = 100_000_000
 
 
-class DscLoadCell(SerialTwin):
+class DscLoadCellTwin(SerialTwin):
     """One converter with its cell.
 
     Args:
@@ -210,3 +214,33 @@ class DscLoadCell(SerialTwin):
         shown = min(round(abs(value) * 10.0**after), 10 ** (before + after) - 1)
         digits = f"{shown:0{before + after}d}"
         return f"{'-' if value < 0 and shown else '+'}{digits[:before]}.{digits[before:]}"
+
+
+class DscLoadCellTable(MeasuringEmulator):
+    """A Mantracourt DSC; ``delay_ms``: shortest and longest time that it takes to answer."""
+
+    baud_rates = _BAUD_RATES
+    quantities = FORCES
+
+    kind: Literal["dsc_load_cell"]
+    station: Annotated[int, Field(ge=1, le=999)] = 1
+    rate_code: Annotated[int, Field(ge=0, le=9)] = 9  # 500 conversions a second
+    delay_ms: tuple[NonNegative, NonNegative] = (1.0, 5.0)
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        cell = bench.sensor(LoadCellSensor)
+        shortest_ms, longest_ms = self.delay_ms
+        twin = DscLoadCellTwin(
+            cell,
+            bench.clock,
+            bench.start_ns,
+            station=self.station,
+            baud_code=_BAUD_RATES.index(bench.line.baud_rate),
+            rate_code=self.rate_code,
+            capacity_n=cell.capacity_N,
+            delay_ns=(round(shortest_ms * 1e6), round(longest_ms * 1e6)),
+            seed=bench.seed,
+            faults=bench.faults,
+        )
+        return Twin(twin, lambda: twin.produced, (bench.name,))

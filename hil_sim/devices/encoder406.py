@@ -5,11 +5,17 @@ decoding included. 6004h is unsigned and wraps modulo 2^32.
 """
 
 import math
+from typing import Annotated, Literal
 
+from pydantic import Field
+
+from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import CanopenNode
-from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
+from hil_sim.devices.emulator import Bench, Twin
+from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.sensing.analog import ScalarAnalog
+from hil_sim.sensing.sensors import EncoderSensor
 
 _POSITION = 0x6004_00_20
 _CODE_SEQUENCE, _SCALING = 0x0001, 0x0004
@@ -93,9 +99,32 @@ class Encoder406(CanopenNode):
     def _check_units(self, value: int, now_ns: int) -> None:
         del now_ns
         if not 1 <= value <= self._physical:
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
 
     def _check_operating(self, value: int, now_ns: int) -> None:
         del now_ns
         if value & ~(_CODE_SEQUENCE | _SCALING):
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
+
+
+class Encoder406Table(CanNodeEmulator):
+    """A CiA 406 encoder."""
+
+    quantities = ("joint_angle",)
+
+    kind: Literal["encoder406"]
+    zero_count: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        encoder = bench.sensor(EncoderSensor)
+        counts = encoder.counts_per_revolution
+        twin = Encoder406(
+            self.node,
+            encoder,
+            bench.start_ns,
+            zero_count=self.zero_count,
+            counts_per_revolution=counts,
+            faults=bench.faults,
+        )
+        return self.supervised(twin, bench.name)

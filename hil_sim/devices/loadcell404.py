@@ -4,10 +4,15 @@ The converter clips at the cell's capacity. 6150h bit 0 (value not valid) follow
 ``flags_overload`` is set: as in the units that were flown, full scale is otherwise a reading like any other.
 """
 
+from typing import Literal
+
+from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import CanopenNode
-from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, SdoAbortError
+from hil_sim.devices.emulator import FORCES, Bench, Twin
+from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.sensing.analog import ScalarAnalog
+from hil_sim.sensing.sensors import LoadCellSensor
 
 _PROCESS_VALUE = 0x9130_01_20
 _STATUS = 0x6150_01_08
@@ -91,10 +96,32 @@ class LoadCell404(CanopenNode):
 
     def _auto_zero(self, value: int, now_ns: int) -> None:
         if value != _ZERO:
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
         self._tare_n = self._force_n(now_ns)
 
     def _check_decimals(self, value: int, now_ns: int) -> None:
         del now_ns
         if value > _MAX_DECIMALS:
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
+
+
+class LoadCell404Table(CanNodeEmulator):
+    """A CiA 404 transmitter."""
+
+    quantities = FORCES
+
+    kind: Literal["loadcell404"]
+    flags_overload: bool = False
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        cell = bench.sensor(LoadCellSensor)
+        twin = LoadCell404(
+            self.node,
+            cell,
+            bench.start_ns,
+            capacity_n=cell.capacity_N,
+            flags_overload=self.flags_overload,
+            faults=bench.faults,
+        )
+        return self.supervised(twin, bench.name)

@@ -33,13 +33,18 @@ checked against the manual's own pages: status bit 9, and the codes of unit and 
 
 import math
 from collections import deque
-from typing import Final
+from typing import Annotated, Final, Literal
 
+from pydantic import Field
+
+from hil_sim.devices.emulator import FORCES, Bench, MeasuringEmulator, Twin
 from hil_sim.devices.sampled_scalar import SampledScalar
 from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.scenario.sensor_tables import NonNegative
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
+from hil_sim.sensing.sensors import LoadCellSensor
 
 DIVISIONS: Final = (
     *(100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1),
@@ -82,7 +87,7 @@ class _RefusalError(Exception):
         self.code = code
 
 
-class ModbusLoadCell(SerialTwin):
+class ModbusLoadCellTwin(SerialTwin):
     """One transmitter with its cell.
 
     Args:
@@ -295,3 +300,32 @@ class ModbusLoadCell(SerialTwin):
             self._saved = {at: v for at, v in self._stored.items() if at in (*_SETPOINTS, *_HYSTERESES)}
         elif command:
             raise _RefusalError(_ILLEGAL_VALUE)
+
+
+class ModbusLoadCellTable(MeasuringEmulator):
+    """A transmitter with the Laumas map; ``signs_in_status``: magnitudes, and their signs in the status word."""
+
+    quantities = FORCES
+
+    kind: Literal["modbus_load_cell"]
+    station: Annotated[int, Field(ge=1, le=247)] = 1
+    division_code: Annotated[int, Field(ge=0, le=18)] = 15  # 1 mN
+    signs_in_status: bool = True
+    reply_ms: NonNegative = 0.5
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        cell = bench.sensor(LoadCellSensor)
+        twin = ModbusLoadCellTwin(
+            cell,
+            bench.clock,
+            bench.start_ns,
+            station=self.station,
+            line=bench.line,
+            capacity_n=cell.capacity_N,
+            division=self.division_code,
+            signs_in_status=self.signs_in_status,
+            reply_ns=round(self.reply_ms * 1e6),
+            faults=bench.faults,
+        )
+        return Twin(twin, lambda: twin.produced, (bench.name,))

@@ -32,7 +32,7 @@ _LAZY_NS = 50_000_000
 _SECOND_NS = 1_000_000_000
 
 
-class Mpu6050:
+class Mpu6050Twin:
     """One chip.
 
     Args:

@@ -19,18 +19,22 @@ here; public code that talks to real units sums all 37 bytes before it, synchron
 baud 8N1, and those are the defaults. Samples stand on the device's own clock; every word of a packet belongs to the
 instant of its timer. A packet leaves ``latency_ns`` after that instant. The device takes no commands.
 """
+# ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
 import math
 from enum import StrEnum
-from typing import Final, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import PositiveFloat
 
+from hil_sim.devices.emulator import Bench, MeasuringEmulator, Twin
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyImu
 from hil_sim.sensing.analog import ChipClock, ImuAnalog
+from hil_sim.sensing.sensors import ImuSensor
 
 _SIZE: Final = 38
 _GYRO_DPS: Final = 1.3733e-2  # a count, +-300 deg/s model
@@ -83,7 +87,7 @@ class _QuietField:
         return np.tile((0.21, 0.02, -0.44), (len(times_s), 1))
 
 
-class Nimu(SerialTwin):
+class NimuTwin(SerialTwin):
     """One unit.
 
     Args:
@@ -187,3 +191,28 @@ class Nimu(SerialTwin):
 
 def _to_words(counts: NDArray[np.float64]) -> NDArray[np.int16]:
     return np.clip(np.rint(counts), -32768, 32767).astype(np.int16)
+
+
+class NimuTable(MeasuringEmulator):
+    """A Memsense nIMU."""
+
+    quantities = ("inertial",)
+
+    kind: Literal["nimu"]
+    rate_Hz: PositiveFloat = 150.0
+    checksum: Literal["packet", "after_sync", "payload"] = "packet"
+    magnetometer: bool = True  # whether its words are recorded, as NAME_mag_x, _y, _z; they are sent always
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        nimu = NimuTwin(
+            bench.sensor(ImuSensor),
+            bench.clock,
+            bench.start_ns,
+            rate_hz=self.rate_Hz,
+            line=bench.line,
+            checksum=self.checksum,
+            faults=bench.faults,
+        )
+        magnetometer = [f"{bench.name}_mag_{axis}" for axis in "xyz"] if self.magnetometer else []
+        return Twin(nimu, lambda: nimu.produced, (bench.name, *magnetometer), len)

@@ -4,16 +4,22 @@ The node samples all channels at once at its own rate, the first time one period
 each sample and a descriptor at its start and once a second. Its clock is a counter from power-up; from its start on the
 sync line latches it by input capture. A frame that finds the UART's queue full is not sent, and its number is left out.
 """
+# ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
 import struct
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple
 
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from hil_sim.devices.emulator import FORCES, Bench, Emulator, Signal, Twin
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
+from hil_sim.scenario.sensor_tables import Quantity, Table
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
+from hil_sim.sensing.sensors import ImuSensor
 
 _DATA, _DESCRIPTOR = 0x10, 0x11
 _SATURATED: Final = 0x02  # status
@@ -22,6 +28,7 @@ _MOST_CHANNELS: Final = 65
 _CRC_POLYNOMIAL: Final = 0x1021
 _WIDTH_32: Final = 1 << 32
 _SECOND_NS: Final = 1_000_000_000
+_MEASURABLE: Final[tuple[Quantity, ...]] = ("joint_angle", *FORCES, "servo_torque", "phase")
 _CONVERSION_NS: Final = 50_000  # from a sample to the first bit of its frame
 _LOOK_AHEAD_NS: Final = 1_000_000_000
 
@@ -290,3 +297,61 @@ def _pack(channel: NodeChannel, value: float) -> tuple[bytes, bool]:
         return ((counts - low) % (1 << bits) + low).to_bytes(bits // 8, "little", signed=signed), False
     clipped = min(max(counts, low), high)
     return clipped.to_bytes(bits // 8, "little", signed=signed), clipped != counts or limited != scaled
+
+
+class NodeChannelTable(Table):
+    """One channel of a node; recorded as ``NODE_NAME``. One count is ``mantissa`` x 10^``exponent`` ``unit``."""
+
+    name: Annotated[str, Field(min_length=1, max_length=16)]
+    measures: str
+    at: str = ""
+    unit: Annotated[str, Field(min_length=1, max_length=8)]
+    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "i64"]
+    mantissa: int = 1
+    exponent: int = 0
+    wraps: bool = False
+
+
+class NodeFrameTable(Emulator):
+    """A microcontroller of one's own that speaks the node frame."""
+
+    kind: Literal["node_frame"]
+    bus: str
+    node: Annotated[int, Field(ge=0, le=255)] = 1
+    rate_Hz: PositiveFloat = 200.0
+    tick_Hz: PositiveInt = 1_000_000
+    sync_input: bool = True
+    channel: Annotated[tuple[NodeChannelTable, ...], Field(min_length=1, max_length=65)]
+
+    def signals(self, name: str) -> dict[str, Signal]:
+        """See ``Emulator``."""
+        return {f"{name}_{channel.name}": Signal(channel.measures, _MEASURABLE, channel.at) for channel in self.channel}
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        node = FrameNode(
+            [_channel(bench, channel) for channel in self.channel],
+            bench.clock,
+            bench.start_ns,
+            node=self.node,
+            rate_hz=self.rate_Hz,
+            tick_hz=self.tick_Hz,
+            line=bench.line,
+            faults=bench.faults,
+        )
+        channels = tuple(f"{bench.name}_{channel.name}" for channel in self.channel)
+        pin = node.sync_edge if self.sync_input else None
+        return Twin(node, lambda: node.produced, channels, _data_frame_length, pin)
+
+
+def _channel(bench: Bench, table: NodeChannelTable) -> NodeChannel:
+    analog = bench.sensors[f"{bench.name}_{table.name}"]
+    if isinstance(analog, ImuSensor):
+        raise ValueError(f"channel {table.name} has one value; name a sensor that has one too.")
+    kind = ValueType[table.type.upper()]
+    return NodeChannel(table.name, table.unit, kind, analog, table.mantissa, table.exponent, table.wraps)
+
+
+def _data_frame_length(frame: bytes) -> int:
+    """Of a node's frame of kind 10h, which stands behind the first byte of its stuffing."""
+    return len(frame) if frame[1:2] == b"\x10" else 0

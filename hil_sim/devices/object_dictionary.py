@@ -22,7 +22,7 @@ class Abort(IntEnum):
     DEVICE_STATE = 0x08000022
 
 
-class SdoAbortError(Exception):
+class DictionaryError(Exception):
     """An access that the dictionary refuses."""
 
     def __init__(self, code: Abort) -> None:
@@ -61,7 +61,7 @@ class Entry:
         access: SDO access.
         value: The stored value, used where ``read`` is None.
         read: The live value at a time in ns.
-        check: Called with (value, now_ns) before a write is stored; refuses by ``SdoAbortError``.
+        check: Called with (value, now_ns) before a write is stored; refuses by ``DictionaryError``.
         changed: Called with (value, now_ns) after a write was stored.
         mappable: Whether a TPDO may carry it.
     """
@@ -112,22 +112,22 @@ class ObjectDictionary:
         """The sub-object.
 
         Raises:
-            SdoAbortError: there is none.
+            DictionaryError: there is none.
         """
         entry = self._entries.get((index, sub))
         if entry is None:
-            raise SdoAbortError(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
+            raise DictionaryError(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
         return entry
 
     def upload(self, index: int, sub: int, now_ns: int) -> bytes:
         """Answer an SDO read.
 
         Raises:
-            SdoAbortError: no such object, or write-only.
+            DictionaryError: no such object, or write-only.
         """
         entry = self.find(index, sub)
         if entry.access is Access.WO:
-            raise SdoAbortError(Abort.WRITE_ONLY)
+            raise DictionaryError(Abort.WRITE_ONLY)
         return entry.pack(now_ns)
 
     def download(self, index: int, sub: int, data: bytes, *, sized: bool, now_ns: int) -> None:
@@ -141,13 +141,13 @@ class ObjectDictionary:
             now_ns: Time of the write.
 
         Raises:
-            SdoAbortError: no such object, read-only, wrong length, or a value that the device refuses.
+            DictionaryError: no such object, read-only, wrong length, or a value that the device refuses.
         """
         entry = self.find(index, sub)
         if entry.access is Access.RO:
-            raise SdoAbortError(Abort.READ_ONLY)
+            raise DictionaryError(Abort.READ_ONLY)
         if sized and len(data) != entry.size:
-            raise SdoAbortError(Abort.LENGTH)
+            raise DictionaryError(Abort.LENGTH)
         value: int = struct.unpack(entry.data_type, data[: entry.size])[0]
         if entry.check is not None:
             entry.check(value, now_ns)

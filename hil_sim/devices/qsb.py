@@ -42,7 +42,7 @@ _SPURIOUS_HIGH_NS: Final = 300_000
 _CAPTURE_NOW: Final = 2  # beside the levels 0 and 1 in the queue of input events
 
 
-class Qsb(SerialTwin):
+class QsbTwin(SerialTwin):
     """One adapter with its encoder.
 
     Args:

@@ -1,6 +1,6 @@
 """The SDO server of a simulated node (CiA 301, 7.2.4): expedited transfers; others are aborted with 05040001h."""
 
-from hil_sim.devices.object_dictionary import Abort, ObjectDictionary, SdoAbortError
+from hil_sim.devices.object_dictionary import Abort, DictionaryError, ObjectDictionary
 
 
 def serve(dictionary: ObjectDictionary, request: bytes, now_ns: int) -> tuple[bytes | None, tuple[int, int] | None]:
@@ -22,6 +22,6 @@ def serve(dictionary: ObjectDictionary, request: bytes, now_ns: int) -> tuple[by
             length = 4 - (command >> 2 & 3) if sized else 4
             dictionary.download(index, sub, request[4 : 4 + length], sized=sized, now_ns=now_ns)
             return b"\x60" + head + bytes(4), None
-        raise SdoAbortError(Abort.COMMAND)
-    except SdoAbortError as abort:
+        raise DictionaryError(Abort.COMMAND)
+    except DictionaryError as abort:
         return b"\x80" + head + abort.code.to_bytes(4, "little"), None

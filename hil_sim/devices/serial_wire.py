@@ -44,7 +44,7 @@ class Transmit(Protocol):
         """Send ``data``, not before ``ready_ns`` nor before what was sent earlier; returns when the last bit ends."""
 
 
-class SerialDevice(Protocol):
+class SerialStation(Protocol):
     """A device at the end of a serial line."""
 
     @property
@@ -126,7 +126,7 @@ class SerialWire:
         device: What hangs on it.
     """
 
-    def __init__(self, device: SerialDevice) -> None:
+    def __init__(self, device: SerialStation) -> None:
         self.host: LineFormat | None = None  # the host's port while it is open
         self._device = device
         self._to_device: deque[Heard] = deque()

@@ -1,6 +1,6 @@
 """One transmit PDO of a CANopen node (CiA 301, 7.5.2.35 to 7.5.2.38): its objects, and when it is to be sent."""
 
-from hil_sim.devices.object_dictionary import Abort, Access, DataType, Entry, ObjectDictionary, SdoAbortError
+from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 
 _INVALID = 0x8000_0000  # COB-ID bit 31: the PDO does not exist
 _MAX_MAPPED = 8
@@ -118,36 +118,36 @@ class Tpdo:
     def _entry(self, mapping: int) -> Entry:
         entry = self._dictionary.find(mapping >> 16, mapping >> 8 & 0xFF)
         if not entry.mappable or mapping & 0xFF != 8 * entry.size:
-            raise SdoAbortError(Abort.NOT_MAPPABLE)
+            raise DictionaryError(Abort.NOT_MAPPABLE)
         return entry
 
     def _check_cob_id(self, value: int, now_ns: int) -> None:
         del now_ns
         if value & 0x3FFF_F800 or (self.valid and not value & _INVALID and value & 0x7FF != self.cob_id):
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
 
     def _check_type(self, value: int, now_ns: int) -> None:
         del now_ns
         if not value or _LAST_CYCLIC < value < _FIRST_EVENT:
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
 
     def _check_not_valid(self, value: int, now_ns: int) -> None:
         del value, now_ns
         if self.valid:
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
 
     def _check_slot(self, value: int, now_ns: int) -> None:
         del now_ns
         if self.valid or self._count.value:
-            raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
+            raise DictionaryError(Abort.UNSUPPORTED_ACCESS)
         if value:
             self._entry(value)
 
     def _check_count(self, value: int, now_ns: int) -> None:
         del now_ns
         if self.valid:
-            raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
+            raise DictionaryError(Abort.UNSUPPORTED_ACCESS)
         if value > _MAX_MAPPED:
-            raise SdoAbortError(Abort.VALUE_RANGE)
+            raise DictionaryError(Abort.VALUE_RANGE)
         if sum(self._entry(slot.value).size for slot in self._slots[:value]) > 8:
-            raise SdoAbortError(Abort.PDO_LENGTH)
+            raise DictionaryError(Abort.PDO_LENGTH)

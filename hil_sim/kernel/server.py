@@ -15,7 +15,7 @@ from hil_sim.buses.ports import Port, Ports, open_ports
 from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
 from hil_sim.kernel.socketcan import SocketCan
-from hil_sim.scenario.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from hil_sim.serve import SerialPort
 
 _BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it

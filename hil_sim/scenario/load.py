@@ -1,7 +1,8 @@
 """Reads scenario TOML into frozen objects; units are in the keys, unknown keys are refused.
 
 The schema: ``tables`` has the common tables, ``rocket_tables`` and ``free_flyer_tables`` those of the plants,
-``sensor_tables`` and ``device_tables`` the rest. The TOML file gives the source of each number beside it. A scenario
+``sensor_tables`` and ``bus_tables`` the rest; the keys of a device are read by its emulator where a mission is made.
+The TOML file gives the source of each number beside it. A scenario
 may be ``based_on`` another: its tables override those of the other, but the wiring (``bus``, ``device``, ``clock``) is
 taken from one of the two as a whole.
 """

@@ -2,10 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from hil_sim.scenario import wiring
-from hil_sim.scenario.device_tables import BusTable, DeviceTable
+from hil_sim.scenario.bus_tables import BusTable, DeviceTable
 from hil_sim.scenario.sensor_tables import Clock, Sensor, Table
 
 
@@ -23,7 +22,11 @@ class Header(Table):
 
 
 class Scenario(Table):
-    """A whole mission but for its bodies. ``fault`` tables are passed on to ``hil_sim.faults`` as they are."""
+    """A whole mission but for its bodies.
+
+    ``device`` tables are read by ``hil_sim.devices``, and ``fault`` tables by ``hil_sim.faults``, where a mission is
+    made of them.
+    """
 
     scenario: Header
     sensor: dict[str, Sensor]
@@ -31,10 +34,3 @@ class Scenario(Table):
     bus: dict[str, BusTable]
     device: Annotated[dict[str, DeviceTable], Field(min_length=1)]
     fault: tuple[dict[str, Any], ...] = ()
-
-    @model_validator(mode="after")
-    def _wiring_is_sound(self) -> "Scenario":
-        wrong = list(wiring.problems(self.bus, self.device, self.sensor, self.clock))
-        if wrong:
-            raise ValueError("; ".join(wrong))
-        return self

@@ -9,17 +9,17 @@ from drivers.records import Batch, Rows
 from hil_sim.buses.in_process import in_process
 from hil_sim.devices.arm_controller import ArmController
 from hil_sim.devices.drive402 import Drive402
-from hil_sim.devices.dsc_load_cell import DscLoadCell
+from hil_sim.devices.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.modbus_load_cell import ModbusLoadCell
-from hil_sim.devices.mpu6050 import Mpu6050
-from hil_sim.devices.nimu import Nimu
+from hil_sim.devices.modbus_load_cell import ModbusLoadCellTwin
+from hil_sim.devices.mpu6050 import Mpu6050Twin
+from hil_sim.devices.nimu import NimuTwin
 from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
-from hil_sim.devices.qsb import Qsb
+from hil_sim.devices.qsb import QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync_box import SyncBox
-from hil_sim.scenario.device_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
+from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config
 from onboard.flight.devices import OpenDevices, open_devices
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu
@@ -87,8 +87,8 @@ class MixedWorld:
         loop = directory / "loop.sock"
         self.urls = {**self._ports.urls, "loop_out": f"gpio-out+unix://{loop}", "loop_in": f"gpio+unix://{loop}"}
         bus = self._ports.buses
-        self.imu = Mpu6050(StairImu(), RateClock(0.004), START_NS)
-        self.qsb = Qsb(Analog(angle(3)), RateClock(), START_NS)
+        self.imu = Mpu6050Twin(StairImu(), RateClock(0.004), START_NS)
+        self.qsb = QsbTwin(Analog(angle(3)), RateClock(), START_NS)
         self.node = FrameNode(_node_channels(), RateClock(-0.001), START_NS, node=7, line=LineFormat(230_400))
         bus["i2c_1"].add(self.imu)
         self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)
@@ -107,10 +107,10 @@ class MixedWorld:
                 box.connect_pin(self.imu.fsync)
         for node in nodes:
             bus["can_0"].add(node)
-        bus["tty_imu"].add(Nimu(StairImu(), RateClock(0.002), START_NS))
+        bus["tty_imu"].add(NimuTwin(StairImu(), RateClock(0.002), START_NS))
         bus["tty_joint"].add(self.qsb)
-        bus["tty_cell"].add(ModbusLoadCell(Analog(lambda t: FORCE_N), RateClock(), START_NS))
-        bus["tty_grip"].add(DscLoadCell(Analog(lambda t: FORCE_N), RateClock(), START_NS))
+        bus["tty_cell"].add(ModbusLoadCellTwin(Analog(lambda t: FORCE_N), RateClock(), START_NS))
+        bus["tty_grip"].add(DscLoadCellTwin(Analog(lambda t: FORCE_N), RateClock(), START_NS))
         bus["tty_node"].add(self.node)
         for _ in range(BOOT_MS):
             self.advance(MS)

@@ -26,7 +26,7 @@ from hil_sim.buses.media import I2cBus
 from hil_sim.buses.realtime import Server
 from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.can_wire import WireFrame
-from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.mpu6050 import Mpu6050Twin
 from hil_sim.serve import open_sockets
 from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, FlatImu, RateClock, SmallMission
 
@@ -150,7 +150,7 @@ def test_a_client_that_does_not_read_loses_frames_and_is_told(terminal):
 class SocketBench:
     def __init__(self, directory, bit_rate=400_000):
         self.bus = I2cBus()
-        self.chip = Mpu6050(FlatImu([0x0102] * 7), RateClock(), START_NS)
+        self.chip = Mpu6050Twin(FlatImu([0x0102] * 7), RateClock(), START_NS)
         self.bus.add(self.chip)
         path = directory / "i2c.sock"
         self.server = I2cSocket(path, self.bus, bit_rate)

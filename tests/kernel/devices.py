@@ -23,7 +23,7 @@ from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.buses.realtime import Server
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.mpu6050 import Mpu6050Twin
 from hil_sim.devices.sync_box import SyncBox
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.kernel.server import open_nodes
@@ -95,7 +95,7 @@ class Bench:
         assert isinstance(pulse, PulseLine)
         plan = FaultPlan([Fault(**fault) for fault in settings.get("faults", [])], start_ns)
         self._i2c, self._can, self._pulse = i2c, can, pulse
-        self.imu = Mpu6050(CountingImu(), TrueClock(start_ns), start_ns, faults=plan.of("imu_base"))
+        self.imu = Mpu6050Twin(CountingImu(), TrueClock(start_ns), start_ns, faults=plan.of("imu_base"))
         i2c.add(self.imu)
         i2c.inject(plan.of("i2c_1"))
         self.box = SyncBox(TrueClock(start_ns), start_ns, faults=plan.of("sync_box"))

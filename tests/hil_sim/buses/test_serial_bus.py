@@ -10,9 +10,9 @@ from hypothesis import given
 
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial, VirtualSerial, install_serial
-from hil_sim.devices.dsc_load_cell import DscLoadCell
-from hil_sim.devices.nimu import Nimu
-from hil_sim.devices.qsb import Qsb
+from hil_sim.devices.dsc_load_cell import DscLoadCellTwin
+from hil_sim.devices.nimu import NimuTwin
+from hil_sim.devices.qsb import QsbTwin
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, Fault, FaultError, FaultPlan
@@ -89,7 +89,7 @@ def test_one_user_at_a_time_and_a_closed_port_says_so():
 
 
 def test_what_comes_while_nobody_has_it_open_is_lost():
-    rig = Rig(device=Nimu(StairImu(), RateClock(), START_NS))
+    rig = Rig(device=NimuTwin(StairImu(), RateClock(), START_NS))
     rig.run(500)
     port = rig.adapter.open(FAST)
     assert port.in_waiting == 0
@@ -98,7 +98,7 @@ def test_what_comes_while_nobody_has_it_open_is_lost():
 
 
 def test_buffers_can_be_emptied_and_overflow_is_counted():
-    rig = Rig(device=Nimu(StairImu(), RateClock(), START_NS))
+    rig = Rig(device=NimuTwin(StairImu(), RateClock(), START_NS))
     port = rig.adapter.open(FAST)
     rig.run(15_000)
     assert port.in_waiting == 65_536
@@ -127,7 +127,7 @@ def test_the_speed_of_the_port_is_honoured():
 
 
 def test_dtr_reaches_the_adapter_that_wants_it():
-    qsb = Qsb(Analog(lambda t: 0.0), RateClock(), START_NS)
+    qsb = QsbTwin(Analog(lambda t: 0.0), RateClock(), START_NS)
     bus = SerialBus(adapter := VirtualSerial("/dev/hil-qsb", lambda level: qsb.drive_dtr(level, bus_now[0])))
     bus.add(qsb)
     bus_now = [START_NS]
@@ -192,7 +192,7 @@ def test_a_bus_without_a_device_does_nothing():
 
 def test_stations_on_one_line_answer_for_themselves_and_obey_broadcasts_together():
     force = [5.0]
-    cells = [DscLoadCell(Analog(lambda t, k=k: k * force[0]), RateClock(), START_NS, station=k) for k in (1, 2, 3)]
+    cells = [DscLoadCellTwin(Analog(lambda t, k=k: k * force[0]), RateClock(), START_NS, station=k) for k in (1, 2, 3)]
     bus = SerialBus(adapter := VirtualSerial("/dev/hil-line"))
     for cell in cells:
         bus.add(cell)
@@ -334,7 +334,7 @@ def test_unplugged_twice_in_a_row_is_once():
 
 
 def test_the_twin_lives_on_while_it_is_unplugged():
-    nimu = Nimu(StairImu(), RateClock(), START_NS)
+    nimu = NimuTwin(StairImu(), RateClock(), START_NS)
     rig = Rig(Fault("unplug", "line", 0.5, 1.0), device=nimu)
     rig.run(1500)
     assert nimu.produced == pytest.approx(1.25 * 150, abs=1)

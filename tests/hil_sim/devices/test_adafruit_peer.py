@@ -11,7 +11,7 @@ from adafruit_mpu6050 import MPU6050, Bandwidth, ClockSource, GyroRange, Range, 
 from smbus2 import SMBus
 
 from hil_sim.buses.i2c_dev import install_i2c
-from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.mpu6050 import Mpu6050Twin
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.circuitpython_i2c import SmbusI2c
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock
@@ -59,7 +59,7 @@ def adafruit_on():
 
     def make(analog, address=0x68, faults=()):
         clock = Slow()
-        chip = Mpu6050(analog, RateClock(), START_NS, faults=FaultPlan(faults, START_NS).of("imu"))
+        chip = Mpu6050Twin(analog, RateClock(), START_NS, faults=FaultPlan(faults, START_NS).of("imu"))
         installed = install_i2c("/dev/i2c-1", [chip], clock)
         bus = SMBus(1)
         ends.extend([bus.close, installed.uninstall])

@@ -4,7 +4,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.dsc_load_cell import DscLoadCell
+from hil_sim.devices.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
@@ -17,7 +17,7 @@ class Bench(Line):
     def __init__(self, force=0.0, **options):
         self.force = force
         self.analog = Analog(lambda t: self.force(t) if callable(self.force) else self.force)
-        super().__init__(DscLoadCell(self.analog, RateClock(), START_NS, **options))
+        super().__init__(DscLoadCellTwin(self.analog, RateClock(), START_NS, **options))
         self.run(300)
 
 
@@ -153,7 +153,7 @@ def test_station_and_speed_change_with_the_restart():
     [(0, 2400), (1, 4800), (2, 9600), (3, 19_200), (4, 38_400), (5, 57_600), (6, 76_800), (7, 115_200)],
 )
 def test_speeds(code, baud_rate):
-    assert DscLoadCell(Analog(lambda t: 0.0), RateClock(), START_NS, baud_code=code).line == LineFormat(baud_rate)
+    assert DscLoadCellTwin(Analog(lambda t: 0.0), RateClock(), START_NS, baud_code=code).line == LineFormat(baud_rate)
 
 
 @pytest.mark.parametrize(

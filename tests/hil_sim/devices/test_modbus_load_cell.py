@@ -13,7 +13,7 @@ from pymodbus.client import ModbusSerialClient
 
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
-from hil_sim.devices.modbus_load_cell import DIVISIONS, ModbusLoadCell, crc16
+from hil_sim.devices.modbus_load_cell import DIVISIONS, ModbusLoadCellTwin, crc16
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line, RealTime
@@ -29,7 +29,7 @@ class Bench(Line):
     def __init__(self, force=0.0, **options):
         self.force = force
         self.analog = Analog(lambda t: self.force(t) if callable(self.force) else self.force)
-        super().__init__(ModbusLoadCell(self.analog, RateClock(), START_NS, **options))
+        super().__init__(ModbusLoadCellTwin(self.analog, RateClock(), START_NS, **options))
         self.run(600)
 
     def frame(self, hexadecimal, ms=20):
@@ -318,7 +318,7 @@ def test_a_refused_write_writes_nothing():
 
 
 def test_no_answer_before_it_has_started():
-    cell = ModbusLoadCell(Analog(lambda t: 0.0), RateClock(), START_NS)
+    cell = ModbusLoadCellTwin(Analog(lambda t: 0.0), RateClock(), START_NS)
     line = Line(cell)
     line.run(400)
     assert line.ask(bytes.fromhex("01 03 00 07 00 02 75 CA"), 80) == b""
@@ -376,7 +376,7 @@ def terminal():
     start_ns = time.monotonic_ns()
     link = PtySerial()
     bus = SerialBus(link)
-    bus.add(ModbusLoadCell(Analog(lambda t: -32.1), RateClock(start_ns=start_ns), start_ns, boot_ns=0))
+    bus.add(ModbusLoadCellTwin(Analog(lambda t: -32.1), RateClock(start_ns=start_ns), start_ns, boot_ns=0))
     with RealTime(bus):
         yield link.path
     link.close()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.mpu6050 import Mpu6050Twin
 from hil_sim.devices.mpu6050_map import FactoryTrim
 from hil_sim.faults import Fault, FaultKind, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, StairImu
@@ -38,7 +38,7 @@ class Bench:
     def __init__(self, analog=None, rate_error=0.0, **options):
         self.analog = analog or StairImu()
         self.clock = RateClock(rate_error)
-        self.chip = Mpu6050(self.analog, self.clock, START_NS, **options)
+        self.chip = Mpu6050Twin(self.analog, self.clock, START_NS, **options)
         self.now_ns = START_NS
 
     def wait(self, ms):
@@ -78,7 +78,7 @@ def test_reset_values_are_zero_but_for_sleep_and_identity():
 
 @pytest.mark.parametrize("address", [0x68, 0x69])
 def test_identity_is_68_whatever_the_address(address):
-    chip = Mpu6050(StairImu(), RateClock(), START_NS, address=address)
+    chip = Mpu6050Twin(StairImu(), RateClock(), START_NS, address=address)
     assert chip.transfer(address, b"\x75", 1, START_NS) == b"\x68"
     with pytest.raises(OSError, match="Remote I/O") as caught:
         chip.transfer(address ^ 1, b"\x75", 1, START_NS)

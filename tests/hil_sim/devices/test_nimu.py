@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil_sim.devices.nimu import Nimu
+from hil_sim.devices.nimu import NimuTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
@@ -18,7 +18,7 @@ class Field:
 
 
 def unit(analog=None, rate_error=0.0, **options):
-    return Nimu(analog or StairImu(), RateClock(rate_error), START_NS, **options)
+    return NimuTwin(analog or StairImu(), RateClock(rate_error), START_NS, **options)
 
 
 def faults(*faults):

@@ -15,7 +15,7 @@ from hil_sim.buses.in_process import VirtualCan
 from hil_sim.buses.media import CanBus, I2cBus, PulseLine
 from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.can_wire import WireFrame
-from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.mpu6050 import Mpu6050Twin
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, SmallMission, StairImu
 
 
@@ -55,7 +55,7 @@ def raspberry_on(raspberry):
     installed, opened = [], []
 
     def make(analog):
-        chip, clock = Mpu6050(analog, RateClock(), START_NS), Slow()
+        chip, clock = Mpu6050Twin(analog, RateClock(), START_NS), Slow()
         installed.append(install_i2c("/dev/i2c-1", [chip], clock))
         opened.append(raspberry(0x68, bus=1))
         clock.now_ns += 10 * MS

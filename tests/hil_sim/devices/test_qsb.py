@@ -11,7 +11,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, Qsb
+from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
@@ -27,7 +27,7 @@ class Bench(Line):
     def __init__(self, counts_s=0.0, angle=None, rate_error=0.0, boot=True, **options):
         self.clock = RateClock(rate_error)
         self._rest = ""
-        super().__init__(Qsb(Analog(angle or (lambda t: counts_s * COUNT * t)), self.clock, START_NS, **options))
+        super().__init__(QsbTwin(Analog(angle or (lambda t: counts_s * COUNT * t)), self.clock, START_NS, **options))
         if boot:
             assert self.run(150) == b"QSB-D  0E!\r\n"
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from hil_sim.devices.dsc_load_cell import DscLoadCell
-from hil_sim.devices.modbus_load_cell import ModbusLoadCell
-from hil_sim.devices.nimu import Nimu
+from hil_sim.devices.dsc_load_cell import DscLoadCellTwin
+from hil_sim.devices.modbus_load_cell import ModbusLoadCellTwin
+from hil_sim.devices.nimu import NimuTwin
 from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
-from hil_sim.devices.qsb import Qsb
+from hil_sim.devices.qsb import QsbTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
@@ -26,11 +26,11 @@ def ramp(t):
 
 
 def nimu(faults):
-    return Nimu(StairImu(), RateClock(), START_NS, faults=faults)
+    return NimuTwin(StairImu(), RateClock(), START_NS, faults=faults)
 
 
 def qsb(faults):
-    return Qsb(Analog(ramp), RateClock(), START_NS, faults=faults)
+    return QsbTwin(Analog(ramp), RateClock(), START_NS, faults=faults)
 
 
 def node(faults):
@@ -39,11 +39,11 @@ def node(faults):
 
 
 def modbus(faults):
-    return ModbusLoadCell(Analog(ramp), RateClock(), START_NS, faults=faults)
+    return ModbusLoadCellTwin(Analog(ramp), RateClock(), START_NS, faults=faults)
 
 
 def dsc(faults):
-    return DscLoadCell(Analog(ramp), RateClock(), START_NS, faults=faults)
+    return DscLoadCellTwin(Analog(ramp), RateClock(), START_NS, faults=faults)
 
 
 TALKERS = {"nimu": nimu, "qsb": qsb, "node": node}

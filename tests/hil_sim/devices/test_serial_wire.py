@@ -4,11 +4,11 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.dsc_load_cell import DscLoadCell
-from hil_sim.devices.modbus_load_cell import ModbusLoadCell
-from hil_sim.devices.nimu import Nimu
+from hil_sim.devices.dsc_load_cell import DscLoadCellTwin
+from hil_sim.devices.modbus_load_cell import ModbusLoadCellTwin
+from hil_sim.devices.nimu import NimuTwin
 from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
-from hil_sim.devices.qsb import Qsb
+from hil_sim.devices.qsb import QsbTwin
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat, SerialWire, hear, waveform
 from hil_sim.faults import NO_FAULTS, Fault, FaultError, FaultPlan
@@ -227,10 +227,10 @@ def nothing(t):
 
 
 TWINS = {
-    "nimu": lambda: Nimu(StairImu(), RateClock(), START_NS),
-    "qsb": lambda: Qsb(Analog(nothing), RateClock(), START_NS),
-    "modbus": lambda: ModbusLoadCell(Analog(nothing), RateClock(), START_NS),
-    "dsc": lambda: DscLoadCell(Analog(nothing), RateClock(), START_NS),
+    "nimu": lambda: NimuTwin(StairImu(), RateClock(), START_NS),
+    "qsb": lambda: QsbTwin(Analog(nothing), RateClock(), START_NS),
+    "modbus": lambda: ModbusLoadCellTwin(Analog(nothing), RateClock(), START_NS),
+    "dsc": lambda: DscLoadCellTwin(Analog(nothing), RateClock(), START_NS),
     "node": lambda: FrameNode([NodeChannel("a", "N", ValueType.I32, Analog(nothing))], RateClock(), START_NS),
 }
 

@@ -9,9 +9,9 @@ from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.devices.can_wire import CanTalker, CanWire, WireFrame
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.mpu6050 import Mpu6050Twin
 from hil_sim.devices.sync_box import SyncBox
-from hil_sim.scenario.device_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable
+from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable
 
 BUSES: dict[str, BusTable] = {
     "i2c_1": I2cBusTable(kind="i2c"),
@@ -126,7 +126,7 @@ class SmallMission:
     def attach(self, *, i2c: I2cBus, can: CanBus, pulse: PulseLine, start_ns: int) -> None:
         self.i2c, self.can, self.pulse = i2c, can, pulse
         self.start_ns = self.now_ns = start_ns
-        self.imu = Mpu6050(FlatImu([0, 0, 8192, -500, 0, 0, 0]), RateClock(0.003, start_ns), start_ns)
+        self.imu = Mpu6050Twin(FlatImu([0, 0, 8192, -500, 0, 0, 0]), RateClock(0.003, start_ns), start_ns)
         self.box = SyncBox(RateClock(0.0, start_ns), start_ns)
         self.joint = Encoder406(1, Analog(lambda t: 0.1 * t), start_ns, zero_count=1000)
         self.cell = LoadCell404(2, Analog(lambda t: 1.5), start_ns)

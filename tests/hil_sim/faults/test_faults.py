@@ -14,7 +14,7 @@ from hil_sim.devices.arm_controller import ArmController
 from hil_sim.devices.can_wire import Babbler, CanWire
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.mpu6050 import Mpu6050
+from hil_sim.devices.mpu6050 import Mpu6050Twin
 from hil_sim.devices.sync_box import SyncBox
 from hil_sim.devices.sync_line import EdgeCapture
 from hil_sim.faults import (
@@ -254,7 +254,7 @@ def test_a_clock_that_cannot_be_is_refused(faults):
 
 
 def imu_with(*faults):
-    return Mpu6050(FlatImu([1, 2, 3, 4, 5, 6, 7]), RateClock(), START_NS, faults=of(*faults))
+    return Mpu6050Twin(FlatImu([1, 2, 3, 4, 5, 6, 7]), RateClock(), START_NS, faults=of(*faults))
 
 
 def errno_of(device, now_ns):

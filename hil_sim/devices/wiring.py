@@ -3,13 +3,14 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 
-from hil_sim.scenario.device_tables import BusTable, DeviceTable, SerialBusTable, SyncBoxTable
+from hil_sim.devices.emulator import Emulator
+from hil_sim.scenario.bus_tables import BusTable, SerialBusTable
 from hil_sim.scenario.sensor_tables import Clock, Sensor
 
 
 def problems(
     buses: Mapping[str, BusTable],
-    devices: Mapping[str, DeviceTable],
+    devices: Mapping[str, Emulator],
     sensors: Mapping[str, Sensor],
     clocks: Mapping[str, Clock],
 ) -> Iterator[str]:
@@ -32,9 +33,9 @@ def problems(
             if isinstance(line, SerialBusTable) and device.baud_rates and line.baud_rate not in device.baud_rates:
                 rates = ", ".join(map(str, device.baud_rates))
                 yield f"bus.{device.bus}.baud_rate: a {device.kind} comes up with {rates}, not {line.baud_rate}"
-        if isinstance(device, SyncBoxTable):
-            yield from _plugged(f"device.{name}.line", device.line, buses, "pulse")
-    if sum(isinstance(device, SyncBoxTable) for device in devices.values()) > 1:
+        if device.drives is not None:
+            yield from _plugged(f"device.{name}.line", device.drives, buses, "pulse")
+    if sum(device.drives is not None for device in devices.values()) > 1:
         yield "there are several sync boxes; keep one and remove the others"
     for (bus, place), count in Counter((device.bus, device.place) for device in devices.values()).items():
         if bus is not None and count > 1:

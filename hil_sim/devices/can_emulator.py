@@ -1,0 +1,39 @@
+"""What the tables of all CANopen nodes have, ``[device.NAME]``."""
+
+from typing import Annotated, Literal, Protocol
+
+from pydantic import Field
+
+from hil_sim.devices.emulator import MeasuringEmulator, Twin
+
+
+class CountingNode(Protocol):
+    """A node that counts its samples."""
+
+    @property
+    def produced(self) -> int:
+        """Samples made so far."""
+
+    def guard_for_heartbeat(self) -> None:
+        """Make no heartbeat, but answer node guarding."""
+
+
+class CanNodeEmulator(MeasuringEmulator):
+    """A CANopen node."""
+
+    needs = "can"
+    has_clock = False
+
+    node: Annotated[int, Field(ge=1, le=127)]
+    supervision: Literal["heartbeat", "guarding"] = "heartbeat"
+
+    @property
+    def place(self) -> str:
+        """See ``Emulator``."""
+        return f"node {self.node}"
+
+    def supervised(self, node: CountingNode, *channels: str) -> Twin:
+        """The node, watched as the table says; ``channels``: what the flight computer records of it."""
+        if self.supervision == "guarding":
+            node.guard_for_heartbeat()
+        return Twin(node, lambda: node.produced, channels)

@@ -1,0 +1,154 @@
+"""What a device's table in a scenario says and does: ``[device.NAME]``, one class for each kind, which builds the twin.
+
+A device is on ``bus``; ``measures`` names the ``[sensor.*]`` table of its sensing element, and ``at`` the place in the
+plant where that sits, if there are several. Its name is also the flight computer's channel name and the key of its
+faults, clock and random numbers. ``registry`` finds the kinds.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.sync_box import Pin
+from hil_sim.faults import DeviceFaults
+from hil_sim.scenario.bus_tables import SerialBusTable
+from hil_sim.scenario.sensor_tables import Quantity, Table
+from hil_sim.sensing.analog import ChipClock
+
+FORCES: tuple[Quantity, ...] = ("joint_moment", "force")
+Sensor = TypeVar("Sensor")
+
+
+class Signal(NamedTuple):
+    """A signal that a device measures.
+
+    Attributes:
+        sensor: Name of the table of its sensor.
+        quantities: What that may be.
+        at: Where in the plant; "" where there is one place only.
+    """
+
+    sensor: str
+    quantities: tuple[Quantity, ...]
+    at: str
+
+
+class Bench(NamedTuple):
+    """What a twin is made of.
+
+    Attributes:
+        name: Of the device.
+        sensors: What every signal of the devices measures, by name.
+        clocks: Every oscillator, by name.
+        faults: What breaks in it.
+        start_ns: ``CLOCK_MONOTONIC`` ns of power-up.
+        seed: Of what it draws for itself.
+        bus: The table of its bus.
+    """
+
+    name: str
+    sensors: Mapping[str, Any]
+    clocks: Mapping[str, ChipClock]
+    faults: DeviceFaults
+    start_ns: int
+    seed: int
+    bus: Table | None
+
+    @property
+    def clock(self) -> ChipClock:
+        """Its oscillator."""
+        return self.clocks[self.name]
+
+    @property
+    def line(self) -> LineFormat:
+        """Speed and format of its serial line.
+
+        Raises:
+            ValueError: it is on another bus.
+        """
+        if not isinstance(self.bus, SerialBusTable):
+            raise ValueError("it is on no serial line.")
+        return LineFormat(self.bus.baud_rate, self.bus.parity, self.bus.stop_bits)
+
+    def sensor(self, kind: type[Sensor], signal: str = "") -> Sensor:
+        """What one of its signals measures: ``NAME``, or ``NAME_signal``.
+
+        Raises:
+            ValueError: that is a sensor of another kind.
+        """
+        sensor = self.sensors[f"{self.name}_{signal}" if signal else self.name]
+        if not isinstance(sensor, kind):
+            raise ValueError(f"it measures with {type(sensor).__name__}; name another sensor.")
+        return sensor
+
+
+class Twin(NamedTuple):
+    """A device that was made, and how it is plugged in.
+
+    Attributes:
+        device: What its bus carries.
+        produced: Samples made so far.
+        channels: Of the flight log, each with a row a sample.
+        sample_length: On a serial line, where it talks unasked: bytes of a message that is a sample; 0 for others.
+        pin: Its input for the sync line.
+        drive_pin: Of the sync box: wires the sync line to an input.
+    """
+
+    device: Any
+    produced: Callable[[], int]
+    channels: tuple[str, ...]
+    sample_length: Callable[[bytes], int] | None = None
+    pin: Pin | None = None
+    drive_pin: Callable[[Pin], None] | None = None
+
+
+class Emulator(Table):
+    """What every device has."""
+
+    needs: ClassVar[str] = "serial"  # kind of its bus
+    has_clock: ClassVar[bool] = True  # a CANopen node has that of its twin
+    baud_rates: ClassVar[tuple[int, ...]] = ()  # on a serial line: those it can have, if it cannot have all
+
+    kind: str
+    bus: str | None
+
+    @property
+    def place(self) -> str:
+        """Of which there is one on its bus."""
+        return "the line"
+
+    @property
+    def drives(self) -> str | None:
+        """The pulse line that it drives."""
+        return None
+
+    def signals(self, name: str) -> dict[str, Signal]:
+        """What it measures, by the name that the signal's random numbers go by."""
+        del name
+        return {}
+
+    def clocks(self, name: str) -> tuple[str, ...]:
+        """Its oscillators."""
+        return (name,) if self.has_clock else ()
+
+    def build(self, bench: Bench) -> Twin:
+        """Make the device.
+
+        Raises:
+            FaultError: a fault that it cannot have.
+            ValueError: it cannot be as this table says.
+        """
+        raise NotImplementedError
+
+
+class MeasuringEmulator(Emulator):
+    """A device that measures one thing."""
+
+    bus: str
+    measures: str
+    at: str = ""
+    quantities: ClassVar[tuple[Quantity, ...]]
+
+    def signals(self, name: str) -> dict[str, Signal]:
+        """See ``Emulator``."""
+        return {name: Signal(self.measures, self.quantities, self.at)}

@@ -1,0 +1,38 @@
+"""``[device.NAME]`` of a QSB."""
+
+from typing import Literal
+
+from hil_sim.devices.emulator import Bench, MeasuringEmulator, Twin
+from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, QsbTwin
+from hil_sim.sensing.sensors import EncoderSensor
+
+
+class QsbTable(MeasuringEmulator):
+    """A US Digital QSB. It counts from 0 at power-up."""
+
+    baud_rates = (230_400,)
+    quantities = ("joint_angle",)
+
+    kind: Literal["qsb"]
+    tick: Literal["1/512 s", "1.9 ms"] = "1/512 s"
+    sync_input: bool = True
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        encoder = bench.sensor(EncoderSensor)
+        qsb = QsbTwin(
+            encoder,
+            bench.clock,
+            bench.start_ns,
+            counts_per_revolution=encoder.counts_per_revolution,
+            tick_ns=TICK_512_HZ if self.tick == "1/512 s" else TICK_1900_US,
+            sync_input=self.sync_input,
+            faults=bench.faults,
+        )
+        pin = qsb.dig_io if self.sync_input else None
+        return Twin(qsb, lambda: qsb.produced, (bench.name,), _position_length, pin)
+
+
+def _position_length(line: bytes) -> int:
+    """Of a line of the stream of register 0E: up to its exclamation mark."""
+    return line.find(b"!") + 1 if line[:4].replace(b" ", b"").startswith(b"s0E") else 0
