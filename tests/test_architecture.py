@@ -14,7 +14,8 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-OURS = {"drivers", "onboard", "hil_sim", "tests", "bench"}
+OURS = {"drivers", "onboard", "hil_sim", "heft", "tests", "bench"}
+ROOMS = ("drivers", "onboard", "hil_sim", "heft")
 BUS_LIBRARIES = {"smbus2", "can", "serial", "gpiod"}
 CODE_LINES = 300
 
@@ -200,6 +201,16 @@ def files_stay_short(path: str, source: str) -> list[str]:
     return [f"{path}: {len(lines)} lines of code"] if len(lines) > CODE_LINES else []
 
 
+def the_python_interface_only_re_exports(path: str, source: str) -> list[str]:
+    """``heft`` names what ``onboard.offline`` defines; nobody of ours imports it."""
+    if not path.startswith("heft/"):
+        return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, "heft")]
+    made = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Lambda
+    found = [f"{path}:{n.lineno}: a definition" for n in ast.walk(ast.parse(source, path)) if isinstance(n, made)]
+    names = [i for i in imports(path, source) if not within(i.name, "onboard.offline")]
+    return found + [f"{path}:{i.line}: {i.name}" for i in names]
+
+
 def rooms_in_a_cycle(sources: Mapping[str, str]) -> list[list[str]]:
     """Rooms that import each other, directly or around a corner. A room is what stands one level below the top."""
     modules = {module_of(path) for path in sources}
@@ -241,18 +252,19 @@ RULES: tuple[Rule, ...] = (
     only_the_command_line_prints,
     only_transports_and_runners_read_clocks,
     files_stay_short,
+    the_python_interface_only_re_exports,
 )
 
 
 @pytest.fixture(scope="module")
 def package_sources() -> dict[str, str]:
-    paths = [path for room in ("drivers", "onboard", "hil_sim") for path in sorted((ROOT / room).rglob("*.py"))]
+    paths = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
     return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
 def test_the_tree_keeps(rule: Rule, package_sources: dict[str, str]) -> None:
-    assert {path.split("/")[0] for path in package_sources} == {"drivers", "onboard", "hil_sim"}
+    assert {path.split("/")[0] for path in package_sources} == set(ROOMS)
     assert [broken for path, source in package_sources.items() for broken in rule(path, source)] == []
 
 
@@ -320,6 +332,9 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (only_transports_and_runners_read_clocks, "hil_sim/plants/rocket_arm.py", "import time\ntime.clock_gettime_ns(1)"),
     (files_stay_short, "onboard/ring.py", "a = 1\n" * (CODE_LINES + 1)),
     (files_stay_short, "onboard/ring.py", "a = [\n" + "1,\n" * CODE_LINES + "]"),
+    (the_python_interface_only_re_exports, "heft/__init__.py", "def f(): ..."),
+    (the_python_interface_only_re_exports, "heft/__init__.py", "from onboard.flight import runner"),
+    (the_python_interface_only_re_exports, "onboard/cli/dump.py", "import heft"),
 ]
 
 INNOCENT: list[tuple[Rule, str, str]] = [
@@ -357,6 +372,11 @@ INNOCENT: list[tuple[Rule, str, str]] = [
         "import time\nclock.time()\nsample.time\ntime.sleep(1)",
     ),
     (files_stay_short, "onboard/ring.py", '"""Doc.\n' + "x\n" * CODE_LINES + '"""\n' + "# y\n\n" * CODE_LINES),
+    (
+        the_python_interface_only_re_exports,
+        "heft/__init__.py",
+        "from onboard.offline.api.table import Table\nt = Table",
+    ),
 ]
 
 

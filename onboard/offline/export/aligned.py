@@ -35,6 +35,7 @@ class Aligned(NamedTuple):
     """The table's columns and its rows, block by block."""
 
     columns: list[Column]
+    dtype: np.dtype[np.void]
     blocks: Iterator[Rows]
 
 
@@ -69,7 +70,7 @@ def aligned(tables: FlightTables, channels: Sequence[str] | None, rate_hz: float
     dtype = np.dtype([(TIME_FIELD, "<i8"), *((f"c{number}", "<f8") for number in range(len(names)))])
     columns = [*time_columns(tables.times), Column("vehicle_ns", "ns", lambda rows: rows[TIME_FIELD])]
     columns += [Column(name, unit, _taker(f"c{number}")) for number, (name, unit) in enumerate(names)]
-    return Aligned(columns, _blocks(log, vehicle, tracks, dtype, round(1e9 / rate_hz)))
+    return Aligned(columns, dtype, _blocks(log, vehicle, tracks, dtype, round(1e9 / rate_hz)))
 
 
 def dump_aligned(

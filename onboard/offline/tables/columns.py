@@ -134,7 +134,7 @@ def with_times(rows: Rows, time_ns: NDArray[np.int64]) -> Rows:
     """``rows`` (n,) and vehicle time (n,) of each as rows of :func:`timed_dtype`."""
     size = rows.dtype.itemsize
     made = np.empty(len(rows), timed_dtype(rows.dtype))
-    made.view(np.uint8).reshape(len(rows), -1)[:, :size] = (
+    made.view(np.uint8).reshape(len(rows), made.dtype.itemsize)[:, :size] = (
         np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), size)
     )
     made[TIME_FIELD] = time_ns

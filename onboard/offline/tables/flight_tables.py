@@ -88,6 +88,12 @@ class FlightTables:
                 for name, time_ns, rows in step.samples:
                     yield from _chosen(name, rows, time_ns, windows)
 
+    def times_of(self, channels: Collection[str]) -> Iterator[tuple[str, NDArray[np.int64]]]:
+        """Vehicle time of the rows of ``channels``, all of which have clocks, a part of a channel at a time."""
+        if channels and self.vehicle is not None:
+            for step in timed(self.log, self.vehicle, channels):
+                yield from ((name, time_ns) for name, time_ns, _ in step.samples)
+
     def read(self, channel: str) -> Rows:
         """All rows (n,) of a channel with times.
 

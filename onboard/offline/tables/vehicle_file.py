@@ -1,6 +1,7 @@
 """Reads the vehicle file attached to a log."""
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from onboard import config
@@ -27,3 +28,22 @@ def attached_vehicle(log: LogReader) -> config.Vehicle:
     """
     with tempfile.TemporaryDirectory() as directory:
         return vehicle_of(log, Path(directory))
+
+
+def flown_by(logs: Sequence[LogReader], directory: Path) -> config.Vehicle:
+    """The vehicle that all of ``logs`` carry, its attached files laid out in ``directory``.
+
+    Raises:
+        ConfigError: none is carried that can be used, or not the same one by all.
+    """
+    texts = {
+        log.path: log.attachments[VEHICLE_ATTACHMENT].data for log in logs if VEHICLE_ATTACHMENT in log.attachments
+    }
+    for log in logs:
+        if log.path not in texts:
+            raise config.ConfigError(f"{log.path} carries no vehicle file; give the vehicle that flew")
+        if texts[log.path] != texts[logs[0].path]:
+            raise config.ConfigError(
+                f"{log.path} and {logs[0].path} were flown with different vehicle files; give the one to use"
+            )
+    return vehicle_of(logs[0], directory)

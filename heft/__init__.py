@@ -1,0 +1,22 @@
+"""heft for notebooks and scripts: logs as arrays and data frames, and the estimators on them.
+
+    import heft
+
+    log = heft.open("flight.mcap")
+    log["imu_base"].to_pandas()      # SI, vectors in the URDF's frame, indexed by sample time
+    log.estimates.to_pandas()        # what was said on board
+    heft.identify("flight.mcap")     # the estimator that flies, on the ground
+
+Re-exports of ``onboard.offline.api``; nothing is defined here.
+"""
+
+from onboard.offline.api.flight_log import Channel, FlightLog, open_log
+from onboard.offline.api.identify import identify
+from onboard.offline.api.table import Table
+from onboard.offline.estimate_again.identify import Identification
+from onboard.offline.estimate_again.reestimate import Reestimate
+from onboard.offline.estimate_again.replay import Replay, replay
+
+open = open_log  # noqa: A001  # heft.open reads as what it does
+
+__all__ = ["Channel", "FlightLog", "Identification", "Reestimate", "Replay", "Table", "identify", "open", "replay"]

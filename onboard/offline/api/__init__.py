@@ -1,0 +1,1 @@
+"""What ``import heft`` gives: a log as channels, tables and estimates. Nothing is read before it is asked for."""
