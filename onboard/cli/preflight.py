@@ -24,8 +24,10 @@ def add(commands: Commands) -> None:
 
 def _preflight(arguments: argparse.Namespace) -> int:
     from onboard.flight import preflight, workers
+    from onboard.flight.estimator import Estimator
 
     vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
+    Estimator(vehicle)  # what heft fly would refuse is refused here
     found = preflight.preflight(vehicle, time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds)
     console().print(preflight.render(found))
     return OK if found.ready else NOT_READY

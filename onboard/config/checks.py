@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import NoReturn
 
 from drivers.errors import DriverError
@@ -15,7 +16,10 @@ Fail = Callable[[list[str], str], NoReturn]
 COMPULSORY = {"serial": "baud", "gpio": "line", "gpio-out": "line"}  # option of a URL, by its scheme
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LONGEST_NAME = 32  # bytes of it in an event or a gap
-RESERVED = {"event", "gap", "clock", "row", "estimate", "quantity", "tick"}
+RESERVED = {"event", "gap", "clock", "row", "estimate", "quantity", "tick", "health"}
+OURS = ("event_", "recorder_", "recover_")  # how further channels of heft's own begin
+FASTEST_HZ, SLOWEST_HZ = 50_000.0, 1e-4  # of a device: the rings keep some seconds of it
+PLAIN = re.compile(r"[^\W_][\w .+-]{0,63}")  # names that become those of files
 
 
 def check(vehicle: Vehicle) -> None:
@@ -24,6 +28,7 @@ def check(vehicle: Vehicle) -> None:
     def fail(where: list[str], why: str) -> NoReturn:
         raise ConfigError(f"{vehicle.path}:{line_of(vehicle.text, where)}: {why}")
 
+    _check_names(vehicle, fail)
     for name, device in vehicle.file.device.items():
         if isinstance(device, BusDevice):
             _check_device(vehicle, name, device, fail)
@@ -35,6 +40,14 @@ def check(vehicle: Vehicle) -> None:
     _check_channels(vehicle, fail)
     _check_roles(vehicle, fail)
     _check_rest(vehicle, fail)
+
+
+def _check_names(vehicle: Vehicle, fail: Fail) -> None:
+    told = vehicle.file.vehicle
+    if not PLAIN.fullmatch(told.name):
+        fail(["vehicle", "name"], f"{told.name!r} is to name files: use letters, digits, spaces and . _ + -")
+    if Path(told.urdf).name != told.urdf or "\0" in told.urdf:
+        fail(["vehicle", "urdf"], f"{told.urdf!r} is a path; put the URDF beside the vehicle file and give its name")
 
 
 def _check_bus(vehicle: Vehicle, bus: str, fail: Fail) -> None:
@@ -69,12 +82,15 @@ def _check_device(vehicle: Vehicle, name: str, device: BusDevice, fail: Fail) ->
 def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
     owner: dict[str, str] = {}
     for name, device in vehicle.file.device.items():
+        if not SLOWEST_HZ <= vehicle.rate_hz(name) <= FASTEST_HZ:
+            text = f"{vehicle.rate_hz(name):g} samples a second; {SLOWEST_HZ:g} to {FASTEST_HZ:g} can be flown"
+            fail(["device", name], f"{name!r} would make {text}: mend its rate or its period")
         for channel in device.channels(name):
             where = ["device", name]
             if not NAME.fullmatch(channel) or len(channel) > LONGEST_NAME:
                 text = f"use a letter, then letters, digits and _, {LONGEST_NAME} at the most"
                 fail(where, f"channel {channel!r} is no name; {text}")
-            if channel in RESERVED or channel.startswith("event_"):
+            if channel in RESERVED or channel.startswith(OURS):
                 fail(where, f"channel {channel!r} is one of heft's own; rename the device")
             if owner.setdefault(channel, name) != name:
                 fail(where, f"channel {channel!r} is that of {owner[channel]!r} too; rename one of them")

@@ -18,7 +18,7 @@ class Phases(Section):
     payload_taken: int | None = None
     payload_gone: int | None = None
     end: int | None = None
-    settle_ms: NotNegative = 300
+    settle_ms: Annotated[float, Field(ge=0, le=60_000)] = 300
 
 
 class Gates(Section):
@@ -30,6 +30,13 @@ class Gates(Section):
     specific_force_window_ms: Positive = 500
     residual_sigma: Positive = 6.0
     huber_sigma: Positive | None = None
+
+    @model_validator(mode="after")
+    def _limits_are_a_range(self) -> "Gates":
+        if self.joint_limits_deg is not None and not self.joint_limits_deg[0] < self.joint_limits_deg[1]:
+            low, high = self.joint_limits_deg
+            raise ValueError(f"joint_limits_deg goes from {low:g} to {high:g}; write the lower limit first")
+        return self
 
 
 class Memory(Section):
@@ -58,9 +65,9 @@ class Zero(Section):
 class Link(Section):
     """How well a link was weighed, balanced and swung, 1 sigma; its inertia relative to half the tensor's trace."""
 
-    mass_relative: Positive
-    centre_m: Positive
-    inertia_relative: Positive
+    mass_relative: Annotated[float, Field(ge=1e-9, le=100)]
+    centre_m: Annotated[float, Field(ge=1e-9, le=100)]
+    inertia_relative: Annotated[float, Field(ge=1e-9, le=100)]
 
 
 class Prior(Section):
@@ -146,10 +153,10 @@ class Estimation(Section):
     """
 
     method: Literal["rows", "instrumental", "exiddm"] = "rows"
-    step_ms: Positive = 50
-    row_rate_hz: Positive = 100
-    lag_ms: Positive = 200
-    smoothing_ms: Positive = 100
+    step_ms: Annotated[float, Field(ge=1, le=1000)] = 50
+    row_rate_hz: Annotated[float, Field(ge=0.1, le=10_000)] = 100
+    lag_ms: Annotated[float, Field(ge=1, le=5000)] = 200
+    smoothing_ms: Annotated[float, Field(ge=1, le=5000)] = 100
     smoothing: Literal["spline", "filter", "smoother"] = "spline"
     block_ms: Positive | None = None
     scales: Literal["considered", "estimated"] = "considered"

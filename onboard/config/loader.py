@@ -1,12 +1,15 @@
 """vehicle.toml to frozen objects. A key nobody knows is refused with its line and a remedy."""
 
 import difflib
+import json
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import AliasChoices, BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from onboard.config.checks import check
 from onboard.config.errors import ConfigError, line_of
@@ -45,6 +48,8 @@ def parse(text: str, path: Path) -> Vehicle:
         file = VehicleFile.model_validate(tree)
     except ValidationError as error:
         raise ConfigError("\n".join(_explain(path, text, tree, dict(one)) for one in error.errors())) from error
+    for where, why in _coerced(tree, file, []):
+        raise ConfigError(f"{path}:{line_of(text, where)}: {'.'.join(where)!r}: {why}")
     vehicle = Vehicle(path=path, text=text, file=file)
     check(vehicle)
     return vehicle
@@ -55,9 +60,22 @@ def _refuse_broken(path: Path, text: str, tree: dict[str, Any]) -> None:
     devices = tree.get("device")
     for name, table in devices.items() if isinstance(devices, dict) else ():
         kind = table.get("kind") if isinstance(table, dict) else None
-        if kind in BROKEN:
+        if isinstance(kind, str) and kind in BROKEN:
             line = line_of(text, ["device", name, "kind"])
             raise ConfigError(f"{path}:{line}: 'device.{name}': kind {kind!r}: {BROKEN[kind]}")
+
+
+def _coerced(given: Any, read: Any, where: list[str]) -> Iterator[tuple[list[str], str]]:
+    """Values that were taken for a number and are written as none: ``true`` would be 1, ``"5"`` would be 5."""
+    if isinstance(given, dict):
+        for key, value in given.items():
+            part = read.get(key) if isinstance(read, dict) else getattr(read, key, None)
+            yield from _coerced(value, part, [*where, key])
+    elif isinstance(given, list) and isinstance(read, list | tuple):
+        for number, (value, part) in enumerate(zip(given, read, strict=False)):
+            yield from _coerced(value, part, [*where, str(number)])
+    elif isinstance(given, bool | str) and isinstance(read, int | float) and type(given) is not type(read):
+        yield where, f"a number is wanted here (found {json.dumps(given)}); write it without quotes"
 
 
 def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any]) -> str:
@@ -95,12 +113,20 @@ def _model_at(where: list[str], tree: dict[str, Any]) -> type[BaseModel]:
     said: Any = VehicleFile  # of the value that is looked at
     node: Any = tree
     for part in where:
-        said = model.model_fields[part].annotation if said is model else _of_items(said)
+        said = _field(model, part).annotation if said is model else _of_items(said)
         node = node[int(part)] if isinstance(node, list) else node[part]
         found = _model_of(said, node)
         if found is not None:
             said = model = found
     return model
+
+
+def _field(model: type[BaseModel], key: str) -> FieldInfo:
+    """The field that reads ``key``, by its name or by one that older files have for it."""
+    for field in model.model_fields.values():
+        if isinstance(field.validation_alias, AliasChoices) and key in field.validation_alias.choices:
+            return field
+    return model.model_fields[key]
 
 
 def _of_items(annotation: Any) -> Any:

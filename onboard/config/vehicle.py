@@ -14,7 +14,7 @@ from onboard.config.planar import Planar
 from onboard.devices.base import BusDevice, Channels, DeviceSection
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import STANDARD_GRAVITY_M_S2
-from onboard.section import NotNegative, Positive, Section, Vector3
+from onboard.section import Section, Vector3
 
 UNTOLD_BAUD = 1e9  # of a line whose URL tells none: nothing is taken off for it
 if TYPE_CHECKING:
@@ -52,11 +52,11 @@ class Recording(Section):
     """
 
     directory: str = "flights"
-    sync_period_ms: Positive = 200
-    segment_s: Positive = 60
-    segment_mib: Positive = 64
-    min_free_mib: NotNegative = 0
-    reserve_mib: NotNegative = 16
+    sync_period_ms: Annotated[float, Field(ge=1, le=60_000)] = 200
+    segment_s: Annotated[float, Field(ge=0.1, le=86_400)] = 60
+    segment_mib: Annotated[float, Field(ge=0.1, le=1e6)] = 64
+    min_free_mib: Annotated[float, Field(ge=0, le=1e9)] = 0
+    reserve_mib: Annotated[float, Field(ge=0, le=1e5)] = 16
 
 
 class VehicleFile(Section):

@@ -58,7 +58,17 @@ class Joint(NamedTuple):
 
 def _vector(element: ET.Element | None, attribute: str, default: str) -> FloatArray:
     text = default if element is None else element.get(attribute, default)
-    return np.array([float(part) for part in text.split()])
+    values = np.array([_number(part) for part in text.split()])
+    if values.shape != (3,):
+        raise UrdfError(f"URDF: {attribute}={text!r} is not three numbers")
+    return values
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise UrdfError(f"URDF: {text!r} is no number") from error
 
 
 def _standard_parameters(link: ET.Element) -> FloatArray:
@@ -70,9 +80,9 @@ def _standard_parameters(link: ET.Element) -> FloatArray:
     if mass is None or tensor is None:
         raise UrdfError(f"link {link.get('name')!r}: <inertial> needs <mass> and <inertia>")
     origin = inertial.find("origin")
-    m, c = float(mass.get("value", "nan")), _vector(origin, "xyz", "0 0 0")
+    m, c = _number(mass.get("value", "nan")), _vector(origin, "xyz", "0 0 0")
     R = pin.rpy.rpyToMatrix(_vector(origin, "rpy", "0 0 0"))
-    xx, xy, xz, yy, yz, zz = (float(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    xx, xy, xz, yy, yz, zz = (_number(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     I_cm = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     if not (np.isfinite(I_cm).all() and np.isfinite(c).all() and 0.0 <= m < np.inf):
         raise UrdfError(f"link {link.get('name')!r}: mass and inertia must be finite, the mass not negative")

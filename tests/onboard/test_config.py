@@ -1,8 +1,10 @@
 """Bad vehicle files: the line, the reason, the remedy."""
 
+import random
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from onboard import config
@@ -248,3 +250,56 @@ def test_urls_can_be_replaced_and_nothing_else_changes() -> None:
     assert other.file.bus["can_0"].url == "can+virtual://x"
     assert other.file.bus["i2c_1"] == vehicle.file.bus["i2c_1"]
     assert other.file.device == vehicle.file.device
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("joint_limits_deg = [-13.0, 13.0]", "joint_limits_deg = [13, -13]", "write the lower limit first"),
+        ("joint_limits_deg = [-13.0, 13.0]", "joint_limits_deg = [nan, 13]", "finite number"),
+        ("step_ms = 50", "step_ms = 1e-300", "greater than or equal to 1 "),
+        ("lag_ms = 300", "lag_ms = inf", "finite number"),
+        ("lag_ms = 300", "lag_ms = 9e9", "less than or equal to 5000 "),
+        ("row_rate_hz = 100", "row_rate_hz = true", "a number is wanted here (found true)"),
+        ("row_rate_hz = 100", 'row_rate_hz = "100"', "write it without quotes"),
+        ("[device.load_cell]", "[device.recorder_gap]", "is one of heft's own"),
+        ("[device.load_cell]", "[device.health]", "is one of heft's own"),
+        ('urdf = "rocksat.urdf"', 'urdf = "../rocksat.urdf"', "put the URDF beside the vehicle file"),
+        ('name = "rocksat"', 'name = "../../tmp/x"', "is to name files"),
+        ('kind = "mpu6050"', "kind = []", "kind"),
+    ],
+)
+def test_what_would_be_fatal_in_flight_is_refused_with_its_line(old: str, new: str, expected: str) -> None:
+    message = refuse(old, new)
+    assert expected in message
+    assert re.search(r"vehicle\.toml:[1-9][0-9]*: ", message)
+
+
+TOKEN = re.compile(r'"[^"]*"|-?\b\d[\d_]*(?:\.\d+)?(?:[eE][-+]?\d+)?\b|\btrue\b|\bfalse\b')
+EXTREMES = ("0", "-1", "1e-300", "1e300", "inf", "nan", "true", '"5"', "[]", "{}", "1" + 30 * "0", "1e9", '"../../x"')
+
+
+@pytest.mark.parametrize("name", ["rocksat", "rocksat_serial", "dymaflex", "workshop"])
+def test_any_value_put_for_any_other_is_refused_or_can_be_flown(name: str) -> None:
+    path = config.packaged(name)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assigned = [(n, re.match(r"\s*[\w.]+\s*=\s*", line)) for n, line in enumerate(lines)]
+    places = [(n, t.span()) for n, start in assigned if start for t in TOKEN.finditer(lines[n], start.end())]
+    cases = [(place, value) for place in places for value in EXTREMES]
+    outcomes = {"refused": 0, "flown": 0}
+    for (number, (first, last)), value in random.Random(13).sample(cases, 120):
+        changed = [*lines]
+        changed[number] = changed[number][:first] + value + changed[number][last:]
+        try:
+            vehicle = config.parse("\n".join(changed), path)
+            estimator = Estimator(vehicle)
+        except config.ConfigError:
+            outcomes["refused"] += 1
+            continue
+        assert max(vehicle.rate_hz(device) for device in vehicle.file.device) < 1e5, changed[number]
+        empty = {channel: np.zeros(0, dtype) for channel, dtype in vehicle.channels.items()}
+        for step in range(3):
+            estimator.process(10**9 + round(step * vehicle.file.estimation.step_ms * 1e6), empty)
+        outcomes["flown"] += 1
+    assert outcomes["refused"] > 50
+    assert outcomes["flown"] > 3
