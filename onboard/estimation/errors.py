@@ -17,3 +17,7 @@ class SingularError(EstimationError, np.linalg.LinAlgError):
 
 class ConvergenceError(EstimationError, ArithmeticError):
     """An iteration that did not converge."""
+
+
+class CalibrationError(EstimationError, ValueError):
+    """A calibration run that does not determine what it should, or contradicts itself; it says what to repeat."""

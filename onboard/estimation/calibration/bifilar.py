@@ -1,0 +1,222 @@
+"""Moment of inertia from the swings of a bifilar torsional pendulum (Jardin and Mueller 2009; Limparis section 4.2).
+
+The body hangs by two strings of length h, D apart, its centre of mass midway below them, and swings about the vertical;
+it rises by ``z = h - sqrt(h^2 - D^2 (1 - cos th) / 2)`` (4.1, 4.2), and drag is ``-K_D th' |th'| - C th'`` (4.3). With
+the kinetic energy of the rise, which (4.4) leaves out (0.2 % at 35 deg),
+
+    (I + m z_th^2) th'' + m z_th z_thth th'^2 + m g z_th + K_D th' |th'| + C th' = 0,    z_th = dz / d th
+
+For small angles ``I = m g D^2 / (4 h w_n^2)`` (4.5). A gyro on the body measures th'. The fit is to that rate, with the
+angle and rate at the start, both dampings and the gyro's bias unknown beside I; over ever more swings, since the
+frequency of the first few does not find the way over many.
+"""
+
+import math
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import ODEintWarning, odeint
+from scipy.optimize import least_squares
+from scipy.signal import periodogram
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import CalibrationError
+
+LARGEST_ANGLE_rad = np.deg2rad(75.0)
+FEWEST_SWINGS = 5.0
+HOPELESS = 0.2  # the same while the fit is still on its way
+WORST_RESIDUAL = 0.02  # of the rate's rms; beyond, something else than a pendulum moved
+
+
+class Suspension(NamedTuple):
+    """How a body hangs, each length and the mass with its standard deviation."""
+
+    mass_kg: float
+    spacing_m: float  # D, between the strings
+    length_m: float  # h, of each
+    mass_sigma_kg: float = 0.0
+    spacing_sigma_m: float = 0.0
+    length_sigma_m: float = 0.0
+    gravity_m_s2: float = 9.80665
+
+    def stiffness(self) -> float:
+        """``m g D^2 / (4 h)``, N m: what (4.5) divides by the squared frequency."""
+        return self.mass_kg * self.gravity_m_s2 * self.spacing_m**2 / (4.0 * self.length_m)
+
+    def relative_sigmas(self) -> dict[str, float]:
+        """Of the inertia by what is measured with a rule and a scale."""
+        return {
+            "mass": self.mass_sigma_kg / self.mass_kg,
+            "string spacing": 2.0 * self.spacing_sigma_m / self.spacing_m,
+            "string length": self.length_sigma_m / self.length_m,
+        }
+
+
+class Swing(NamedTuple):
+    """What one run says about the vertical axis through the centre of mass."""
+
+    inertia_kg_m2: float
+    sigma_kg_m2: float
+    parts: dict[str, float]  # relative sigma by cause
+    linear_kg_m2: float  # by (4.5), which takes the angle for small
+    amplitude_rad: float  # at the start
+    period_s: float  # of small swings
+    viscous: float  # C, N m s
+    quadratic: float  # K_D, N m s^2
+    residual_rad_s: float  # rms of the rate
+
+
+def swing(time_s: FloatArray, rate_rad_s: FloatArray, suspension: Suspension, gyro_scale_sigma: float = 0.0) -> Swing:
+    """The inertia of one free swing.
+
+    Args:
+        time_s: of the samples, increasing, (n,); the body was let go before the first.
+        rate_rad_s: about the vertical, (n,).
+        suspension: how the body hangs.
+        gyro_scale_sigma: relative; it matters since the period depends on the angle, and is fitted with this prior.
+
+    Raises:
+        CalibrationError: too short, too wide, at rest, samples that are not finite, or no swing of a pendulum.
+    """
+    t, w = np.asarray(time_s, np.float64), np.asarray(rate_rad_s, np.float64)
+    _check(t, w, suspension)
+    t = t - t[0]
+    start = _start(t, w, suspension)
+    found, spread, residual = _fitted(t, w, start, suspension, gyro_scale_sigma)
+    inertia, viscous, quadratic, angle, rate = found[:5].tolist()
+    parts = {"swings and gyro scale": spread / inertia, **suspension.relative_sigmas()}
+    omega = math.sqrt(suspension.stiffness() / inertia)
+    amplitude = math.hypot(angle, rate / omega)
+    if amplitude > LARGEST_ANGLE_rad:
+        raise CalibrationError(f"the swing reaches {np.rad2deg(amplitude):.0f} deg; begin with less than 75 deg")
+    return Swing(
+        inertia,
+        inertia * float(np.sqrt(sum(part**2 for part in parts.values()))),
+        parts,
+        float(start[0]),
+        amplitude,
+        2.0 * math.pi / omega,
+        viscous * inertia,
+        quadratic * inertia,
+        residual,
+    )
+
+
+def _check(t: FloatArray, w: FloatArray, suspension: Suspension) -> None:
+    if t.ndim != 1 or t.shape != w.shape or len(t) < 50 or not (np.isfinite(t).all() and np.isfinite(w).all()):
+        raise CalibrationError("give 50 or more finite samples of time and rate, of one length")
+    if not (np.diff(t) > 0.0).all() or float(np.diff(t).max()) > 5.0 * float(np.median(np.diff(t))):
+        raise CalibrationError("the samples' times go back or have a gap; take a run without one")
+    if not (min(suspension[:3]) > 0.0 and min(suspension[3:6]) >= 0.0 and suspension.gravity_m_s2 > 0.0):
+        raise CalibrationError("mass, string spacing and length must be positive, their sigmas zero or more")
+
+
+def _start(t: FloatArray, w: FloatArray, suspension: Suspension) -> FloatArray:
+    """Start of the fit, ``[I, C / I, K_D / I, angle, rate, bias, scale]``, (7,), by the spectrum's peak."""
+    bias = float(np.mean(w))
+    even = np.linspace(t[0], t[-1], len(t))
+    signal = np.interp(even, t, w - bias)
+    frequency, power = periodogram(signal, 1.0 / (even[1] - even[0]), window="hann", nfft=8 * len(signal))
+    at = float(frequency[1:][np.argmax(power[1:])])
+    if at * (t[-1] - t[0]) < FEWEST_SWINGS:
+        raise CalibrationError(f"{at * (t[-1] - t[0]):.1f} swings; record {FEWEST_SWINGS:.0f} or more")
+    omega = 2.0 * np.pi * at
+    few = t < 1.5 / at
+    basis = np.column_stack([np.cos(omega * t), np.sin(omega * t), np.ones_like(t)])[few]
+    cosine, sine, _ = np.linalg.lstsq(basis, w[few])[0]
+    inertia = suspension.stiffness() / omega**2
+    return np.array([inertia, 0.0, 0.0, -sine / omega, cosine, bias, 0.0])
+
+
+def _fitted(
+    t: FloatArray, w: FloatArray, start: FloatArray, suspension: Suspension, scale_sigma: float
+) -> tuple[FloatArray, float, float]:
+    """Parameters (6 or 7,), sigma of the inertia, rms of the residual, taken for the noise with its colour."""
+    m, h, g, square = suspension.mass_kg, suspension.length_m, suspension.gravity_m_s2, suspension.spacing_m**2
+
+    def residual(x: FloatArray) -> FloatArray:
+        inertia, viscous, quadratic, angle, rate, bias = x[:6]
+        scale = float(x[6]) if scale_sigma else 0.0
+
+        def slope(state: FloatArray, _: float) -> tuple[float, float]:
+            th, om = float(state[0]), float(state[1])
+            root = math.sqrt(max(h * h - 0.5 * square * (1.0 - math.cos(th)), 1e-6 * h * h))
+            dz = 0.25 * square * math.sin(th) / root
+            ddz = 0.25 * square * math.cos(th) / root + dz * dz / root
+            pull = m * dz * (g + ddz * om * om) + inertia * (quadratic * abs(om) + viscous) * om
+            return om, -pull / (inertia + m * dz * dz)
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ODEintWarning)  # a step too far is refused for what it leaves over
+            solved = odeint(slope, (angle, rate), span, rtol=1e-8, atol=1e-9)
+        off = np.nan_to_num((1.0 + scale) * solved[:, 1] + bias - seen, nan=1e3)
+        return np.append(off, scale * noise / scale_sigma if scale_sigma else 0.0)
+
+    size = float(np.sqrt(np.mean((w - w.mean()) ** 2)))
+    omega = math.sqrt(suspension.stiffness() / start[0])
+    noise = float(np.std(np.diff(w, 2))) / math.sqrt(6.0) + 1e-9 * size  # white part of the rate's
+    unit = np.array([0.01 * start[0], 0.01 * omega, 0.1, 0.1 * size / omega, 0.1 * size, 0.1 * size, 0.01])
+    x, swings = start[: 7 if scale_sigma else 6], 2.0
+    while True:
+        part = t < swings * 2.0 * np.pi / omega
+        span, seen = t[part], w[part]
+        found = least_squares(residual, x, x_scale=unit[: x.size], max_nfev=20)
+        x = np.asarray(found.x, np.float64)
+        rms = float(np.sqrt(np.mean(found.fun[:-1] ** 2)))
+        if not x[0] > 0.0 or rms > (WORST_RESIDUAL if part.all() else HOPELESS) * size:
+            raise CalibrationError(
+                f"{100.0 * rms / size:.1f} % of the rate is no pendulum's swing; let the body go without a push, and "
+                "keep it from swinging sideways"
+            )
+        if part.all():
+            break
+        swings *= 2.0
+    J = np.asarray(found.jac, np.float64)
+    length = np.linalg.norm(J, axis=0)
+    covariance = np.linalg.inv((J / length).T @ (J / length)) / np.outer(length, length)
+    variance = float(found.fun @ found.fun) / (len(t) - x.size) * _colour(found.fun[:-1])
+    return x, float(np.sqrt(variance * covariance[0, 0])), rms
+
+
+def _colour(residual: FloatArray) -> float:
+    """By how much correlated noise widens what is averaged: the integrated autocorrelation (Sokal's window), >= 1."""
+    n = len(residual)
+    power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * n)) ** 2
+    rho = np.fft.irfft(power)[:n]
+    rho = rho / rho[0]
+    tau = np.cumsum(2.0 * rho) - 1.0
+    window = np.flatnonzero(np.arange(n) > 5.0 * np.maximum(tau, 1.0))
+    return float(max(1.0, tau[window[0] if window.size else -1]))
+
+
+def inertia_tensor(
+    axes: FloatArray, inertia_kg_m2: FloatArray, sigma_kg_m2: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The tensor about the centre of mass from moments about axes through it: ``u' I u``, least squares.
+
+    Args:
+        axes: unit vectors in the body's axes, (k, 3); six or more for the products, not all in one cone.
+        inertia_kg_m2: about each, (k,).
+        sigma_kg_m2: of each, (k,).
+
+    Returns:
+        The tensor (3, 3), and the covariance (6, 6) of xx, yy, zz, xy, xz, yz.
+
+    Raises:
+        CalibrationError: axes that do not determine all six elements, or moments that no rigid body has together.
+    """
+    u = np.asarray(axes, np.float64)
+    u = u / np.linalg.norm(u, axis=1, keepdims=True)
+    x, y, z = u.T
+    rows = np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z]) / sigma_kg_m2[:, None]
+    if len(u) < 6 or np.linalg.matrix_rank(rows, 1e-6 * np.abs(rows).max()) < 6:
+        raise CalibrationError("these axes do not determine six elements; swing about x, y, z and three axes between")
+    covariance = np.linalg.inv(rows.T @ rows)
+    xx, yy, zz, xy, xz, yz = covariance @ rows.T @ (np.asarray(inertia_kg_m2, np.float64) / sigma_kg_m2)
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.linalg.eigvalsh(tensor)
+    slack = 3.0 * float(np.sqrt(covariance[:3, :3].trace()))
+    if moments[0] <= 0.0 or moments[2] > moments[0] + moments[1] + slack:
+        raise CalibrationError(f"principal moments {moments} are no rigid body's; check which axis each run was about")
+    return tensor, np.asarray(covariance, np.float64)
