@@ -59,6 +59,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for found in sorted(module.name for module in pkgutil.iter_modules(__path__)):
-        if found not in ("__main__", "common"):
+        if found not in ("__main__", "common", "messages"):
             importlib.import_module(f"{__name__}.{found}").add(commands)
     return parser

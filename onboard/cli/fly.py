@@ -29,12 +29,16 @@ def add(commands: Commands) -> None:
         help="go on from what the flight of LOG said last: the same payload is held still",
     )
     fly.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
+    spoken = fly.add_mutually_exclusive_group()
+    spoken.add_argument("--quiet", action="store_true", help="say warnings and errors only")
+    spoken.add_argument("--json-lines", action="store_true", help="say everything as JSON, an object a line")
     add_live(fly)
     fly.set_defaults(command=_fly)
 
 
 def _fly(arguments: argparse.Namespace) -> int:
     from onboard import config
+    from onboard.cli import messages
     from onboard.flight import runner
     from onboard.flight.runner_processes import FlightError
     from onboard.offline.estimate_again import warm_start
@@ -47,12 +51,15 @@ def _fly(arguments: argparse.Namespace) -> int:
     vehicle = vehicle.with_urls(urls)
     log = arguments.log or next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
     try:
-        with serve_live(arguments.live, log):
-            flight = runner.fly(vehicle, log, duration_s=arguments.duration)
+        with (
+            messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
+            serve_live(arguments.live, log),
+        ):
+            flight = runner.fly(vehicle, log, duration_s=arguments.duration, status_s=status_s)
     except FlightError as error:
         complain(error)
         return FAILED
     print(flight.log)
     for name in flight.died:
         complain(f"the {name} worker died; its message stands above, and an event in the log")
-    return FAILED if flight.died else OK
+    return FAILED if flight.died or (flight.missing and not flight.was_over) else OK

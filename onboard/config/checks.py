@@ -46,6 +46,9 @@ def _check_names(vehicle: Vehicle, fail: Fail) -> None:
     told = vehicle.file.vehicle
     if not PLAIN.fullmatch(told.name):
         fail(["vehicle", "name"], f"{told.name!r} is to name files: use letters, digits, spaces and . _ + -")
+    for name in told.essential:
+        if name not in vehicle.file.device:
+            fail(["vehicle", "essential"], f"no device {name!r}; there are: {', '.join(vehicle.file.device)}")
     if Path(told.urdf).name != told.urdf or "\0" in told.urdf:
         fail(["vehicle", "urdf"], f"{told.urdf!r} is a path; put the URDF beside the vehicle file and give its name")
 

@@ -27,6 +27,7 @@ class VehicleSection(Section):
     """What flies. ``base``: what is known of the base's motion and of the wrench on it.
 
     ``gravity_m_s2``: in base axes; counts where the base is fixed and no device is an IMU, and where it is planar.
+    ``essential``: devices without which a flight has failed: ``heft fly`` ends with 1 if one of them never said a word.
     """
 
     name: str
@@ -34,6 +35,7 @@ class VehicleSection(Section):
     base: Literal["free", "prescribed", "fixed", "planar"]
     base_link: str
     payload_link: str | None = None
+    essential: list[str] = Field(default_factory=list)
     gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)
 
 

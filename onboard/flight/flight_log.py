@@ -3,9 +3,11 @@
 import importlib.metadata
 import platform
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from drivers.records import Rows
 from onboard import config
 from onboard.flight.clocks import known_delays
 from onboard.flight.manifest import Manifest, Storage
@@ -64,12 +66,15 @@ def step_ns(storage: Storage) -> int:
     return min(STEP_NS, storage.sync_period_ns // 2)
 
 
-def open_recorder(manifest: Manifest, min_free_bytes: int = 0) -> Recorder:
+def open_recorder(
+    manifest: Manifest, min_free_bytes: int = 0, said: Callable[[Rows], object] = lambda rows: None
+) -> Recorder:
     """A recorder of every ring of a flight, that goes on where the one before it died, if there was one.
 
     Args:
         manifest: of the flight.
         min_free_bytes: segments of earlier flights make way while less is free; 0 removes nothing.
+        said: told each event of the recorder's own.
 
     Raises:
         OSError: the log cannot be read, or no segment created.
@@ -88,7 +93,7 @@ def open_recorder(manifest: Manifest, min_free_bytes: int = 0) -> Recorder:
         min_free=min_free_bytes,
         reserve=kept.reserve_bytes,
     )
-    return Recorder(writer, ring_readers(manifest.directory), recorded=writer.recorded, space=space)
+    return Recorder(writer, ring_readers(manifest.directory), recorded=writer.recorded, space=space, said=said)
 
 
 def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path) -> Recorder:

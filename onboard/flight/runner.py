@@ -18,6 +18,7 @@ from typing import NamedTuple
 from drivers.records import EVENT, Severity, event
 from onboard import config
 from onboard.flight import manifest, rings, workers
+from onboard.flight.announcer import LOGGER, Announcer, missing_all_flight
 from onboard.flight.estimation import create_rings
 from onboard.flight.estimator import Estimator
 from onboard.flight.flight_log import MIB, Started, preamble, storage
@@ -37,6 +38,8 @@ class Flight(NamedTuple):
     died: tuple[str, ...]  # workers that were not running at the end
     restarted: tuple[str, ...] = ()  # workers that died, once for each time, and were started again
     harvested: tuple[Harvest, ...] = ()  # earlier flights that had died
+    missing: tuple[str, ...] = ()  # buses and essential devices that never brought a row
+    was_over: bool = False  # the first phase that was seen was the one that ends the mission: nothing was to be flown
 
 
 def fly(
@@ -45,10 +48,12 @@ def fly(
     *,
     duration_s: float | None = None,
     progress: Callable[[float], None] = lambda _: None,
+    status_s: float | None = None,
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, SIGINT or SIGTERM; then stop in order, losing nothing.
 
-    A flight that is refused leaves nothing behind.
+    What happens is said to the logger ``heft``, and every ``status_s`` how the flight stands. A flight that is refused
+    leaves nothing behind.
 
     Raises:
         FlightError: a worker did not start.
@@ -72,11 +77,11 @@ def fly(
         try:
             about.save()
             create_rings(directory, estimator)
-            died, restarted = _fly(vehicle, directory, crew, harvested, duration_s, progress)
+            flown = _fly(vehicle, directory, crew, harvested, duration_s, progress, status_s)
         finally:
             if crew.recording.exit_code == 0 or not segment_path(log, 0).exists():
                 about.remove()
-    return Flight(log, died, restarted, tuple(harvested))
+    return flown._replace(log=log)
 
 
 def _require_place(log: Path) -> None:
@@ -106,8 +111,9 @@ def _fly(
     harvested: list[Harvest],
     duration_s: float | None,
     progress: Callable[[float], None],
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Fly with rings in ``directory``; returns the workers that are dead at the end, and those that were restarted."""
+    status_s: float | None,
+) -> Flight:
+    """Fly with rings in ``directory``."""
     channels = {**rings.device_channels(vehicle), "event_supervisor": EVENT}
     supervisor = Publisher(rings.create(directory, vehicle, channels), "_supervisor")
     everyone = crew.everyone
@@ -120,27 +126,21 @@ def _fly(
     for one in harvested:
         text = one.problem or f"{one.rows} rows brought in"
         tell(Severity.ERROR if one.problem else Severity.WARNING, "harvest", one.log.name, text)
+    announcer = Announcer(vehicle, directory, time.monotonic(), status_s)
+    end = _EndOfMission(vehicle, directory)
     try:
         for worker in everyone:
             worker.start()
         for worker in everyone:
             worker.wait_ready()
         started = time.monotonic()
-        end = _EndOfMission(vehicle, directory)
+        LOGGER.info("every worker is at work", extra={"source": "flight", "code": "started"})
         while not asked_to_stop.seen and not end.reached():
             elapsed = time.monotonic() - started
             if duration_s is not None and elapsed > duration_s:
                 break
-            for worker in everyone:
-                happened = worker.watch()
-                if happened == "died":
-                    text = f"exit code {worker.exit_code}; the others go on, and it is started again"
-                    tell(Severity.ERROR, "worker_died", worker.name, text)
-                elif happened == "hung":
-                    tell(Severity.ERROR, "worker_hung", worker.name, f"silent for {HUNG_S:g} s: it is killed")
-                elif happened:
-                    restarted.append(worker.name)
-                    tell(Severity.WARNING, "worker_restarted", worker.name, f"process {worker.pid}")
+            restarted += [worker.name for worker in everyone if _watch(worker, tell)]
+            announcer.step(time.monotonic())
             progress(elapsed)
             time.sleep(WATCH_PERIOD_S)
     finally:
@@ -149,7 +149,31 @@ def _fly(
                 worker.start()  # to end the log
             worker.finish()
         asked_to_stop.restore()
-    return tuple(worker.name for worker in everyone if worker.died), tuple(restarted)
+        announcer.end(time.monotonic())
+    missing = missing_all_flight(vehicle, announcer.rows())
+    for text in missing:
+        LOGGER.error(text, extra={"source": "flight", "code": "missing"})
+    return Flight(
+        directory,
+        tuple(worker.name for worker in everyone if worker.died),
+        tuple(restarted),
+        tuple(harvested),
+        tuple(missing),
+        end.was_over,
+    )
+
+
+def _watch(worker: Worker, tell: Callable[[Severity, str, str, str], None]) -> bool:
+    """Look after a worker, and tell what happened to it; whether it was started again."""
+    happened = worker.watch()
+    if happened == "died":
+        text = f"exit code {worker.exit_code}; the others go on, and it is started again"
+        tell(Severity.ERROR, "worker_died", worker.name, text)
+    elif happened == "hung":
+        tell(Severity.ERROR, "worker_hung", worker.name, f"silent for {HUNG_S:g} s: it is killed")
+    elif happened:
+        tell(Severity.WARNING, "worker_restarted", worker.name, f"process {worker.pid}")
+    return happened == "restarted"
 
 
 class _StopSignals:
@@ -175,11 +199,19 @@ class _EndOfMission:
         self._end = phases.end if phases else None
         self._reader = RingReader(directory / f"{phases.channel}.ring") if phases else None
         self._seen_s = math.inf
+        self._first: int | None = None
+
+    @property
+    def was_over(self) -> bool:
+        """Whether the first phase of all was the last of the mission."""
+        return self._first is not None and self._first == self._end
 
     def reached(self) -> bool:
         if self._reader is None or self._end is None:
             return False
         rows, _ = self._reader.read()
+        if len(rows) and self._first is None:
+            self._first = int(rows["value_raw"][0])
         now_s = time.monotonic()
         if (rows["value_raw"] == self._end).any():
             self._seen_s = min(self._seen_s, now_s)

@@ -17,11 +17,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drivers.records import Batch, Severity, event
+from drivers.records import EVENT, Batch, Severity, event
 from onboard import config
 from onboard.flight import directories, manifest, rings
 from onboard.flight.acquisition import Acquisition
+from onboard.flight.announcer import RECORDER_SAID
 from onboard.flight.publisher import Publisher
+from onboard.ring import RingWriter
 
 if TYPE_CHECKING:
     from onboard.flight.devices import OpenDevices
@@ -30,6 +32,7 @@ RECEIVE_TIMEOUT_S = 0.05
 REALTIME_PRIORITY = 50
 BEAT_S = 1.0  # a worker that has said nothing for several of these hangs
 ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
+EVENTS_SAID = 200  # of the recorder, for whoever listens
 CLOSE_S = 10.0  # for a disk that refuses at the end of a flight: what is left is harvested before the next
 
 
@@ -180,7 +183,8 @@ def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
     supervised = Supervised(pipe, "record")
     with directories.belong(directory):
         flight = manifest.Manifest.load(directory)
-        recorder = open_recorder(flight, min_free_bytes)
+        said = RingWriter(directory / RECORDER_SAID, EVENT, EVENTS_SAID)
+        recorder = open_recorder(flight, min_free_bytes, said.push)
         recorder.step(time.monotonic_ns())
         supervised.ready()
         period_ns = step_ns(flight.storage)

@@ -9,7 +9,7 @@ The recorder speaks on two channels of its own, so that its sequence numbers mee
 """
 
 import errno
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -72,6 +72,7 @@ class Recorder:
         units: channel to field to unit, for the definitions in the log.
         recorded: how far each channel is in the log, which another recorder began.
         space: looks after the disk's free space.
+        said: told each event of the recorder's own, which go into the log without a ring.
 
     Raises:
         SchemaError: the record of a ring cannot be written as a ROS 2 message.
@@ -86,9 +87,10 @@ class Recorder:
         units: Mapping[str, Mapping[str, str]] | None = None,
         recorded: Mapping[str, Mark] | None = None,
         space: SpaceGuard | None = None,
+        said: Callable[[Rows], object] = lambda rows: None,
     ) -> None:
         recorded = recorded or {}
-        self._writer, self._space = writer, space
+        self._writer, self._space, self._said = writer, space, said
         self._sources = [RingSource(ring, recorded.get(ring.name)) for ring in rings]
         own = (GAP_CHANNEL, EVENT_CHANNEL)
         self._sequence = {name: recorded[name].sequence + 1 if name in recorded else 0 for name in own}
@@ -136,7 +138,9 @@ class Recorder:
 
     def say(self, now_ns: int, severity: Severity, code: str, text: str) -> None:
         """Put an event of the recorder's own into the log."""
-        self._own(EVENT_CHANNEL, records.event(now_ns, severity, code, _SOURCE, text))
+        told = records.event(now_ns, severity, code, _SOURCE, text)
+        self._own(EVENT_CHANNEL, told)
+        self._said(told.rows)
 
     def _drain(self, now_ns: int) -> StepReport:
         taken = lost = 0

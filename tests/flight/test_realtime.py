@@ -44,7 +44,11 @@ def test_a_flight_without_a_single_bus_says_so_and_leaves_a_log(tmp_path: Path) 
     )]  # fmt: skip
     command = [sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--log", str(log), "--duration", "1", *missing]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
-    assert done.returncode == cli.OK, done.stderr
+    assert done.returncode == cli.FAILED, done.stderr
+    for bus in ("can_0", "i2c_1", "sync_line"):
+        assert f"{bus}: bus_failed" in done.stderr
+        assert f"bus {bus} was missing all flight" in done.stderr
+    assert "rows/s" in done.stderr  # how it stands, once a second
     events = LogReader(log).read("event")
     assert sorted(events["source"][events["code"] == b"bus_failed"].tolist()) == [b"can_0", b"i2c_1", b"sync_line"]
 
@@ -61,7 +65,7 @@ def test_sigterm_ends_a_flight_in_order(tmp_path: Path) -> None:
     time.sleep(1.0)
     os.kill(flight.pid, signal.SIGTERM)
     out, err = flight.communicate(timeout=60)
-    assert flight.returncode == cli.OK, err
+    assert flight.returncode == cli.FAILED, err  # no bus of it is there
     assert str(log) in out
     read = LogReader(log)
     assert read.complete

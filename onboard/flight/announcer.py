@@ -1,0 +1,174 @@
+"""What a flight says while it flies: its warnings and errors, phases, answers, and how it stands, through ``logging``.
+
+The announcer reads the rings as any other reader does, so whatever a worker reports is said and recorded alike. The
+logger is ``heft``; who wants to hear it puts a handler there, and one that never waits: the supervisor goes on only
+when it has spoken.
+"""
+
+import logging
+from collections import defaultdict
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.records import EVENT, GAP, Rows, Severity
+from onboard import config
+from onboard.channels import QUANTITY
+from onboard.devices.base import BusDevice
+from onboard.ring import RingError, RingReader
+
+LOGGER = logging.getLogger("heft")
+LOGGER.addHandler(logging.NullHandler())
+RECORDER_SAID = "recorder_event.said"  # a ring of the recorder's own events: what is in a *.ring it records itself
+SILENT = 0.9  # of the nominal rate: a channel that brings less is named
+_LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
+_RECORDS = {"gap": GAP, "quantity": QUANTITY}
+_SLOW_HZ = 2.0  # channels that come less often are not judged in every line
+_NAMED = 3  # channels in a line
+
+
+class Answer(NamedTuple):
+    """The newest of a quantity that the data support."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} {self.unit} ({self.low:.4g} to {self.high:.4g})"
+
+
+class Announcer:
+    """Speaks of one flight.
+
+    Args:
+        vehicle: what flies.
+        directory: of its rings.
+        now_s: time of the call.
+        status_s: between two lines that say how it stands; None says none.
+    """
+
+    def __init__(self, vehicle: config.Vehicle, directory: Path, now_s: float, status_s: float | None) -> None:
+        self._vehicle, self._directory, self._status_s = vehicle, directory, status_s
+        self._readers: dict[str, RingReader] = {}
+        self._began_s = self._looked_s = now_s
+        self._published: dict[str, int] = {}
+        self._missing, self._gaps = 0, 0
+        self._phase = ""
+        self._estimated_ns: int | None = None
+        self.answers: dict[str, Answer] = {}
+        self._rates = {
+            channel: vehicle.rate_hz(name)
+            for name, device in vehicle.file.device.items()
+            if isinstance(device, BusDevice) and not device.tells_changes
+            for channel in list(device.channels(name))[:1]
+        }
+
+    def step(self, now_s: float) -> None:
+        """Say what has happened since the last step."""
+        for name in ("event_supervisor", "event", "event_estimation", RECORDER_SAID):
+            self._events(self._read(name))
+        gaps = self._read("gap")
+        self._gaps += len(gaps)
+        self._missing += int((gaps["last_missing"].astype(np.int64) - gaps["first_missing"].astype(np.int64) + 1).sum())
+        quantities = self._read("quantity")
+        if len(quantities):
+            self._estimated_ns = int(quantities["vehicle_ns"][-1])
+            newest = quantities["host_ns"] == quantities["host_ns"][-1]
+            for row in quantities[newest & (quantities["unit"] != b"")]:  # base parameters are no answers
+                self._answer(row)
+        if self._status_s is not None and now_s - self._looked_s >= self._status_s:
+            self._say_status(now_s)
+
+    def end(self, now_s: float) -> None:
+        """Say what is left to say, and what the flight has found."""
+        self.step(now_s)
+        for name, answer in self.answers.items():
+            LOGGER.info("%s %s", name, answer, extra={"source": "answer", "code": "answer"})
+        if not self.answers:
+            LOGGER.info("no answer: the data support none", extra={"source": "answer", "code": "no_answer"})
+
+    def rows(self) -> dict[str, int]:
+        """Rows that each device channel has had, in all."""
+        return {name: reader.published for name in self._vehicle.channels if (reader := self._reader(name))}
+
+    def _events(self, rows: Rows) -> None:
+        for severity, *said in zip(*(rows[field] for field in ("severity", "code", "source", "text")), strict=True):
+            code, source, text = (one.decode(errors="replace") for one in said)
+            if code == "phase":
+                self._phase = text
+            if severity >= Severity.WARNING or source == "estimation" or code == "zeroed":
+                level = _LEVELS.get(Severity(min(int(severity), Severity.ERROR)), logging.ERROR)
+                LOGGER.log(level, "%s: %s", code, text, extra={"source": source, "code": code})
+
+    def _answer(self, row: np.void) -> None:
+        name, unit = row["name"].decode(), row["unit"].decode()
+        if not row["supported"]:
+            if self.answers.pop(name, None) is not None:
+                LOGGER.warning("%s is not known any more", name, extra={"source": "answer", "code": "answer_gone"})
+            return
+        new = name not in self.answers
+        self.answers[name] = Answer(float(row["value"]), float(row["low"]), float(row["high"]), unit)
+        if new:
+            LOGGER.info("%s %s", name, self.answers[name], extra={"source": "answer", "code": "answer"})
+
+    def _say_status(self, now_s: float) -> None:
+        passed_s, self._looked_s = now_s - self._looked_s, now_s
+        published = self.rows()
+        came = {name: count - self._published.get(name, 0) for name, count in published.items()}
+        self._published = published
+        parts = [f"{now_s - self._began_s:.0f} s", self._phase, f"{sum(came.values()) / passed_s:.0f} rows/s"]
+        slow = {
+            name: came.get(name, 0) / passed_s
+            for name, rate_hz in self._rates.items()
+            if rate_hz * passed_s >= _SLOW_HZ and came.get(name, 0) < SILENT * rate_hz * passed_s
+        }
+        parts += [f"{name} {hz:.0f} of {self._rates[name]:.0f} Hz" for name, hz in list(slow.items())[:_NAMED]]
+        if len(slow) > _NAMED:
+            parts.append(f"and {len(slow) - _NAMED} more are slow")
+        if self._gaps:
+            parts.append(f"{self._missing} rows missing in {self._gaps} gaps")
+        if self._estimated_ns is not None:
+            parts.append(f"estimate {max(0.0, now_s - 1e-9 * self._estimated_ns):.1f} s old")
+        parts += [f"{name} {answer}" for name, answer in list(self.answers.items())[:1]]
+        LOGGER.info(", ".join(part for part in parts if part), extra={"source": "status", "code": "status"})
+
+    def _reader(self, name: str) -> RingReader | None:
+        if name not in self._readers:
+            path = self._directory / (name if name == RECORDER_SAID else f"{name}.ring")
+            try:
+                self._readers[name] = RingReader(path)
+            except (OSError, RingError, ValueError):
+                return None  # it is made later, or just being made
+        return self._readers[name]
+
+    def _read(self, name: str) -> Rows:
+        reader = self._reader(name)
+        if reader is None:
+            return np.zeros(0, _RECORDS.get(name, EVENT))
+        rows, lost = reader.read()
+        if lost:
+            LOGGER.warning("%d rows of %s were not read in time to be said", lost, name, extra={"source": "flight"})
+        return rows
+
+
+def missing_all_flight(vehicle: config.Vehicle, rows: dict[str, int]) -> list[str]:
+    """What never came in a whole flight: buses without a row, and essential devices; a sentence each.
+
+    Args:
+        vehicle: what flew.
+        rows: of each device channel, in all.
+    """
+    of_bus: dict[str, int] = defaultdict(int)
+    told = []
+    for bus in vehicle.buses:
+        channels = [c for name, device in vehicle.devices_on(bus).items() for c in device.channels(name)]
+        of_bus[bus] = sum(rows.get(channel, 0) for channel in channels)
+        if channels and not of_bus[bus]:
+            told.append(f"bus {bus} was missing all flight: not one row of {', '.join(channels)}")
+    for name in vehicle.file.vehicle.essential:
+        if not any(rows.get(channel, 0) for channel in vehicle.file.device[name].channels(name)):
+            told.append(f"{name}, which is essential, was missing all flight")
+    return told

@@ -1,0 +1,81 @@
+"""The lines of a flight on stderr: for people, for the journal, as JSON; and that nothing waits for who reads them."""
+
+import io
+import json
+import logging
+import os
+import time
+
+import pytest
+
+from onboard.cli.messages import Handler, JsonLines, Lines, spoken
+
+LOGGER = logging.getLogger("heft")
+
+
+@pytest.fixture(autouse=True)
+def _no_journal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("JOURNAL_STREAM", raising=False)
+    monkeypatch.delenv("INVOCATION_ID", raising=False)
+
+
+def speak() -> None:
+    LOGGER.info("going", extra={"source": "flight", "code": "status"})
+    LOGGER.warning("late\n<0>forged \x1b[31mred", extra={"source": "joint_1", "code": "gap"})
+    LOGGER.error("gone", extra={"source": "can_0", "code": "bus_failed"})
+
+
+def test_lines_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    with spoken(quiet=False, json_lines=False) as status_s:
+        assert status_s == 1.0
+        speak()
+    lines = [line.split(" ", 1)[1] for line in capsys.readouterr().err.splitlines()]
+    assert lines == ["flight: going", "warning joint_1: late?<0>forged ?[31mred", "error can_0: gone"]
+
+
+def test_priorities_for_the_journal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INVOCATION_ID", "x")
+    with spoken(quiet=False, json_lines=False) as status_s:
+        assert status_s == 60.0
+        speak()
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["<6>flight: going", "<4>joint_1: late?<0>forged ?[31mred", "<3>can_0: gone"]
+
+
+def test_quiet_and_json(capsys: pytest.CaptureFixture[str]) -> None:
+    with spoken(quiet=True, json_lines=True) as status_s:
+        assert status_s is None
+        speak()
+    said = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert [(one["level"], one["source"], one["code"]) for one in said] == [
+        ("warning", "joint_1", "gap"),
+        ("error", "can_0", "bus_failed"),
+    ]
+    speak()  # and afterwards it is still
+    assert capsys.readouterr().err == ""
+
+
+def test_a_reader_that_stands_still_holds_nobody_up() -> None:
+    reading, writing = os.pipe()
+    handler = Handler(os.fdopen(writing, "w"))
+    handler.setFormatter(Lines(journal=False))
+    record = logging.LogRecord("heft", logging.INFO, "", 0, "x" * 500, None, None)
+    began = time.monotonic()
+    for _ in range(5000):
+        handler.emit(record)
+    assert time.monotonic() - began < 5.0
+    assert handler._unsaid > 3000
+    with os.fdopen(reading) as file:
+        for _ in range(100):
+            assert "x" * 500 in file.readline()
+    handler._thread.join(5.0)
+
+
+def test_a_reader_that_is_gone_ends_nothing() -> None:
+    stream = io.StringIO()
+    handler = Handler(stream)
+    handler.setFormatter(JsonLines())
+    stream.close()
+    handler.emit(logging.LogRecord("heft", logging.INFO, "", 0, "x", None, None))
+    handler.close()
+    assert not handler._thread.is_alive()
