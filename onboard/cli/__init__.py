@@ -9,6 +9,7 @@ damaged, and what could be read was; 4 preflight found the vehicle not ready.
 
 import argparse
 import importlib
+import importlib.metadata
 import os
 import pkgutil
 import sys
@@ -16,14 +17,14 @@ from collections.abc import Callable, Sequence
 
 from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK
 
-__all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "main"]
+__all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "main", "parser"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``heft`` and return its exit code."""
     # The matrices are small: threads of BLAS wait for each other more than they work (a replay takes a third without).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    arguments = _parser().parse_args(argv)
+    arguments = parser().parse_args(argv)
     command: Callable[[argparse.Namespace], int] = arguments.command
     try:
         return command(arguments)
@@ -51,14 +52,23 @@ def _sentence(error: OSError | ValueError) -> str:
     return str(error)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """Of the command line, with every command."""
+    made = argparse.ArgumentParser(
         prog="heft",
         description="Weigh what an arm holds: acquisition, log and inertial identification for free-flying servicers.",
         epilog="exit codes: 0 done, 1 ran and failed, 2 bad input, 3 log damaged but read, 4 not ready to fly",
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    made.add_argument("--version", action="version", version=f"heft {_version()}")
+    commands = made.add_subparsers(required=True, metavar="COMMAND")
     for found in sorted(module.name for module in pkgutil.iter_modules(__path__)):
         if found not in ("__main__", "common", "messages"):
             importlib.import_module(f"{__name__}.{found}").add(commands)
-    return parser
+    return made
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("heft-flight")
+    except importlib.metadata.PackageNotFoundError:
+        return "of a checkout that is not installed"

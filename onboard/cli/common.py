@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.progress import Progress
 
     from onboard import config
@@ -17,19 +17,53 @@ Commands = Any  # argparse keeps the type of what add_subparsers returns to itse
 OK, FAILED, BAD_INPUT, DAMAGED, NOT_READY = 0, 1, 2, 3, 4
 
 
+_WIDER = (100, 120, 160, 240, 400)  # columns, one after the other, until every number is whole
+
+
 def console() -> "Console":
-    """Where tables go."""
+    """Where text and live views go."""
     from rich.console import Console
 
     return Console()
 
 
-def progress(*, to_stderr: bool = False) -> "Progress":
-    """A progress bar that is gone when done, and nothing at all where no terminal shows it."""
+def show(shown: "RenderableType") -> None:
+    """Print ``shown``. Numbers are never cut or broken: a table that does not fit the terminal, or a pipe, is wider."""
+    shell = console()
+    _keep_numbers_whole(shown)
+    for width in (shell.width, *(wider for wider in _WIDER if wider > shell.width)):
+        shell.width = width
+        with shell.capture() as caught:
+            shell.print(shown)
+        if _CUT not in caught.get():
+            break
+    shell.print(shown, crop=False, soft_wrap=False)
+
+
+_CUT = "\N{HORIZONTAL ELLIPSIS}"
+
+
+def _keep_numbers_whole(shown: object) -> None:
+    """Columns of numbers stand on the right: none is wrapped, and rich cuts with ``_CUT`` where there is no room."""
+    from rich.console import Group
+    from rich.table import Table
+
+    if isinstance(shown, Table):
+        for column in shown.columns:
+            column.no_wrap = column.no_wrap or column.justify == "right"
+            for cell in column.cells:
+                _keep_numbers_whole(cell)
+    elif isinstance(shown, Group):
+        for part in shown.renderables:
+            _keep_numbers_whole(part)
+
+
+def progress() -> "Progress":
+    """A progress bar on stderr that is gone when done, and nothing at all where no terminal shows it."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    where = Console(stderr=to_stderr)
+    where = Console(stderr=True)
     percent = TextColumn("{task.percentage:3.0f} %")
     columns = (TextColumn("{task.description}"), BarColumn(), percent, TimeRemainingColumn())
     return Progress(*columns, console=where, transient=True, disable=not where.is_terminal)
@@ -48,7 +82,7 @@ def load_vehicle(name: str) -> "config.Vehicle":
     """A vehicle by the path of its file, or by the name of a packaged one."""
     from onboard import config
 
-    return config.load(Path(name) if name.endswith(".toml") else config.packaged(name))
+    return config.named(name)
 
 
 def complain(text: object) -> None:

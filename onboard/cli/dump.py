@@ -54,7 +54,7 @@ def _dump(arguments: argparse.Namespace) -> int:
         raise ValueError(f"{len(groups)} logs into one pipe: dump them one by one")
     codes: list[int] = []
     force = arguments.force
-    with progress(to_stderr=piped) as bar:
+    with progress() as bar:
         for group in groups:
             log = FlightTables(LogReader(group[0] if len(group) == 1 else group), vehicle)
             name = group[0].stem

@@ -10,6 +10,7 @@ from onboard.cli.common import (
     add_live,
     bus_and_url,
     complain,
+    load_vehicle,
     next_log,
     serve_live,
 )
@@ -18,7 +19,7 @@ from onboard.cli.common import (
 def add(commands: Commands) -> None:
     """Make the command known."""
     fly = commands.add_parser("fly", help="fly a vehicle: acquire, record, estimate")
-    fly.add_argument("vehicle", type=Path, help="vehicle.toml")
+    fly.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
     fly.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
     fly.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
     fly.add_argument(
@@ -37,7 +38,6 @@ def add(commands: Commands) -> None:
 
 
 def _fly(arguments: argparse.Namespace) -> int:
-    from onboard import config
     from onboard.cli import messages
     from onboard.flight import runner
     from onboard.flight.runner_processes import FlightError
@@ -45,7 +45,7 @@ def _fly(arguments: argparse.Namespace) -> int:
     from onboard.recording.reader import LogReader
 
     urls = dict(bus_and_url(text) for text in arguments.url)
-    vehicle = config.load(arguments.vehicle)
+    vehicle = load_vehicle(arguments.vehicle)
     if arguments.earlier:
         vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))
     vehicle = vehicle.with_urls(urls)

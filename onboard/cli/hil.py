@@ -14,6 +14,7 @@ from onboard.cli.common import (
     next_log,
     progress,
     serve_live,
+    show,
 )
 
 
@@ -30,7 +31,10 @@ def add(commands: Commands) -> None:
 
 
 def _hil(arguments: argparse.Namespace) -> int:
-    from hil_sim.mission import open_in_process
+    try:
+        from hil_sim.mission import open_in_process
+    except ModuleNotFoundError as error:
+        raise ValueError(f"heft hil simulates with MuJoCo ({error}): pip install mujoco") from error
     from onboard import config
     from onboard.flight import hil
     from onboard.flight.runner_processes import FlightError
@@ -41,7 +45,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
     shown = console()
     name, seed = arguments.scenario, arguments.seed
-    vehicle = config.load(config.packaged(name))
+    vehicle = config.named(name)
     log = arguments.log or next_log(vehicle.file.recording.directory, name)
     with progress() as bar:
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)
@@ -59,7 +63,7 @@ def _hil(arguments: argparse.Namespace) -> int:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
     truth.write(flown.log, flown.truth)
     result = mission_table.result(flown)
-    shown.print(mission_table.render(result))
+    show(mission_table.render(result))
     shown.print(f"log: {log}", soft_wrap=True)
     shown.print(f"next: heft report {log}, heft info {log}, heft replay {log}", soft_wrap=True)
     if arguments.json:

@@ -2,10 +2,11 @@
 
 import argparse
 import json
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import DAMAGED, FAILED, OK, Commands, console, load_vehicle, progress, warn
+from onboard.cli.common import DAMAGED, FAILED, OK, Commands, load_vehicle, progress, show, warn
 
 if TYPE_CHECKING:
     from onboard import config
@@ -15,7 +16,9 @@ def add(commands: Commands) -> None:
     """Make the command known."""
     identify = commands.add_parser("identify", help="identify from logs, with the estimator that flies")
     identify.add_argument("logs", type=Path, nargs="*", metavar="LOG")
-    identify.add_argument("--vehicle", required=True, help="vehicle.toml, or the name of a packaged vehicle")
+    identify.add_argument(
+        "--vehicle", help="vehicle.toml, or the name of a packaged vehicle (default: the one that the logs carry)"
+    )
     identify.add_argument(
         "--parameters", action="store_true", help="show the base parameters of the vehicle, written with its lengths"
     )
@@ -33,11 +36,23 @@ def add(commands: Commands) -> None:
 
 
 def _identify(arguments: argparse.Namespace) -> int:
+    from onboard.offline.tables.vehicle_file import flown_by
+    from onboard.recording.reader import LogReader
+
+    if arguments.vehicle:
+        return _identify_with(load_vehicle(arguments.vehicle), arguments)
+    if not arguments.logs:
+        raise ValueError("name a log to identify from, or the --vehicle whose --parameters to show")
+    with tempfile.TemporaryDirectory() as directory:
+        vehicle = flown_by([LogReader(log) for log in arguments.logs], Path(directory))
+        return _identify_with(vehicle, arguments)
+
+
+def _identify_with(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     from onboard.offline.estimate_again import identify, identify_view
     from onboard.offline.estimate_again import warm_start as carrying
     from onboard.recording.reader import LogReader
 
-    vehicle = load_vehicle(arguments.vehicle)
     if arguments.method:
         vehicle = identify.by_method(vehicle, arguments.method)
     if arguments.earlier:
@@ -49,9 +64,9 @@ def _identify(arguments: argparse.Namespace) -> int:
     if arguments.urdf and len(arguments.logs) > 1:
         raise ValueError("a URDF holds what one log says; give --urdf with one log")
     with progress() as bar:
-        task = bar.add_task("identify", total=len(arguments.logs))
+        task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
-    console().print(identify_view.render(found))
+    show(identify_view.render(found))
     if arguments.json:
         arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     warn(found.damage)
@@ -68,7 +83,7 @@ def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int
     if arguments.logs:
         raise ValueError("--parameters are those of the vehicle, whatever flew; leave the logs out")
     found = parameters.parameters(vehicle)
-    console().print(parameters.render(found))
+    show(parameters.render(found))
     if arguments.json:
         arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
     return OK

@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from onboard.cli.common import Commands, console
+from onboard.cli.common import Commands, progress, show
 
 
 def add(commands: Commands) -> None:
@@ -21,8 +21,9 @@ def _info(arguments: argparse.Namespace) -> int:
     from onboard.recording.reader import LogReader
 
     log = LogReader(arguments.log)
-    about = info.info(log)
-    said = summary.summary(log)
+    with progress() as bar:
+        about = info.info(log, bar)
+        said = summary.summary(log, bar)
     if arguments.json:
         text = json.dumps({**about.as_json(), **said.as_json()}, indent=1, allow_nan=False) + "\n"
         if str(arguments.json) == "-":
@@ -30,8 +31,8 @@ def _info(arguments: argparse.Namespace) -> int:
         else:
             arguments.json.write_text(text, encoding="utf-8")
     if str(arguments.json) != "-":
-        console().print(info.render(about))
-        console().print(summary.render(said))
+        show(info.render(about))
+        show(summary.render(said))
     if arguments.clocks:
         from onboard.offline.report import clock_plot
 

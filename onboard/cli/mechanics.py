@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from onboard.cli.common import OK, Commands, console, load_vehicle
+from onboard.cli.common import OK, Commands, load_vehicle, show
 
 if TYPE_CHECKING:
     from onboard import config
@@ -52,7 +52,7 @@ def _mechanics(arguments: argparse.Namespace) -> int:
         found = _analysed(vehicle, arguments, step_m, turn_rad)
     except ModelError as error:
         raise ValueError(str(error)) from error
-    console().print(view.render(found))
+    show(view.render(found))
     if arguments.json:
         arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
     if arguments.figures:

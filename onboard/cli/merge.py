@@ -33,6 +33,8 @@ def _merge(arguments: argparse.Namespace) -> int:
     names = [group[0].stem for group in groups]
     if unknown := sorted(set(clocks) - set(names)):
         raise ValueError(f"--align {unknown[0]}: the logs are {', '.join(names)}")
+    if twice := sorted({name for name in clocks if names.count(name) > 1}):
+        raise ValueError(f"--align {twice[0]}: two logs are called so; rename a file")
     parts = [Part(group, *clocks.get(name, (0, 1.0))) for group, name in zip(groups, names, strict=True)]
     with progress() as bar:
         made = merge(parts, arguments.output, rename=arguments.rename, progress=bar)

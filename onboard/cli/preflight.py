@@ -8,8 +8,8 @@ from onboard.cli.common import (
     OK,
     Commands,
     bus_and_url,
-    console,
     load_vehicle,
+    show,
 )
 
 
@@ -29,5 +29,5 @@ def _preflight(arguments: argparse.Namespace) -> int:
     vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
     Estimator(vehicle)  # what heft fly would refuse is refused here
     found = preflight.preflight(vehicle, time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds)
-    console().print(preflight.render(found))
+    show(preflight.render(found))
     return OK if found.ready else NOT_READY

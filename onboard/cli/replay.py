@@ -3,12 +3,8 @@
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from onboard.cli.common import DAMAGED, FAILED, OK, Commands, console, warn
-
-if TYPE_CHECKING:
-    pass
+from onboard.cli.common import DAMAGED, FAILED, OK, Commands, progress, show, warn
 
 
 def add(commands: Commands) -> None:
@@ -31,7 +27,8 @@ def _replay(arguments: argparse.Namespace) -> int:
         return _reestimate(arguments)
     from onboard.offline.estimate_again.replay import replay
 
-    result = replay(arguments.log)
+    with progress() as bar:
+        result = replay(arguments.log, bar)
     print(result.summary)
     warn(result.damage)
     if not result.identical:
@@ -42,8 +39,9 @@ def _replay(arguments: argparse.Namespace) -> int:
 def _reestimate(arguments: argparse.Namespace) -> int:
     from onboard.offline.estimate_again.reestimate import reestimate, render
 
-    found = reestimate(arguments.log, arguments.settings)
-    console().print(render(found))
+    with progress() as bar:
+        found = reestimate(arguments.log, arguments.settings, bar)
+    show(render(found))
     if arguments.json:
         arguments.json.write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
     warn(found.damage)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import DAMAGED, OK, Commands, progress, warn
+from onboard.cli.common import DAMAGED, OK, Commands, load_vehicle, progress, warn
 
 
 def add(commands: Commands) -> None:
@@ -11,6 +11,7 @@ def add(commands: Commands) -> None:
     report = commands.add_parser("report", help="a flight as one self-contained HTML page")
     report.add_argument("log", type=Path)
     report.add_argument("-o", "--output", type=Path, metavar="FILE", help="page to write (default: LOG.html)")
+    report.add_argument("--vehicle", metavar="VEHICLE", help="file or name, for a log that carries none")
     report.set_defaults(command=_report)
 
 
@@ -18,8 +19,9 @@ def _report(arguments: argparse.Namespace) -> int:
     from onboard.offline.report import report
 
     output = arguments.output or arguments.log.with_suffix(".html")
+    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     with progress() as bar:
-        damage = report(arguments.log, output, bar)
+        damage = report(arguments.log, output, bar, vehicle)
     print(output)
     warn(damage)
     return DAMAGED if damage else OK

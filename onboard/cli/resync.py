@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import FAILED, OK, Commands, complain, console, load_vehicle
+from onboard.cli.common import FAILED, OK, Commands, complain, load_vehicle, show
 
 
 def add(commands: Commands) -> None:
@@ -41,7 +41,7 @@ def _resync(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps([one.as_json() for one in placed], default=str))
     else:
-        console().print(render(placed))
+        show(render(placed))
     if arguments.output:
         clocks = {one.log: (round(one.shift_s * 1e9), 1.0 + one.rate) for one in placed}
         parts = [Part(group, *clocks.get(group[0], (0, 1.0))) for group in groups]

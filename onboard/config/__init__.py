@@ -3,7 +3,7 @@
 from onboard.config.errors import ConfigError
 from onboard.config.estimation import Phases, Zero
 from onboard.config.free_body import Load
-from onboard.config.loader import load, packaged, parse
+from onboard.config.loader import load, named, packaged, parse
 from onboard.config.vehicle import Recording, Vehicle
 
-__all__ = ["ConfigError", "Load", "Phases", "Recording", "Vehicle", "Zero", "load", "packaged", "parse"]
+__all__ = ["ConfigError", "Load", "Phases", "Recording", "Vehicle", "Zero", "load", "named", "packaged", "parse"]

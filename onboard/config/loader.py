@@ -24,6 +24,26 @@ def packaged(name: str) -> Path:
     return Path(__file__).parents[1] / "vehicles" / name / "vehicle.toml"
 
 
+def named(name: str | Path) -> Vehicle:
+    """A vehicle by the path of its file, or by the name of a packaged one.
+
+    Raises:
+        ConfigError: there is none of that name, or see :func:`load`.
+    """
+    if str(name).endswith(".toml"):
+        return load(Path(name))
+    path = packaged(str(name))
+    if not path.exists():
+        known = sorted(file.parent.name for file in path.parents[1].glob("*/vehicle.toml"))
+        near = difflib.get_close_matches(str(name), known, 1)
+        meant = f"did you mean {near[0]!r}? Others: " if near else "there are "
+        others = ", ".join(one for one in known if one not in near)
+        raise ConfigError(
+            f"no packaged vehicle {str(name)!r}; {meant}{others}; one of your own is a path to a vehicle.toml"
+        )
+    return load(path)
+
+
 def load(path: Path) -> Vehicle:
     """Read and check a vehicle file.
 

@@ -1,10 +1,16 @@
 """The command line on bad input: a sentence with the remedy, exit code 2, no traceback."""
 
+import importlib.metadata
+import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Group
+from rich.table import Column, Table
+from rich.text import Text
 
 from onboard import cli, config
+from onboard.cli.common import progress, show
 
 ON_A_LOG = [
     ["info", "nowhere.mcap"],
@@ -40,6 +46,10 @@ def test_a_vehicle_file_with_a_mistake_names_the_line(tmp_path: Path, capsys: py
     [
         (["fly", "nowhere/vehicle.toml"], "give the path of a vehicle.toml"),
         (["hil", "moonshot"], "moonshot"),
+        (["hil", "rocksatt"], "did you mean 'rocksat'?"),
+        (["fly", "rocksatt"], "did you mean 'rocksat'?"),
+        (["preflight", "dymaflx"], "did you mean 'dymaflex'?"),
+        (["identify"], "name a log"),
         *((command, "nowhere.mcap: no such file or directory; check the path") for command in ON_A_LOG),
         (["dump", "nowhere.mcap", "--to", "xlsx", "out"], "known formats: csv"),
         (["identify", "--vehicle", "nowhere.toml", "log.mcap"], "give the path of a vehicle.toml"),
@@ -80,3 +90,43 @@ def test_arguments_that_are_none_end_in_2(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         cli.main(arguments)
     assert caught.value.code == cli.BAD_INPUT
+
+
+def test_the_version_and_completion_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["--version"])
+    assert caught.value.code == cli.OK
+    assert capsys.readouterr().out == f"heft {importlib.metadata.version('heft-flight')}\n"
+    assert cli.main(["completion", "bash"]) == cli.OK
+    script = capsys.readouterr().out
+    assert "_shtab_heft_dump_option_strings" in script
+    assert "-F _shtab_heft heft" in script
+
+
+def test_hil_says_what_to_install_where_there_is_no_mujoco(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("hil_sim")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    code, said = run(["hil", "rocksat"], capsys)
+    assert code == cli.BAD_INPUT
+    assert "pip install mujoco" in said
+
+
+@pytest.mark.parametrize("columns", [40, 80, 200])
+def test_tables_never_lose_digits(
+    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    table = Table(*[Column(f"column {n}", justify="right") for n in range(6)], Column("in words"))
+    numbers = [f"{n}.{n}234567890123" for n in range(6)]
+    table.add_row(*numbers, "long text, which may be wrapped at the end of any word of it")
+    show(Group(Text("a sentence that goes on for longer than any terminal of eighty columns has room, and on"), table))
+    shown = capsys.readouterr().out
+    assert all(number in shown for number in numbers)
+    assert "\N{HORIZONTAL ELLIPSIS}" not in shown
+
+
+def test_progress_goes_to_stderr() -> None:
+    assert progress().console.stderr

@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import tempfile
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from PIL import Image
 
 from drivers import records
-from onboard import config
+from onboard import cli, config
 from onboard.flight.identification import build_identifier
 from onboard.offline.report import report
 from onboard.offline.report.alone import alone
@@ -189,3 +190,19 @@ def test_a_log_of_one_channel_and_no_vehicle_makes_a_page(tmp_path: Path) -> Non
     text = (tmp_path / "bare.html").read_text()
     assert "carries no vehicle" in text
     assert "imu_0" in text
+
+
+def test_a_log_without_a_vehicle_file_is_reported_with_the_one_that_is_given(tmp_path: Path) -> None:
+    rows = np.zeros(100, records.SCALAR)
+    rows["sequence"] = rows["tick"] = np.arange(100)
+    rows["host_ns"], rows["scale"], rows["unit"] = 1_000_000_000 + np.arange(100) * 5_000_000, 1e-5, b"rad"
+    with LogWriter.create(tmp_path / "imported.mcap") as writer:
+        writer.register("joint_1", records.SCALAR)
+        writer.write("joint_1", rows)
+    told = ["report", str(tmp_path / "imported.mcap"), "-o", str(tmp_path / "page.html")]
+    assert cli.main(told) == cli.OK
+    page = (tmp_path / "page.html").read_text()
+    assert "imported.mcap carries no vehicle file; give the vehicle that flew with --vehicle" in page
+    assert page.count(tempfile.gettempdir()) == page.count(str(tmp_path))  # no other directory is named
+    assert cli.main([*told, "--vehicle", "rocksat"]) == cli.OK
+    assert "carries no vehicle file" not in (tmp_path / "page.html").read_text()

@@ -229,4 +229,4 @@ def vehicle_named(vehicle: str | Path | config.Vehicle | None) -> config.Vehicle
     """
     if vehicle is None or isinstance(vehicle, config.Vehicle):
         return vehicle
-    return config.load(Path(vehicle) if str(vehicle).endswith(".toml") else config.packaged(str(vehicle)))
+    return config.named(vehicle)

@@ -14,12 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Group, RenderableType
+from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
 from onboard import config
 from onboard.flight.estimator import Estimator
 from onboard.offline.estimate_again.replay import Pass, steps
+from onboard.offline.tables.progress import follow
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.offline.views.summary import LogOverview, count_gates, summary
 from onboard.recording.reader import LogReader
@@ -54,8 +56,10 @@ class Reestimate(NamedTuple):
         }
 
 
-def reestimate(path: Path, settings: Path) -> Reestimate:
+def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> Reestimate:
     """Estimate the flight of ``path`` again, with ``settings`` put over those it was flown with.
+
+    ``progress`` counts the bytes of the log.
 
     Raises:
         LogFormatError: it is no log.
@@ -74,7 +78,9 @@ def reestimate(path: Path, settings: Path) -> Reestimate:
         estimator = Estimator(vehicle)
     now, short = LogOverview(), ""
     rows_of_log = Pass(log, [*estimator.inputs, "tick"])
+    tell = follow(progress, "estimate", log)
     for step in steps(rows_of_log, estimator.inputs):
+        tell()
         short = short or step.short
         for channel, rows in estimator.process(step.now_ns, step.batches, step.lag_ns):
             if channel == "row":

@@ -6,16 +6,18 @@ steps. Whatever the scheduling was on board, the answers are the same to the las
 
 import tempfile
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.progress import Progress
 
 from drivers.records import Batch, Rows
 from onboard import config
 from onboard.flight.estimator import Estimator
+from onboard.offline.tables.progress import follow
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
 
@@ -135,8 +137,8 @@ def _bytes(rows: Rows) -> NDArray[np.uint8]:
     return clean.view(np.uint8).reshape(len(rows), rows.dtype.itemsize)
 
 
-def replay(path: Path) -> Replay:
-    """Replay a log.
+def replay(path: Path, progress: Progress | None = None) -> Replay:
+    """Replay a log; ``progress`` counts its bytes.
 
     Raises:
         LogFormatError: it is no log.
@@ -144,7 +146,7 @@ def replay(path: Path) -> Replay:
     """
     log = LogReader(path)
     with tempfile.TemporaryDirectory() as directory:
-        return _replay(log, vehicle_of(log, Path(directory)))
+        return _replay(log, vehicle_of(log, Path(directory)), follow(progress, "replay", log))
 
 
 class Step(NamedTuple):
@@ -180,7 +182,7 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[Step]:
         yield Step(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short)
 
 
-def _replay(log: LogReader, vehicle: config.Vehicle) -> Replay:
+def _replay(log: LogReader, vehicle: config.Vehicle, tell: Callable[[], None]) -> Replay:
     estimator = Estimator(vehicle)
     outputs = estimator.outputs
     rows = Pass(log, [*estimator.inputs, "tick", *outputs])
@@ -188,6 +190,7 @@ def _replay(log: LogReader, vehicle: config.Vehicle) -> Replay:
     short = ""
     times_ns: deque[int] = deque([-1], maxlen=_UNANSWERED + 1)
     for step in steps(rows, estimator.inputs):
+        tell()
         times_ns.append(step.now_ns)
         if step.fresh:  # in place of one that died, whose last answers may not have come out
             said = {name: int((log.read(name)["host_ns"] < step.now_ns).sum()) for name in outputs}

@@ -6,20 +6,29 @@ from pathlib import Path
 from rich.progress import Progress
 
 from drivers.records import Rows
+from onboard import config
 from onboard.offline.report import figures, theme
 from onboard.offline.report.flight_data import gather
 from onboard.offline.report.sections import document
 from onboard.recording.scan import Damage
 
 
-def report(log: Path, output: Path, progress: Progress | None = None) -> tuple[Damage, ...]:
+def report(
+    log: Path, output: Path, progress: Progress | None = None, vehicle: config.Vehicle | None = None
+) -> tuple[Damage, ...]:
     """Write the page of ``log`` to ``output``; returns the damage of the log.
+
+    Args:
+        log: its path.
+        output: the page.
+        progress: gets tasks that count the bytes of the log.
+        vehicle: that flew; the one that the log carries where None.
 
     Raises:
         LogFormatError: not a heft log.
         OSError: a file cannot be read or written.
     """
-    flight = gather(log, progress)
+    flight = gather(log, progress, vehicle)
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(document(flight), encoding="utf-8")
     return flight.info.damage

@@ -83,8 +83,8 @@ class FlightData:
         return np.asarray((np.asarray(at_ns, np.int64) - self.info.start_ns) * 1e-9, np.float64)
 
 
-def gather(path: Path, progress: Progress | None = None) -> FlightData:
-    """Read ``path``.
+def gather(path: Path, progress: Progress | None = None, vehicle: config.Vehicle | None = None) -> FlightData:
+    """Read ``path``, with ``vehicle``, or the one that the log carries where None.
 
     Raises:
         LogFormatError: it is no log of ours.
@@ -95,7 +95,7 @@ def gather(path: Path, progress: Progress | None = None) -> FlightData:
     about = info(log)
     if progress is not None and task is not None:
         progress.update(task, completed=log.size)
-    flight = _begin(log, about)
+    flight = _begin(log, about, vehicle)
     reader = _Reader(flight, log)
     for batch in log.batches():
         reader.add(batch)
@@ -105,18 +105,16 @@ def gather(path: Path, progress: Progress | None = None) -> FlightData:
     return flight
 
 
-def _begin(log: LogReader, about: LogInfo) -> FlightData:
+def _begin(log: LogReader, about: LogInfo, given: config.Vehicle | None) -> FlightData:
     notes: list[str] = []
-    vehicle, roles, identifier, model = None, None, None, None
+    vehicle, roles, identifier, model = given, None, None, None
     with tempfile.TemporaryDirectory() as directory:
         try:
-            vehicle = vehicle_of(log, Path(directory))
+            vehicle = given or vehicle_of(log, Path(directory))
             online, model = build_online(vehicle)
             identifier = online if isinstance(online, Identifier) else None
         except (config.ConfigError, ModelError, OSError) as error:
-            notes.append(
-                f"The log carries no vehicle that this version can use, so nothing is said of the model: {error}"
-            )
+            notes.append(f"No vehicle that this version can use is known, so nothing is said of the model: {error}")
     if vehicle is not None:
         roles = roles_of(vehicle)
     phases = phases_of(log, vehicle.file.estimation.phases, about.end_ns) if vehicle else ()

@@ -15,6 +15,7 @@ import numpy as np
 from rich.progress import Progress
 
 from drivers.records import EVENT, GAP, Batch, Rows
+from onboard.channels import CLOCK
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
@@ -22,18 +23,24 @@ from onboard.recording.segmented import RECORDED
 from onboard.recording.segments import METADATA
 from onboard.recording.writer import LogWriter
 
+NAME_BYTES = min(GAP["channel"].itemsize, CLOCK["channel"].itemsize)  # of a channel, as records hold it
+
 
 class Part(NamedTuple):
-    """One recorder's log, and its clock relative to the first: ``host_ns x rate + shift_ns``."""
+    """One recorder's log, and its mapping to the first one's clock: ``host_ns x rate + shift_ns``.
+
+    ``label`` tells its channels apart from those of the others; the name of the log where it is empty.
+    """
 
     segments: Sequence[Path]
     shift_ns: int = 0
     rate: float = 1.0
+    label: str = ""
 
     @property
     def name(self) -> str:
-        """Name of the log."""
-        return self.segments[0].stem
+        """What tells it apart."""
+        return self.label or self.segments[0].stem
 
 
 class Merged(NamedTuple):
@@ -55,17 +62,15 @@ def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress
 
     Raises:
         ChannelError: several logs have a channel of samples without ``rename``, or a name gets too long.
-        ValueError: fewer than two logs, or two of one name.
+        ValueError: fewer than two logs.
         FileExistsError: ``output`` exists.
         LogFormatError: a file is not a heft log.
         OSError: a log cannot be read, or the output not written.
     """
-    stems = [part.name for part in parts]
     if len(parts) < 2:
-        raise ValueError(f"{stems[0] if stems else 'nothing'}: give two logs or more to merge")
-    if twice := sorted({name for name in stems if stems.count(name) > 1}):
-        raise ValueError(f"two logs are called {twice[0]}: rename a file, its name tells the channels apart")
+        raise ValueError(f"{parts[0].name if parts else 'nothing'}: give two logs or more to merge")
     logs = [LogReader(part.segments) for part in parts]
+    parts = _labelled(parts, logs)
     names = _names(parts, logs, rename)
     size = sum(log.size for log in logs)
     task = None if progress is None else progress.add_task(f"merge {len(logs)} logs", total=size)
@@ -85,7 +90,19 @@ def merge(parts: Sequence[Part], output: Path, *, rename: bool = False, progress
             if progress is not None and task is not None:
                 progress.update(task, completed=sum(log.position for log in logs))
     damage = tuple(one for log in logs for one in log.damage)
-    return Merged(rows, damage, tuple(_strangers(parts, spans)))
+    labels = [f"{part.label} is {part.segments[0]}" for part in parts if part.label]
+    told = [f"channels that several logs have are told apart: {', '.join(labels)}"] if labels else []
+    return Merged(rows, damage, (*told, *_strangers(parts, spans)))
+
+
+def _labelled(parts: Sequence[Part], logs: Sequence[LogReader]) -> list[Part]:
+    """``parts`` with the labels log1, log2, ... where their names are alike, or too long before a channel's name."""
+    stems = [part.name for part in parts]
+    every = [name for log in logs for name in log.channels]
+    shared = max((len(name.encode()) for name in every if every.count(name) > 1), default=0)
+    if len(set(stems)) == len(stems) and max(len(stem.encode()) for stem in stems) + 1 + shared <= NAME_BYTES:
+        return list(parts)
+    return [part._replace(label=f"log{number}") for number, part in enumerate(parts, 1)]
 
 
 def _names(parts: Sequence[Part], logs: Sequence[LogReader], rename: bool) -> list[dict[str, str]]:

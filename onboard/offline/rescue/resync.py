@@ -26,6 +26,7 @@ from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
+from onboard.offline.rescue.sampled import sampled
 from onboard.offline.tables import si
 from onboard.recording.reader import LogReader
 from onboard.timebase.resync import Alignment, ResyncError, Stream, align, shocks
@@ -93,7 +94,7 @@ def resync(
     """The clock of every log but the reference.
 
     Args:
-        logs: two or more, with samples' times in ``host_ns``.
+        logs: two or more.
         vehicle: tells which channel is what, and the model where there is one; else every scalar channel in rad or
             rad/s is taken for a joint.
         peak_Hz: where the motion is liveliest, see :func:`onboard.timebase.resync.align`.
@@ -211,9 +212,8 @@ def _imu_channel(log: LogReader, vehicle: config.Vehicle | None) -> str | None:
 
 def _imu(log: LogReader, channel: str) -> tuple[Stream, Stream]:
     """Angular rate and specific force of the usable samples, sensor axes."""
-    rows = log.read(channel)
-    rows = rows[si.usable(rows)]
-    values, time_s = si.imu(rows), rows["host_ns"] * 1e-9
+    rows, time_s = sampled(log, channel)
+    values = si.imu(rows)
     return Stream(time_s, values[:, :3]), Stream(time_s, values[:, 3:])
 
 
@@ -225,13 +225,12 @@ def _joints(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, _Joint]
     for name in wanted:
         if log.channels.get(name) != SCALAR:
             continue
-        rows = log.read(name)
-        rows = rows[si.usable(rows)]
+        rows, time_s = sampled(log, name)
         unit = bytes(rows["unit"][0]) if len(rows) else b""
         factor = {**ANGLE, **RATE}.get(unit)
         if factor is not None:
             zero = roles.signals[name].zero_count if roles else 0
-            stream = Stream(rows["host_ns"] * 1e-9, factor * si.scalar(rows, zero)[:, None])
+            stream = Stream(time_s, factor * si.scalar(rows, zero)[:, None])
             found[name] = _Joint(stream, unit in RATE)
     return found
 

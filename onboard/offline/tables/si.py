@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import IMU, SCALAR, Rows, SampleStatus
+from drivers.records import Rows, SampleStatus
 from onboard.estimation.arrays import FloatArray
 
 UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
@@ -24,5 +24,4 @@ def scalar(rows: Rows, zero_count: int = 0) -> FloatArray:
 
 def usable(rows: Rows) -> NDArray[np.bool_]:
     """Which rows (n,) of an IMU or a scalar channel are usable samples."""
-    assert rows.dtype in (IMU, SCALAR)
     return np.asarray((rows["status"] & UNUSABLE) == 0)

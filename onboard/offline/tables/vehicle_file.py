@@ -15,9 +15,14 @@ def vehicle_of(log: LogReader, directory: Path) -> config.Vehicle:
     Raises:
         ConfigError: the attachments are missing or cannot be used.
     """
+    if VEHICLE_ATTACHMENT not in log.attachments:
+        raise config.ConfigError(f"{log.path} carries no vehicle file; give the vehicle that flew with --vehicle")
     for name, attachment in log.attachments.items():
         (directory / Path(name).name).write_bytes(attachment.data)
-    return config.load(directory / VEHICLE_ATTACHMENT)
+    try:
+        return config.load(directory / VEHICLE_ATTACHMENT)
+    except config.ConfigError as error:  # nobody has the directory
+        raise config.ConfigError(str(error).replace(f"{directory}/", f"{log.path}: its ")) from error
 
 
 def attached_vehicle(log: LogReader) -> config.Vehicle:

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
+from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
+from onboard.offline.tables.progress import follow
 from onboard.offline.views.continuity import NO_RANGES, Continuity, Ranges, common, count, union
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
@@ -168,8 +170,12 @@ def printable(data: bytes) -> str:
     return "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in text)
 
 
-def info(log: LogReader | str | Path) -> LogInfo:
+def info(log: LogReader | str | Path, progress: Progress | None = None) -> LogInfo:
     """Summarise ``log`` in one further pass over it, in constant memory.
+
+    Args:
+        log: the log, or its path.
+        progress: gets a task that counts the bytes of the log.
 
     Raises:
         LogFormatError: not a heft log.
@@ -177,8 +183,10 @@ def info(log: LogReader | str | Path) -> LogInfo:
     """
     reader = log if isinstance(log, LogReader) else LogReader(log)
     gatherer = _Gatherer(reader.channels)
+    tell = follow(progress, "read", reader)
     for batch in reader.batches():
         gatherer.add(batch)
+        tell()
     start_ns, end_ns = gatherer.span
     return LogInfo(
         path=reader.path,
@@ -206,6 +214,8 @@ def _head(about: LogInfo) -> Table:
     table.add_row("log", Text(str(about.path)))
     table.add_row("length", f"{about.duration_s:.3f} s, {about.rows:,} rows, {about.size_bytes / 1e6:.2f} MB")
     for name, items in about.metadata.items():
+        if name == "clock_map":  # the delays in it stand below, the rest in --json
+            continue
         shown = {key: value for key, value in items.items() if name != "versions" or key in _OWN_VERSION}
         table.add_row(name, Text(", ".join(f"{key} {value}" for key, value in shown.items())))
     if about.attachments:

@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
+from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
 from onboard import channels, config
 from onboard.estimation.gates import GateReason
 from onboard.flight.clocks import known_delays
+from onboard.offline.tables.progress import follow
 from onboard.offline.tables.thin import Thinned
 from onboard.offline.tables.vehicle_file import attached_vehicle
 from onboard.recording.reader import LogReader
@@ -41,12 +43,17 @@ class LogOverview:
         }
 
 
-def summary(log: LogReader) -> LogOverview:
-    """Read the overview of ``log``; parts that the log lacks are empty."""
+def summary(log: LogReader, progress: Progress | None = None) -> LogOverview:
+    """Read the overview of ``log``; parts that the log lacks are empty.
+
+    ``progress`` gets a task that counts the bytes of the log.
+    """
+    tell = follow(progress, "sum up", log)
     found = LogOverview(delays=_delays(log))
     clocks: dict[str, Thinned] = {}
     fields = {name: set(dtype.names or ()) for name, dtype in log.channels.items()}
     for channel, rows in log.batches():
+        tell()
         if {"period_ns", "state", "marks", "channel"} <= fields[channel]:
             for name in np.unique(rows["channel"]):
                 clocks.setdefault(name.decode(), Thinned(_POINTS)).add(rows[rows["channel"] == name])

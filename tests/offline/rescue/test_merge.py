@@ -136,6 +136,19 @@ def test_what_cannot_be_done_is_said(two, tmp_path, monkeypatch, capsys, argumen
     assert not Path("out.mcap").exists()
 
 
+def test_logs_under_the_names_that_flights_give_them_are_told_apart(tmp_path):
+    long, twin = tmp_path / "dymaflex_air_bearing-001.mcap", tmp_path / "again" / "dymaflex_air_bearing-001.mcap"
+    twin.parent.mkdir()
+    gap = records.gap(7 * MS, "imu_base_temperature", 3, 4, MS, "test").rows
+    for path in (long, twin):
+        write(path, {"imu_base_temperature": scalar_rows(10, 0), "gap": gap})
+    made = merge([Part([long]), Part([twin])], tmp_path / "both.mcap", rename=True)
+    assert set(made.rows) == {f"log{n}_{name}" for n in (1, 2) for name in ("imu_base_temperature", "gap")}
+    assert f"log2 is {twin}" in made.warnings[0]
+    rows = LogReader(tmp_path / "both.mcap").read("log2_gap")
+    assert rows["channel"].tolist() == [b"log2_imu_base_temperature"]
+
+
 def test_recover_says_what_is_lost_by_its_exit_code(two, tmp_path, capsys):
     whole, cut, nothing = (tmp_path / f"{name}.mcap" for name in ("whole", "cut", "nothing"))
     assert cli.main(["recover", str(two[0]), "-o", str(whole)]) == cli.OK

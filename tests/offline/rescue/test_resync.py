@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers import records
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
 from onboard import cli
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.recording.reader import LogReader
+from onboard.recording.writer import LogWriter
 
 RATE, FIRST_S, ENCODERS_S, DURATION_S = 0.013, 1.234, 11.0, 13.0
 PAYLOAD = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
@@ -118,6 +120,34 @@ def test_two_imus_on_one_body_are_aligned_without_a_vehicle_file(
 
     (found,) = json.loads(capsys.readouterr().out)
     assert found["offset_s"] == pytest.approx(-40.0, abs=1e-4)
+
+
+def test_imus_whose_rows_share_arrival_stamps_are_aligned_by_their_ticks(
+    parabola: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two MPU-6050, each drained every 10 ms by a computer of its own; their chips run off nominal by -0.7 and 1 %."""
+    rows = np.load(parabola[0].parents[1] / "imu.npz")
+    logs = []
+    for name, start_s, rate in (("one", 0.0, -0.007), ("two", 40.0, 0.01)):
+        period_s = 1e-3 * (1.0 + rate)
+        own_s = np.arange(int(12.0 / period_s)) * period_s
+        imu = np.zeros(len(own_s), records.IMU)
+        imu["sequence"] = imu["tick"] = np.arange(len(own_s))
+        imu["host_ns"] = np.round((np.ceil(own_s / 0.01) * 0.01 + start_s) * 1e9)  # when the FIFO was drained
+        imu["gyro_scale_rad_s"] = imu["accel_scale_m_s2"] = 1e-3
+        for axis in range(3):
+            imu["gyro_raw"][:, axis] = np.round(np.interp(own_s, rows["t"], rows["gyro"][:, axis]) * 1e3)
+        assert (np.diff(imu["host_ns"]) == 0).mean() > 0.8
+        with LogWriter.create(tmp_path / f"{name}.mcap") as writer:
+            writer.register("imu", records.IMU)
+            writer.write("imu", imu)
+        logs.append(str(tmp_path / f"{name}.mcap"))
+
+    assert cli.main(["resync", *logs, "--json"]) == cli.OK
+
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["offset_s"] == pytest.approx(-40.0, abs=1e-3)
+    assert abs(found["rate"]) < 50e-6
 
 
 def test_taps_of_a_mallet_serve_where_nothing_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
