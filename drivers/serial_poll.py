@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SCALAR, Severity
-from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
+from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 
 SETTLE_NS = 10 * MS  # silence required after invalid bytes
 UNANSWERED_TO_TELL = 5
@@ -131,7 +131,7 @@ class PolledDevice(SerialDevice):
         self._broken = False
         return True
 
-    def _receive(self, now_ns: int, chunk: Chunk) -> None:
+    def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
         if self._asked_ns is None:
             if not self._broken:
                 error = FrameError(f"{len(chunk.data)} bytes without a request: is another master on the line?")

@@ -28,7 +28,7 @@ MOST_EXCHANGES = 32  # largest number of exchanges per pump
 MS = 1_000_000
 
 
-class Chunk(NamedTuple):
+class ReceivedBytes(NamedTuple):
     """Bytes of one read.
 
     Attributes:
@@ -81,7 +81,7 @@ class SerialLink:
             return False
         return True
 
-    def read(self, now_ns: int, at_least: int) -> Chunk | None:
+    def read(self, now_ns: int, at_least: int) -> ReceivedBytes | None:
         """Read all waiting bytes (``at_least`` as many if the port has a timeout); None: no data, or a fault."""
         if self._port is None:
             return None
@@ -94,7 +94,7 @@ class SerialLink:
             return None
         host_ns = self._clock()
         fresh = host_ns - began_ns <= LONGEST_FRESH_READ_NS and len(data) <= LARGEST_FRESH_READ
-        return Chunk(data, host_ns, fresh) if data else None
+        return ReceivedBytes(data, host_ns, fresh) if data else None
 
     def write(self, now_ns: int, data: bytes) -> int | None:
         """Send ``data``; returns CLOCK_MONOTONIC ns just before, or None after a fault."""
@@ -234,7 +234,7 @@ class SerialDevice(ABC):
             self._closed(now_ns)
 
     @abstractmethod
-    def _receive(self, now_ns: int, chunk: Chunk) -> None:
+    def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
         """Convert the bytes read into rows."""
 
     def _opened(self, now_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is

@@ -18,7 +18,7 @@ from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
-from hil_sim.plants.rocket_arm import Plant as RocketPlant
+from hil_sim.plants.rocket_arm import RocketArmPlant as RocketPlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
 from hil_sim.scenario.load import Scenario, ScenarioError, load

@@ -27,7 +27,7 @@ from hil_sim.buses.i2c_socket import I2cSocket
 from hil_sim.buses.in_process import EdgePort
 from hil_sim.buses.media import CanBus, I2cBus
 from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
-from hil_sim.buses.realtime import Server
+from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.buses.slcan import SlcanAdapter
@@ -79,7 +79,7 @@ class _CanPort(Port):
         self._adapter.close()
 
 
-class SerialPort(Port):
+class PseudoTerminal(Port):
     """A pseudo-terminal, linked to as ``path``; kernel tier and this one share it."""
 
     def __init__(self, path: Path, table: SerialBusTable, seed: int) -> None:
@@ -127,7 +127,7 @@ def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0)
             case PulseLineTable():
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
-                return SerialPort(directory / bus, table, seed)
+                return PseudoTerminal(directory / bus, table, seed)
 
     return open_ports(tables, open_port, seed)
 
@@ -180,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except ValueError as error:
             parser.error(str(error))
         say({**ports.urls, "start_ns": start_ns, "duration_s": mission.plant.program.duration_s})
-        server = Server(ports, time.monotonic_ns)
+        server = MissionServer(ports, time.monotonic_ns)
         server.run(mission, lambda: bool(stops))
         say({"produced": mission.produced(), "truth": mission.truth(), "server": server.summary()})
     return 0

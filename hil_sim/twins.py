@@ -14,8 +14,15 @@ from hil_sim.faults import DeviceFaults, FaultError
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.bus_tables import CanBusTable, PulseLineTable
 from hil_sim.scenario.load import Scenario, ScenarioError
-from hil_sim.scenario.sensor_tables import Encoder, ForceCell, Imu, LoadCell, MotorTorque, Phase
-from hil_sim.scenario.sensor_tables import Sensor as SensorTable
+from hil_sim.scenario.sensor_tables import (
+    EncoderTable,
+    ForceCellTable,
+    ImuTable,
+    LoadCellTable,
+    MotorTorqueTable,
+    PhaseTable,
+    SensorTable,
+)
 from hil_sim.sensing.analog import ChipClock
 from hil_sim.sensing.controller_sensors import MotorTorqueSensor, PhaseSensor
 from hil_sim.sensing.sensors import EncoderSensor, ImuSensor, LoadCellSensor
@@ -47,15 +54,15 @@ def sensor(plant: Plant, table: SensorTable, rng: np.random.Generator, at: str) 
         ScenarioError: no such place.
     """
     match table:
-        case Imu():
+        case ImuTable():
             return ImuSensor(plant, table, rng, at)
-        case Encoder():
+        case EncoderTable():
             return EncoderSensor(plant, table, rng, at)
-        case LoadCell() | ForceCell():
+        case LoadCellTable() | ForceCellTable():
             return LoadCellSensor(plant, table, rng, at)
-        case MotorTorque():
+        case MotorTorqueTable():
             return MotorTorqueSensor(plant, table, rng, at)
-        case Phase():
+        case PhaseTable():
             return PhaseSensor(plant)
 
 

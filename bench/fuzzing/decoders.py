@@ -182,7 +182,7 @@ def modbus(data: bytes) -> None:
         sample_period_ms=20.0 if which & 0x20 else 0.0,
     )
     for said in answers:
-        decoder = modbus_load_cell.Answer(read_request(1, 6, 8), config.echo)
+        decoder = modbus_load_cell.ModbusReply(read_request(1, 6, 8), config.echo)
         with contextlib.suppress(FrameError, ModbusException):
             for piece in cut(said, how >> 4):
                 registers = decoder.receive(piece)
@@ -201,7 +201,7 @@ def dsc(data: bytes) -> None:
     for said in answers:
         with contextlib.suppress(FrameError):
             dsc_load_cell.decode_number(said)
-        decoder = dsc_load_cell.Answer()
+        decoder = dsc_load_cell.DscReply()
         with contextlib.suppress(FrameError):
             for piece in cut(said, how >> 4):
                 decoder.receive(piece)

@@ -36,7 +36,7 @@ class Captured(NamedTuple):
     mass_sigma: float  # relative, as the estimator gives it
 
 
-def _signals(flight: free_flyer.Flight, rng: np.random.Generator) -> FlightSignals:
+def _signals(flight: free_flyer.FreeFlightSignals, rng: np.random.Generator) -> FlightSignals:
     sampled = sample(flight, case.ERRORS, rng)
     return tick_signals(*sampled[:4], sampled[4:], case.SAMPLES_PER_TICK, case.SMOOTHING_s)
 

@@ -138,7 +138,7 @@ def _rms(bound: BodyEstimate) -> Floats:
 class Recorded(NamedTuple):
     """One flight as it was, and what its sensors said of it."""
 
-    flight: free_flyer.Flight
+    flight: free_flyer.FreeFlightSignals
     signals: FlightSignals
 
 

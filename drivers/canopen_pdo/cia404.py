@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import ProcessData, Sample
-from drivers.canopen_pdo.sdo import Setup, Write, ensure_tpdo, read_unsigned
+from drivers.canopen_pdo.sdo import SdoWrite, Setup, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SampleStatus
 
@@ -70,7 +70,7 @@ class LoadCell(ProcessData):
         power = (prefix - 0x100 if prefix > 0x7F else prefix) - digits
         self.scale = float(f"1e{power}")
         if self._tare_due:
-            yield Write(AUTO_ZERO, 1, b"zero")
+            yield SdoWrite(AUTO_ZERO, 1, b"zero")
             self._tare_due, self._tared = False, True
         yield from ensure_tpdo(VALUE_TPDO, self.cob_id, 1, MAPPING)
 

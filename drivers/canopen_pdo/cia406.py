@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import ProcessData, Sample, position_sample
-from drivers.canopen_pdo.sdo import Read, SdoData, Setup, Write, attempt, ensure_tpdo, read_unsigned
+from drivers.canopen_pdo.sdo import SdoData, SdoRead, SdoWrite, Setup, attempt, ensure_tpdo, read_unsigned
 from drivers.errors import ConfigurationError, FrameError, SdoAbortError
 from drivers.position import Position
 
@@ -77,7 +77,7 @@ class Encoder(ProcessData):
             raise FrameError(f"{self.name}: TPDO of {len(data)} bytes, 6004h has 4: check the mapping 1A01h")
         return position_sample(self._position, int.from_bytes(data, "little"))
 
-    def _resolution(self) -> Generator[Read | Write, SdoData, int]:
+    def _resolution(self) -> Generator[SdoRead | SdoWrite, SdoData, int]:
         """Counts per revolution: 6001h if scaling is enabled (6000h bit 2), else the physical resolution 6501h."""
         try:
             scaling = (yield from read_unsigned(0x6000)) & SCALING_ENABLED

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import ProcessData, Sample
-from drivers.canopen_pdo.sdo import Read, SdoData, Setup, Write, read_unsigned
+from drivers.canopen_pdo.sdo import SdoData, SdoRead, SdoWrite, Setup, read_unsigned
 from drivers.errors import ConfigurationError, FrameError
 
 FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i", "u64": "<Q", "i64": "<q"}
@@ -129,19 +129,19 @@ class MappedObject(ProcessData):
         """Changes from one value of the counter to another."""
         return (counter - before) % self._modulus
 
-    def read_counter(self) -> Generator[Read | Write, SdoData, int | None]:
+    def read_counter(self) -> Generator[SdoRead | SdoWrite, SdoData, int | None]:
         """Part of a sequence: read the counter of changes; None where there is none."""
         subindex = self._config.counter_subindex
         return None if subindex is None else (yield from read_unsigned(self._config.index, subindex))
 
-    def read_value(self) -> Generator[Read | Write, SdoData, Reading]:
+    def read_value(self) -> Generator[SdoRead | SdoWrite, SdoData, Reading]:
         """Part of a sequence: read the object.
 
         Raises:
             ConfigurationError: It is shorter than its format.
         """
         config = self._config
-        reply = yield Read(config.index, config.subindex)
+        reply = yield SdoRead(config.index, config.subindex)
         if len(reply.data) < self._struct.size:
             raise ConfigurationError(f"{config.index:04X}h has {len(reply.data)} bytes, {config.format} does not fit")
         return Reading(reply.host_ns, Sample(int(self._struct.unpack_from(reply.data)[0])), None)

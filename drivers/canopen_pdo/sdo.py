@@ -1,7 +1,7 @@
 """Non-blocking CANopen SDO client: runs a sequence of reads and writes, with timeouts and retries.
 
-A sequence is a generator that yields ``Read`` and ``Write`` and is sent ``SdoData``; an abort is thrown into it as
-``SdoAbortError``, so that it can skip an object that the node does not have.
+A sequence is a generator that yields ``SdoRead`` and ``SdoWrite`` and is sent ``SdoData``; an abort is thrown into it
+as ``SdoAbortError``, so that it can skip an object that the node does not have.
 """
 
 from collections.abc import Callable, Generator
@@ -16,7 +16,7 @@ TRIES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Read:
+class SdoRead:
     """Read an object."""
 
     index: int
@@ -24,7 +24,7 @@ class Read:
 
 
 @dataclass(frozen=True, slots=True)
-class Write:
+class SdoWrite:
     """Write an object of one to four bytes."""
 
     index: int
@@ -39,21 +39,21 @@ class SdoData(NamedTuple):
     host_ns: int
 
 
-Setup = Generator[Read | Write, SdoData, None]
+Setup = Generator[SdoRead | SdoWrite, SdoData, None]
 
 
-def read_unsigned(index: int, subindex: int = 0) -> Generator[Read | Write, SdoData, int]:
+def read_unsigned(index: int, subindex: int = 0) -> Generator[SdoRead | SdoWrite, SdoData, int]:
     """Part of a sequence: read an object as an unsigned integer, little-endian."""
-    reply = yield Read(index, subindex)
+    reply = yield SdoRead(index, subindex)
     return int.from_bytes(reply.data, "little")
 
 
-def write_unsigned(index: int, subindex: int, value: int, size: int) -> Generator[Read | Write, SdoData, None]:
+def write_unsigned(index: int, subindex: int, value: int, size: int) -> Generator[SdoRead | SdoWrite, SdoData, None]:
     """Part of a sequence: write an unsigned integer of ``size`` bytes."""
-    yield Write(index, subindex, value.to_bytes(size, "little"))
+    yield SdoWrite(index, subindex, value.to_bytes(size, "little"))
 
 
-def attempt(index: int, subindex: int, value: int, size: int) -> Generator[Read | Write, SdoData, bool]:
+def attempt(index: int, subindex: int, value: int, size: int) -> Generator[SdoRead | SdoWrite, SdoData, bool]:
     """Part of a sequence: write; True if the node accepted it."""
     try:
         yield from write_unsigned(index, subindex, value, size)
@@ -64,7 +64,7 @@ def attempt(index: int, subindex: int, value: int, size: int) -> Generator[Read 
 
 def ensure_tpdo(
     number: int, cob_id: int, transmission: int, mapping: tuple[int, ...]
-) -> Generator[Read | Write, SdoData, None]:
+) -> Generator[SdoRead | SdoWrite, SdoData, None]:
     """Part of a sequence: a TPDO with this COB-ID, transmission type and mapping; written only where it differs.
 
     Args:
@@ -112,7 +112,7 @@ class SdoClient:
         self._node = node
         self._send = send
         self._sequence: Setup | None = None
-        self._request: Read | Write = Read(0)
+        self._request: SdoRead | SdoWrite = SdoRead(0)
         self._deadline_ns = 0
         self._tries = 0
         self.malformed = 0
@@ -146,7 +146,7 @@ class SdoClient:
         request = self._request
         if (reply.index, reply.subindex) != (request.index, request.subindex):
             return
-        if not reply.abort_code and reply.is_read is not isinstance(request, Read):
+        if not reply.abort_code and reply.is_read is not isinstance(request, SdoRead):
             return
         if reply.abort_code:
             if reply.is_read:
@@ -182,12 +182,12 @@ class SdoClient:
 
     def _refusal(self, code: int) -> SdoAbortError:
         request = self._request
-        verb = "read" if isinstance(request, Read) else "write"
+        verb = "read" if isinstance(request, SdoRead) else "write"
         why = frame.ABORT_TEXT.get(code, "see its manual")
         text = f"node {self._node} refuses to {verb} {request.index:04X}h:{request.subindex:02X}: {code:08X}h, {why}"
         return SdoAbortError(text, code)
 
-    def _advance(self, sequence: Setup, step: Callable[[], Read | Write], now_ns: int) -> None:
+    def _advance(self, sequence: Setup, step: Callable[[], SdoRead | SdoWrite], now_ns: int) -> None:
         self._sequence = None
         try:
             request = step()
@@ -196,14 +196,14 @@ class SdoClient:
         self._sequence = sequence
         self._ask(request, now_ns)
 
-    def _ask(self, request: Read | Write, now_ns: int) -> None:
+    def _ask(self, request: SdoRead | SdoWrite, now_ns: int) -> None:
         self._request = request
         self._tries = 0
         self._transmit(now_ns)
 
     def _transmit(self, now_ns: int) -> None:
         request = self._request
-        if isinstance(request, Read):
+        if isinstance(request, SdoRead):
             data = frame.encode_sdo_read(request.index, request.subindex)
         else:
             data = frame.encode_sdo_write(request.index, request.subindex, request.data)

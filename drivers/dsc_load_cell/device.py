@@ -1,6 +1,6 @@
 """DSC digitiser as a polled device: one read is one sample."""
 
-from drivers.dsc_load_cell.message import Answer, DscLoadCellConfig, decode_number, read_command
+from drivers.dsc_load_cell.message import DscLoadCellConfig, DscReply, decode_number, read_command
 from drivers.errors import FrameError
 from drivers.records import Severity
 from drivers.serial_poll import PolledDevice, Value
@@ -27,7 +27,7 @@ class DscLoadCell(PolledDevice):
         periods = self.config.poll_period_ms, self.config.sample_period_ms
         super().__init__(name, open_port, clock, *periods, self.config.timeout_ms, 0.0)
         self._command = read_command(self.config.station, self.config.command)
-        self._open = Answer()
+        self._open = DscReply()
         self._form: tuple[int, int] | None = None  # decimals, bytes
 
     def _opened(self, now_ns: int) -> None:
@@ -38,7 +38,7 @@ class DscLoadCell(PolledDevice):
         return (self.name,)
 
     def _question(self, retry: bool) -> bytes:
-        self._open = Answer()
+        self._open = DscReply()
         return self._command
 
     def _missing(self) -> int:

@@ -77,7 +77,7 @@ def decode_number(text: bytes) -> Number:
     return Number(-counts if sign == b"-" else counts, len(fraction))
 
 
-class Answer:
+class DscReply:
     """Gathers the answer to one read."""
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 """Modbus load cell transmitter as a polled device: one read of 40007 to 40014 is one sample."""
 
-from drivers.modbus_load_cell.frame import Answer, ModbusException, read_request
+from drivers.modbus_load_cell.frame import ModbusException, ModbusReply, read_request
 from drivers.modbus_load_cell.registers import COUNT, STATUS, ModbusLoadCellConfig, decode_weights
 from drivers.records import Severity
 from drivers.serial_poll import PolledDevice, Value
@@ -28,7 +28,7 @@ class ModbusLoadCell(PolledDevice):
         periods = self.config.poll_period_ms, self.config.sample_period_ms
         super().__init__(name, open_port, clock, *periods, self.config.timeout_ms, self.config.pause_ms)
         self._extra = 0  # surplus registers in the request, which mark it against a late answer
-        self._open = Answer(read_request(self.config.address, STATUS, COUNT))
+        self._open = ModbusReply(read_request(self.config.address, STATUS, COUNT))
         self._said = ""  # unit and scale in the last event
 
     def _value_channels(self) -> tuple[str, ...]:
@@ -38,7 +38,7 @@ class ModbusLoadCell(PolledDevice):
     def _question(self, retry: bool) -> bytes:
         self._extra = 1 - self._extra if retry else 0
         request = read_request(self.config.address, STATUS, COUNT + self._extra)
-        self._open = Answer(request, self.config.echo)
+        self._open = ModbusReply(request, self.config.echo)
         return request
 
     def _missing(self) -> int:

@@ -81,7 +81,7 @@ def write_request(address: int, register: int, values: tuple[int, ...]) -> bytes
     return _framed(head + b"".join(value.to_bytes(2, "big") for value in values))
 
 
-class Answer:
+class ModbusReply:
     """Gathers the answer to one request.
 
     Args:

@@ -10,7 +10,7 @@ from drivers.nimu.packet import STANDARD_GRAVITY_M_S2, NimuConfig, Packets, Pack
 from drivers.nimu.timer import PacketTicks, PacketTimer
 from drivers.records import IMU, SCALAR, Rows, SampleStatus, Severity
 from drivers.repeats import Repeats, longest_run
-from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
+from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 
 _GYRO, _ACCEL, _MAGNETOMETER, _TEMPERATURE = slice(0, 3), slice(3, 6), slice(6, 9), 9
 _DEG = np.pi / 180.0
@@ -62,7 +62,7 @@ class Nimu(SerialDevice):
     def _opened(self, now_ns: int) -> None:
         self._stream.clear()
 
-    def _receive(self, now_ns: int, chunk: Chunk) -> None:
+    def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
         self._stream.receive(chunk.data)
         runs: list[Packets] = []
         broken: list[bool] = []

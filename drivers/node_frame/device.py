@@ -20,7 +20,7 @@ from drivers.node_frame.frame import (
     payload_dtype,
 )
 from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import MS, Channels, Chunk, Clock, OpenPort, SerialDevice
+from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 from drivers.unwrap import unwrapped
 
 MOST_HELD = 4096  # data frames held until the first descriptor
@@ -89,7 +89,7 @@ class NodeFrame(SerialDevice):
     def _opened(self, now_ns: int) -> None:
         self._frames.clear()
 
-    def _receive(self, now_ns: int, chunk: Chunk) -> None:
+    def _receive(self, now_ns: int, chunk: ReceivedBytes) -> None:
         self._frames.receive(chunk.data)
         while True:
             try:

@@ -13,7 +13,7 @@ BACKWARDS_TICKS = 2  # a line of another stream may have a slightly earlier stam
 SLACK_NS = 1_000_000_000  # longest delay of a line in the kernel's buffer
 
 
-class Ticks(NamedTuple):
+class LineTicks(NamedTuple):
     """Ticks of received lines.
 
     Attributes:
@@ -42,7 +42,7 @@ class TickCounter:
             return False
         return self._fits((stamp - self._tick) % TURN, host_ns - self._host_ns)
 
-    def place(self, stamps: NDArray[np.uint32], host_ns: int) -> Ticks:
+    def place(self, stamps: NDArray[np.uint32], host_ns: int) -> LineTicks:
         """Unwrap the timestamps of lines that arrived at ``host_ns``. From a jump on, ticks count from the new zero."""
         if self._host_ns is None:
             self._tick = int(stamps[0])
@@ -52,7 +52,7 @@ class TickCounter:
         plain = [self._tick, *ticks.tolist()]
         if plain == sorted(plain) and (plain[-1] - plain[0]) * SHORTEST_TICK_NS <= elapsed_ns + SLACK_NS:
             self._tick, self._host_ns = plain[-1], host_ns
-            return Ticks(ticks, None)
+            return LineTicks(ticks, None)
         since = steps(stamps, 32, self._tick)
         jump = None
         bad = since < -BACKWARDS_TICKS
@@ -61,7 +61,7 @@ class TickCounter:
             jump = int(bad.argmax())
             ticks[jump:] += int(stamps[jump]) - ticks[jump]
         self._tick, self._host_ns = int(ticks[-1]), host_ns
-        return Ticks(ticks, jump)
+        return LineTicks(ticks, jump)
 
     @staticmethod
     def _fits(ticks: int, elapsed_ns: int) -> bool:

@@ -11,7 +11,7 @@ from drivers.qsb.registers import CAPTURE, DIGIO
 SAME_EDGE_TICKS = 2  # 4 ms; pulses are 150 ms apart
 
 
-class Edge(NamedTuple):
+class LatchedEdge(NamedTuple):
     """One edge: tick and arrival of its first line, and the count latched, modulo 2^32."""
 
     tick: int
@@ -30,8 +30,8 @@ class SyncEdges:
         self._active = int(rising)
         self._capture = 0
         self._level = 1 - self._active
-        self._pending: Edge | None = None
-        self._ready: list[Edge] = []
+        self._pending: LatchedEdge | None = None
+        self._ready: list[LatchedEdge] = []
 
     def preset(self, register: int, data: int) -> None:
         """Set the initial content of a streamed register."""
@@ -51,7 +51,7 @@ class SyncEdges:
             if before != self._level == self._active:
                 self._edge(tick, host_ns)
 
-    def take(self, tick: int | None = None) -> list[Edge]:
+    def take(self, tick: int | None = None) -> list[LatchedEdge]:
         """Edges that are complete at ``tick``; all of them when it is None."""
         if self._pending is not None and (tick is None or tick - self._pending.tick > SAME_EDGE_TICKS):
             self._ready.append(self._pending)
@@ -65,4 +65,4 @@ class SyncEdges:
             return
         if self._pending is not None:
             self._ready.append(self._pending)
-        self._pending = Edge(tick, host_ns, self._capture)
+        self._pending = LatchedEdge(tick, host_ns, self._capture)

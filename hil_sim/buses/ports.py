@@ -50,7 +50,7 @@ class Port:
         """Close it."""
 
 
-OpenPort = Callable[[str, BusTable, int, int], Port]
+PortFactory = Callable[[str, BusTable, int, int], Port]
 """A tier: opens a bus by its name, its table, its place among those of its kind, and a seed."""
 
 
@@ -81,7 +81,7 @@ class Ports:
         self._close()
 
 
-def open_ports(tables: Mapping[str, BusTable], open_port: OpenPort, seed: int = 0) -> Ports:
+def open_ports(tables: Mapping[str, BusTable], open_port: PortFactory, seed: int = 0) -> Ports:
     """Open every bus; if one fails, those already open are closed.
 
     Args:

@@ -25,7 +25,7 @@ class Advancing(Protocol):
         """Advance plant and twins to ``now_ns``."""
 
 
-class Server:
+class MissionServer:
     """Serves a mission on open ports.
 
     Args:

@@ -19,7 +19,7 @@ from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after two status bytes
 
 
-class SerialLink(Protocol):
+class HostLink(Protocol):
     """The flight computer's serial port, seen from the line."""
 
     messages: int
@@ -85,7 +85,7 @@ class SerialBus:
             62 characters before that. FTDI's is 16 ms, and 1 ms in low-latency mode. 0: no such adapter.
     """
 
-    def __init__(self, link: SerialLink, seed: int = 0, *, latency_ns: int = 0) -> None:
+    def __init__(self, link: HostLink, seed: int = 0, *, latency_ns: int = 0) -> None:
         self.samples = 0  # that devices had to say while the flight computer had its port open; see ``add``
         self.to_host = 0  # characters delivered
         self.to_device = 0  # characters sent

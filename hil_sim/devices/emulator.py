@@ -12,10 +12,10 @@ from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.devices.sync_box import Pin
 from hil_sim.faults import DeviceFaults
 from hil_sim.scenario.bus_tables import SerialBusTable
-from hil_sim.scenario.sensor_tables import Quantity, Table
+from hil_sim.scenario.sensor_tables import MeasuredQuantity, Table
 from hil_sim.sensing.analog import ChipClock
 
-FORCES: tuple[Quantity, ...] = ("joint_moment", "force")
+FORCES: tuple[MeasuredQuantity, ...] = ("joint_moment", "force")
 Sensor = TypeVar("Sensor")
 
 
@@ -29,7 +29,7 @@ class Signal(NamedTuple):
     """
 
     sensor: str
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[MeasuredQuantity, ...]
     at: str
 
 
@@ -147,7 +147,7 @@ class MeasuringEmulator(Emulator):
     bus: str
     measures: str
     at: str = ""
-    quantities: ClassVar[tuple[Quantity, ...]]
+    quantities: ClassVar[tuple[MeasuredQuantity, ...]]
 
     def signals(self, name: str) -> dict[str, Signal]:
         """See ``Emulator``."""

@@ -17,7 +17,7 @@ from hil_sim.devices.emulator import FORCES, Bench, Emulator, Signal, Twin
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
-from hil_sim.scenario.sensor_tables import Quantity, Table
+from hil_sim.scenario.sensor_tables import MeasuredQuantity, Table
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import ImuSensor
 
@@ -28,7 +28,7 @@ _MOST_CHANNELS: Final = 65
 _CRC_POLYNOMIAL: Final = 0x1021
 _WIDTH_32: Final = 1 << 32
 _SECOND_NS: Final = 1_000_000_000
-_MEASURABLE: Final[tuple[Quantity, ...]] = ("joint_angle", *FORCES, "servo_torque", "phase")
+_MEASURABLE: Final[tuple[MeasuredQuantity, ...]] = ("joint_angle", *FORCES, "servo_torque", "phase")
 _CONVERSION_NS: Final = 50_000  # from a sample to the first bit of its frame
 _LOOK_AHEAD_NS: Final = 1_000_000_000
 

@@ -5,14 +5,14 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from hil_sim.devices.emulator import Emulator
 from hil_sim.scenario.bus_tables import BusTable, SerialBusTable
-from hil_sim.scenario.sensor_tables import Clock, Sensor
+from hil_sim.scenario.sensor_tables import ClockTable, SensorTable
 
 
 def problems(
     buses: Mapping[str, BusTable],
     devices: Mapping[str, Emulator],
-    sensors: Mapping[str, Sensor],
-    clocks: Mapping[str, Clock],
+    sensors: Mapping[str, SensorTable],
+    clocks: Mapping[str, ClockTable],
 ) -> Iterator[str]:
     """Yield each wiring error as a sentence with the remedy."""
     wanted = {clock for name, device in devices.items() for clock in device.clocks(name)}

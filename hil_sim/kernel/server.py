@@ -16,7 +16,7 @@ from hil_sim.kernel.cuse import CuseNode
 from hil_sim.kernel.i2c_node import I2cNode
 from hil_sim.kernel.socketcan import SocketCan
 from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
-from hil_sim.serve import SerialPort
+from hil_sim.serve import PseudoTerminal
 
 _BURST_GAP_NS: Final = 1_000_000  # CAN frames nearer than this to the next go out with it
 _BURST_NS: Final = 3_000_000  # but none waits longer
@@ -106,7 +106,7 @@ def open_nodes(
             case PulseLineTable():
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
-                return SerialPort(directory / bus, table, seed)
+                return PseudoTerminal(directory / bus, table, seed)
 
     return open_ports(tables, open_port, seed)
 

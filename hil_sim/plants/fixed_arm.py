@@ -31,7 +31,7 @@ class WristErrors:
     scale: float = 0.0025  # relative, both
 
 
-class Run(NamedTuple):
+class ArmRun(NamedTuple):
     """One run of the arm on the grid of the samples."""
 
     time_s: FloatArray  # (n,)
@@ -63,7 +63,7 @@ def world(tool: Body | None, gripper: Body = GRIPPER) -> mujoco.MjModel:
 
 def run(
     tool: Body, motion: JointMotion, grasp_s: float, end_s: float, gripper: Body = GRIPPER, step_s: float = 2e-3
-) -> Run:
+) -> ArmRun:
     """One run: the gripper alone, then, from ``grasp_s`` on without shock, gripper and tool."""
     t = np.asarray(step_s * np.arange(round(end_s / step_s)), np.float64)
     held = t >= grasp_s
@@ -75,10 +75,10 @@ def run(
             data.qpos[:], data.qvel[:], data.qacc[:] = q[k], dq[k], ddq[k]
             mujoco.mj_inverse(model, data)
             wrench[k] = data.sensordata
-    return Run(t, q, wrench, held)
+    return ArmRun(t, q, wrench, held)
 
 
-def read(flown: Run, errors: WristErrors, rng: np.random.Generator) -> Readings:
+def read(flown: ArmRun, errors: WristErrors, rng: np.random.Generator) -> Readings:
     """Readings of the cell and the encoders for a run."""
     noise, step, bias = (np.repeat(pair, 3) for pair in (errors.noise, errors.step, errors.bias))
     scaled = flown.wrench * (1.0 + errors.scale * rng.standard_normal(6)) + bias * rng.standard_normal(6)

@@ -97,7 +97,7 @@ class Motion(Protocol):
         """Angle, rate and acceleration at times (n,); (n, joints) each."""
 
 
-class Flight(NamedTuple):
+class FreeFlightSignals(NamedTuple):
     """True signals on the grid of the samples."""
 
     time_s: FloatArray  # (n,)
@@ -156,7 +156,9 @@ def world(payload: Body | None, base: Body = BASE, arm: Sequence[Body] = ARM, st
     )
 
 
-def fly(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray, duration_s: float) -> Flight:
+def fly(
+    model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray, duration_s: float
+) -> FreeFlightSignals:
     """One flight: released with an initial rate of the base, then the arm moves.
 
     Args:
@@ -203,7 +205,7 @@ class FreeFlight:
         self._data = _released(self._model, motion, rate_rad_s)
         self._samples = 0
         self._impulse_m_s = np.zeros(3)
-        self._flown: list[Flight] = []
+        self._flown: list[FreeFlightSignals] = []
 
     @property
     def time_s(self) -> float:
@@ -211,11 +213,11 @@ class FreeFlight:
         return self._samples * self.step_s
 
     @property
-    def history(self) -> Flight:
+    def history(self) -> FreeFlightSignals:
         """All samples so far."""
-        return Flight(*(np.concatenate(parts) for parts in zip(*self._flown, strict=True)))
+        return FreeFlightSignals(*(np.concatenate(parts) for parts in zip(*self._flown, strict=True)))
 
-    def advance(self, samples: int) -> Flight:
+    def advance(self, samples: int) -> FreeFlightSignals:
         """The next ``samples`` samples, one or more."""
         flown = _advance(self._model, self._data, self._motion, self._samples, samples)
         flown.specific_force_m_s2[0] += self._impulse_m_s / self.step_s
@@ -299,7 +301,7 @@ class Capture(NamedTuple):
     rate_rad_s: FloatArray  # (3,)
 
 
-def fly_with_capture(flight: FreeFlight, capture: Capture, duration_s: float) -> Flight:
+def fly_with_capture(flight: FreeFlight, capture: Capture, duration_s: float) -> FreeFlightSignals:
     """Complete a flight to ``duration_s``; the payload is held from the first sample at or after the capture time."""
     flight.advance(int(np.ceil((capture.time_s - flight.time_s) / flight.step_s - 1e-9)))
     flight.capture(capture.payload, capture.velocity_m_s, capture.rate_rad_s)
@@ -332,7 +334,7 @@ def _momentum(model: mujoco.MjModel, data: mujoco.MjData, body: str, about: Floa
     return np.concatenate([linear, axes @ (own.inertia * (axes.T @ motion[:3])) + np.cross(part.xipos - about, linear)])
 
 
-def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: int, samples: int) -> Flight:
+def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: int, samples: int) -> FreeFlightSignals:
     """Samples ``first`` to ``first + samples``; ``data`` is at the first of them, and at the next afterwards."""
     half_s = 0.5 * model.opt.timestep  # the stages of RK4 lie on half steps
     q, dq, ddq = motion.at(half_s * np.arange(2 * first, 2 * (first + samples) + 1))
@@ -346,7 +348,7 @@ def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: 
         base = np.linalg.solve(M[:6, :6], -data.qfrc_bias[:6] - M[:6, 6:] @ acceleration)
         data.qfrc_applied[6:] = data.qfrc_bias[6:] + M[6:, :6] @ base + M[6:, 6:] @ acceleration
 
-    flight = Flight(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3, 3)))
+    flight = FreeFlightSignals(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3, 3)))
     mujoco.set_mjcb_control(torque)
     try:
         for k in range(samples):

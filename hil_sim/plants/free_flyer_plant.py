@@ -23,7 +23,7 @@ JOINT_NAMES = tuple(f"joint_{number}" for number in range(1, JOINTS + 1))
 WRIST = "wrist"  # the flange of the last joint
 
 
-class Truth(NamedTuple):
+class TrueSignals(NamedTuple):
     """True signals on the sensors' grid, (n, ...) each; IMU axes are those of ``free_flyer``'s IMU."""
 
     q_rad: FloatArray  # (n, 5)
@@ -61,7 +61,7 @@ class FreeFlyerPlant(world.Plant):
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
         self.capture_s, self.flight = self._fly(rng)
 
-    def _fly(self, rng: np.random.Generator) -> tuple[float, Truth]:
+    def _fly(self, rng: np.random.Generator) -> tuple[float, TrueSignals]:
         """Capture time and true signals of the whole flight."""
         every, capture = self._scenario.physics.integration_steps, self._scenario.capture
         coarse_s, steps = every * self.step_s, -(-self.rows // every) + 1
@@ -84,7 +84,7 @@ class FreeFlyerPlant(world.Plant):
             (after.wrist_moment_n_m, jump.wrist_moment_n_m_s),
         ):
             rows[0] += change / self.step_s
-        return first * coarse_s, Truth(*(np.concatenate(parts) for parts in zip(before, after, strict=True)))
+        return first * coarse_s, TrueSignals(*(np.concatenate(parts) for parts in zip(before, after, strict=True)))
 
     def inertial(self, at: str) -> world.Inertial:
         """See ``world.Plant``: f = f_0 + dw x r + w x (w x r), r from the IMU that MuJoCo has."""
@@ -143,11 +143,11 @@ class FreeFlyerPlant(world.Plant):
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 
 
-def _refined(flight: free_flyer.Flight, every: int, rows: int) -> Truth:
+def _refined(flight: free_flyer.FreeFlightSignals, every: int, rows: int) -> TrueSignals:
     """A flight on a grid ``every`` times as fine, its first ``rows`` rows."""
     at_s = flight.time_s[0] + (flight.time_s[1] - flight.time_s[0]) / every * np.arange(rows)
     q, _, rate, force, wrist_n, wrist_n_m = (CubicSpline(flight.time_s, values) for values in flight[1:])
-    return Truth(q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s))
+    return TrueSignals(q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s))
 
 
 def _box(payload: Payload) -> free_flyer.Body:

@@ -104,7 +104,7 @@ class ArmProgram(Program):
         )
 
 
-class BaseMotion(NamedTuple):
+class PlateMotion(NamedTuple):
     """Motion of frame 0 (the plate) on the plant's grid, in the axes of frame 0; row k is at ``t_k`` unless said."""
 
     angular_accel_rad_s2: FloatArray  # (n, 3)
@@ -114,7 +114,7 @@ class BaseMotion(NamedTuple):
     wind: FloatArray  # (n, 3): unit vector, the way the air moves past the plate
 
 
-def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.random.Generator) -> BaseMotion:
+def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.random.Generator) -> PlateMotion:
     """Draw one flight of the rocket: free coning, structural vibration, re-entry.
 
     Args:
@@ -138,7 +138,7 @@ def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.ran
     r = np.asarray(scenario.rocket.centre_of_mass_to_plate_m)
     origin = np.cross(rigid_accel, r) + np.cross(rigid_rate, np.cross(rigid_rate, r))
     shake_half = step_s * (np.cumsum(angular_shake, axis=0) - angular_shake)
-    return BaseMotion(
+    return PlateMotion(
         rigid_accel + angular_shake,
         rigid_half + shake_half - shake_half.mean(axis=0),
         origin + deceleration + linear_shake,

@@ -27,8 +27,8 @@ from mujoco import rollout
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import world
-from hil_sim.plants.motion import ArmProgram, BaseMotion, base_motion
-from hil_sim.scenario.rocket_tables import Body, Inertia, RocketScenario
+from hil_sim.plants.motion import ArmProgram, PlateMotion, base_motion
+from hil_sim.scenario.rocket_tables import BodyTable, Inertia, RocketScenario
 from hil_sim.scenario.tables import ScenarioError
 
 _BASE_MASS_kg = 1e6
@@ -37,7 +37,7 @@ _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _IMPEDANCE = 0.05  # of contacts: small, so that they act as spring-dampers with little added inertia (5 %)
 
 
-class History(NamedTuple):
+class ArmSignals(NamedTuple):
     """Computed signals on the grid ``t_k = k h``; rows from ``count`` on are not yet computed."""
 
     specific_force_imu_m_s2: FloatArray  # (n, 3), IMU axes as designed: a - g, in free fall the acceleration itself
@@ -73,7 +73,7 @@ def mass_properties(scenario: RocketScenario, *, with_tip: bool) -> MassProperti
     return MassProperties(mass, first, inertia)
 
 
-class Plant(world.Plant):
+class RocketArmPlant(world.Plant):
     """The rocket's arm, computed chunk by chunk up to the requested time.
 
     Args:
@@ -90,8 +90,8 @@ class Plant(world.Plant):
         self.step_s = 1e-6 * scenario.physics.step_us
         self.chunk = scenario.physics.chunk_steps
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
-        self.base: BaseMotion = base_motion(scenario, self.step_s, self.rows, rng)
-        self.history = History(
+        self.base: PlateMotion = base_motion(scenario, self.step_s, self.rows, rng)
+        self.history = ArmSignals(
             np.zeros((self.rows, 3)), np.zeros((self.rows, 3)), *(np.zeros(self.rows) for _ in range(4))
         )
         self.count = 0
@@ -246,7 +246,7 @@ def _ejection_force(scenario: RocketScenario, first: int, rows: int, step_s: flo
     return force
 
 
-def _mass_kg(body: Body) -> float:
+def _mass_kg(body: BodyTable) -> float:
     return 1e-3 * body.mass_g * body.as_built_factor
 
 
@@ -349,7 +349,7 @@ def _stop(name: str, angle_deg: float, side: float, radius_mm: float, hinge: Flo
     )
 
 
-def _inertial(body: Body) -> str:
+def _inertial(body: BodyTable) -> str:
     e: Inertia = body.inertia_g_mm2
     elements = 1e-9 * body.as_built_factor * np.array([e.xx, e.yy, e.zz, e.xy, e.xz, e.yz])
     return (

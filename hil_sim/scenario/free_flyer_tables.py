@@ -15,7 +15,7 @@ JOINTS = 5
 Angles = tuple[float, float, float, float, float]
 
 
-class Physics(Table):
+class FreeFlyerPhysics(Table):
     """``[physics]``: steps of the sensors' grid, and how many of them the integration takes at a time."""
 
     step_us: PositiveInt
@@ -53,7 +53,7 @@ class Payload(Table):
     roll_pitch_yaw_deg: Vector
 
 
-class Capture(Table):
+class CaptureTable(Table):
     """``[capture]``: time window of the capture and sigmas of the payload's motion relative to the gripper."""
 
     earliest_s: PositiveFloat
@@ -69,7 +69,7 @@ class Site(Table):
     roll_pitch_yaw_deg: Vector
 
 
-class Hold(Table):
+class HoldPosture(Table):
     """``[[sequence]]`` action ``hold``: the arm keeps its posture."""
 
     phase: Annotated[int, Field(ge=0, le=255)]
@@ -98,7 +98,7 @@ class Swing(Table):
         return self
 
 
-Action = Annotated[Hold | Swing, Field(discriminator="action")]
+FreeFlyerAction = Annotated[HoldPosture | Swing, Field(discriminator="action")]
 
 
 class Arm(Table):
@@ -111,14 +111,14 @@ class Arm(Table):
 class FreeFlyerScenario(Scenario):
     """A whole mission of the free-flyer. Without ``capture`` the payload is held from the start."""
 
-    physics: Physics
+    physics: FreeFlyerPhysics
     as_built: AsBuilt
     release: Release
     arm: Arm
     payload: Payload
-    capture: Capture | None = None
+    capture: CaptureTable | None = None
     site: dict[str, Site]
-    sequence: Annotated[tuple[Action, ...], Field(min_length=1)]
+    sequence: Annotated[tuple[FreeFlyerAction, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _capture_is_sound(self) -> "FreeFlyerScenario":

@@ -9,7 +9,7 @@ from hil_sim.scenario.sensor_tables import Fraction, NonNegative, Table, Vector
 from hil_sim.scenario.tables import Scenario
 
 
-class Physics(Table):
+class RocketPhysics(Table):
     """``[physics]``: time grid of the plant."""
 
     step_us: PositiveInt
@@ -39,7 +39,7 @@ class Inertia(Table):
     yz: float
 
 
-class Body(Table):
+class BodyTable(Table):
     """``[body.*]``: ``com_mm`` in the body's own frame; ``as_built_factor`` scales mass and inertia together."""
 
     mass_g: PositiveFloat
@@ -48,14 +48,14 @@ class Body(Table):
     as_built_factor: PositiveFloat = 1.0
 
 
-class Bodies(Table):
+class ArmBodies(Table):
     """``[body]``: arm in frame 3, tip mass in frame 5."""
 
-    arm: Body
-    tip_mass: Body
+    arm: BodyTable
+    tip_mass: BodyTable
 
 
-class Joint(Table):
+class JointTable(Table):
     """``[joint]``: the harmonic drive, all referred to the joint, all proximal to the load cell."""
 
     reflected_rotor_inertia_kg_m2: PositiveFloat
@@ -182,23 +182,23 @@ class Eject(Table):
     duration_s: PositiveFloat
 
 
-Action = Annotated[Hold | Push | Sweep | Eject, Field(discriminator="action")]
+RocketAction = Annotated[Hold | Push | Sweep | Eject, Field(discriminator="action")]
 
 
 class RocketScenario(Scenario):
     """A whole mission of the rocket's arm."""
 
-    physics: Physics
+    physics: RocketPhysics
     geometry: Geometry
-    body: Bodies
-    joint: Joint
+    body: ArmBodies
+    joint: JointTable
     servo: Servo
     stops: Stops
     ejection: Ejection
     rocket: Rocket
     vibration: Vibration
     reentry: Reentry
-    sequence: Annotated[tuple[Action, ...], Field(min_length=1)]
+    sequence: Annotated[tuple[RocketAction, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _sequence_is_sound(self) -> "RocketScenario":

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, m
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
-Quantity = Literal["inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase"]
+MeasuredQuantity = Literal["inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase"]
 
 
 class Table(BaseModel):
@@ -47,7 +47,7 @@ class Axes(Table):
         return self.bandwidth_Hz[place], 1e-3 * self.delay_ms[place]
 
 
-class Imu(Table):
+class ImuTable(Table):
     """Specific force and angular rate at the IMU's place."""
 
     quantity: Literal["inertial"]
@@ -61,7 +61,7 @@ class Imu(Table):
     temperature_noise_counts: NonNegative
 
 
-class Encoder(Table):
+class EncoderTable(Table):
     """The joint's angle, in counts."""
 
     quantity: Literal["joint_angle"]
@@ -88,7 +88,7 @@ class _Bridge(Table):
     full_scale_window_ms: PositiveFloat
 
 
-class LoadCell(_Bridge):
+class LoadCellTable(_Bridge):
     """The moment about the joint's axis beyond the actuator, as a force on a lever."""
 
     quantity: Literal["joint_moment"]
@@ -96,14 +96,14 @@ class LoadCell(_Bridge):
     lever_sigma_mm: NonNegative
 
 
-class ForceCell(_Bridge):
+class ForceCellTable(_Bridge):
     """The force in a flange along ``axis`` (flange axes), on everything beyond it."""
 
     quantity: Literal["force"]
     axis: Vector
 
 
-class MotorTorque(Table):
+class MotorTorqueTable(Table):
     """Servo torque from the motor current, friction included."""
 
     quantity: Literal["servo_torque"]
@@ -112,16 +112,19 @@ class MotorTorque(Table):
     noise_rms_Nm: NonNegative
 
 
-class Phase(Table):
+class PhaseTable(Table):
     """The code of the sequence's phase."""
 
     quantity: Literal["phase"]
 
 
-Sensor = Annotated[Imu | Encoder | LoadCell | ForceCell | MotorTorque | Phase, Field(discriminator="quantity")]
+SensorTable = Annotated[
+    ImuTable | EncoderTable | LoadCellTable | ForceCellTable | MotorTorqueTable | PhaseTable,
+    Field(discriminator="quantity"),
+]
 
 
-class Clock(Table):
+class ClockTable(Table):
     """``[clock.*]``: relative rate error and its drift, drawn once per seed; the rate is clipped at ``rate_limit``."""
 
     rate_sigma: NonNegative

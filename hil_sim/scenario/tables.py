@@ -5,14 +5,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from hil_sim.scenario.bus_tables import BusTable, DeviceTable
-from hil_sim.scenario.sensor_tables import Clock, Sensor, Table
+from hil_sim.scenario.sensor_tables import ClockTable, SensorTable, Table
 
 
 class ScenarioError(ValueError):
     """A scenario that cannot be used; the message names the file and the key, and says what to do."""
 
 
-class Header(Table):
+class ScenarioHeader(Table):
     """``[scenario]``. ``based_on``: the packaged scenario over which this one's tables lie. ``plant``: what moves."""
 
     name: str
@@ -28,9 +28,9 @@ class Scenario(Table):
     made of them.
     """
 
-    scenario: Header
-    sensor: dict[str, Sensor]
-    clock: dict[str, Clock]
+    scenario: ScenarioHeader
+    sensor: dict[str, SensorTable]
+    clock: dict[str, ClockTable]
     bus: dict[str, BusTable]
     device: Annotated[dict[str, DeviceTable], Field(min_length=1)]
     fault: tuple[dict[str, Any], ...] = ()

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from hil_sim.plants.world import Plant
-from hil_sim.scenario.sensor_tables import MotorTorque
+from hil_sim.scenario.sensor_tables import MotorTorqueTable
 from hil_sim.sensing.sensors import interpolate_one
 
 
 class MotorTorqueSensor:
     """Servo torque from the motor current, with gain error, offset and noise of the current measurement."""
 
-    def __init__(self, plant: Plant, table: MotorTorque, rng: np.random.Generator, at: str = "") -> None:
+    def __init__(self, plant: Plant, table: MotorTorqueTable, rng: np.random.Generator, at: str = "") -> None:
         self._plant = plant
         self._torque_n_m = plant.servo_torque_n_m(at)
         self.gain = 1.0 + table.scale_sigma * rng.standard_normal()

@@ -19,7 +19,7 @@ from scipy import optimize, signal, special
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.motion import STANDARD_GRAVITY
 from hil_sim.plants.world import Plant
-from hil_sim.scenario.sensor_tables import Axes, Clock, Encoder, ForceCell, Imu, LoadCell
+from hil_sim.scenario.sensor_tables import Axes, ClockTable, EncoderTable, ForceCellTable, ImuTable, LoadCellTable
 
 Counts = NDArray[np.int16]
 Place = TypeVar("Place", float, FloatArray)
@@ -146,7 +146,7 @@ class Triad:
 class ImuSensor:
     """The MPU-6050's analogue side: specific force and angular rate to filtered, quantised, saturated words."""
 
-    def __init__(self, plant: Plant, table: Imu, rng: np.random.Generator, at: str = "") -> None:
+    def __init__(self, plant: Plant, table: ImuTable, rng: np.random.Generator, at: str = "") -> None:
         self._plant = plant
         self._truth = plant.inertial(at)
         self._table = table
@@ -238,7 +238,7 @@ class ImuSensor:
 class EncoderSensor:
     """A motor-side encoder behind a gear: joint angle with two cyclic errors, in whole counts."""
 
-    def __init__(self, plant: Plant, table: Encoder, rng: np.random.Generator, at: str = "") -> None:
+    def __init__(self, plant: Plant, table: EncoderTable, rng: np.random.Generator, at: str = "") -> None:
         self.counts_per_revolution = table.counts_per_revolution
         self._plant = plant
         self._angle_rad = plant.angle_rad(at)
@@ -270,14 +270,16 @@ class LoadCellSensor:
     Errors: scale, zero, creep, filter, noise. ``lever_m`` is None where the force itself is measured.
     """
 
-    def __init__(self, plant: Plant, table: LoadCell | ForceCell, rng: np.random.Generator, at: str = "") -> None:
+    def __init__(
+        self, plant: Plant, table: LoadCellTable | ForceCellTable, rng: np.random.Generator, at: str = ""
+    ) -> None:
         self.capacity_N = table.capacity_N
         self._plant = plant
         self._table = table
         h = plant.step_s
         self.lever_m: float | None = None
         self._axis = np.ones(1)
-        if isinstance(table, LoadCell):
+        if isinstance(table, LoadCellTable):
             self.lever_m = 1e-3 * (table.lever_mm + table.lever_sigma_mm * rng.standard_normal())
             self._load = plant.moment_n_m(at)[:, None]
         else:
@@ -344,7 +346,7 @@ class DriftingClock:
     drift_per_s: float
 
     @staticmethod
-    def draw(table: Clock, rng: np.random.Generator) -> "DriftingClock":
+    def draw(table: ClockTable, rng: np.random.Generator) -> "DriftingClock":
         """Rate and drift of one clock, not yet started (``start_ns`` 0)."""
         rate = float(np.clip(table.rate_sigma * rng.standard_normal(), -table.rate_limit, table.rate_limit))
         return DriftingClock(0, rate, float(table.drift_sigma_per_s * rng.standard_normal()))

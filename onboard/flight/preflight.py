@@ -38,7 +38,7 @@ IDENTITY = (b"identified", b"described", b"scale", b"started")  # events that sa
 
 Clock = Callable[[], int]
 Wait = Callable[[float], object]
-Run = Callable[[OpenDevices, float], list[Batch]]
+RunDevices = Callable[[OpenDevices, float], list[Batch]]
 
 
 class Check(NamedTuple):
@@ -93,7 +93,7 @@ class Preflight(NamedTuple):
 
 
 def preflight(
-    vehicle: config.Vehicle, clock: Clock, wait: Wait, run: Run | None = None, seconds: float | None = None
+    vehicle: config.Vehicle, clock: Clock, wait: Wait, run: RunDevices | None = None, seconds: float | None = None
 ) -> Preflight:
     """Look a vehicle over.
 

@@ -24,7 +24,7 @@ UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
 HISTORY_S = 2.0
 
 
-class Smoothed(NamedTuple):
+class ChannelAtTicks(NamedTuple):
     """A channel at n ticks."""
 
     derivatives: tuple[FloatArray, ...]  # each (n, columns): the signal, its rate of change, ...
@@ -87,20 +87,20 @@ class SignalSmoother:
 
     def together(
         self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
-    ) -> Smoothed:
+    ) -> ChannelAtTicks:
         """Several channels at the same ticks, their columns side by side; a tick that one refuses is refused."""
         return _side_by_side(self.each(names, timebase, at_ns, derivatives))
 
-    def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> Smoothed:
+    def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> ChannelAtTicks:
         """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,), evenly spaced."""
         [smoothed] = self.each([name], timebase, at_ns, derivatives)
         return smoothed
 
     def each(
         self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
-    ) -> list[Smoothed]:
+    ) -> list[ChannelAtTicks]:
         """As :meth:`at`, for several channels: those that were sampled together are smoothed together."""
-        found: dict[str, Smoothed] = {}
+        found: dict[str, ChannelAtTicks] = {}
         groups: list[dict[str, _Recent]] = []
         for name in names:
             recent = self._recent(name, timebase, at_ns)
@@ -118,7 +118,9 @@ class SignalSmoother:
             found |= self._smooth(group, at_ns, derivatives)
         return [found[name] for name in names]
 
-    def means(self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> Smoothed:
+    def means(
+        self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int
+    ) -> ChannelAtTicks:
         """Channels as means over the tick of ``period_ns`` about each of ``at_ns``, their columns side by side.
 
         A tick with half of its samples or fewer has a gap; one with a sample that may not be used is refused. Samples
@@ -155,7 +157,7 @@ class SignalSmoother:
 
     def _smooth(
         self, group: Mapping[str, "_Recent"], at_ns: NDArray[np.int64], derivatives: int
-    ) -> dict[str, Smoothed]:
+    ) -> dict[str, ChannelAtTicks]:
         """Channels sampled together, with the same delays."""
         first, one = next(iter(group.items()))
         at_s = (at_ns - at_ns[0]) * 1e-9
@@ -192,10 +194,10 @@ class SignalSmoother:
                 for order in range(derivatives + 1):
                     passed = rms * self._response.gain(periods * out[1, :, part], order)
                     sigma[order, :, part] = np.hypot(sigma[order, :, part], passed)
-            found[name] = Smoothed(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused)
+            found[name] = ChannelAtTicks(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused)
         return found
 
-    def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> Smoothed:
+    def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> ChannelAtTicks:
         channel, recent = self._signals[name], self._recent(name, timebase, at_ns)
         n, columns = len(at_ns), len(channel.noise)
         if isinstance(recent, GateReason):
@@ -223,7 +225,7 @@ class SignalSmoother:
             values[:, mine] = (weights[:, None] @ recent.values[index][:, :, mine])[:, 0]
             sigma[:, mine] = noise[mine] * np.sqrt((weights * weights).sum(axis=1, keepdims=True))
         values[refused != 0] = sigma[refused != 0] = np.nan
-        return Smoothed((values,), (sigma,), refused)
+        return ChannelAtTicks((values,), (sigma,), refused)
 
 
 class _Recent(NamedTuple):
@@ -240,19 +242,19 @@ class _Recent(NamedTuple):
         return self[3:] == other[3:] and np.array_equal(self.times_s, other.times_s)
 
 
-def _nothing(columns: int, ticks: int, derivatives: int, reason: GateReason) -> Smoothed:
+def _nothing(columns: int, ticks: int, derivatives: int, reason: GateReason) -> ChannelAtTicks:
     nothing = (np.full((ticks, columns), np.nan),) * (derivatives + 1)
-    return Smoothed(nothing, nothing, np.full(ticks, int(reason)))
+    return ChannelAtTicks(nothing, nothing, np.full(ticks, int(reason)))
 
 
-def _side_by_side(parts: Sequence[Smoothed]) -> Smoothed:
+def _side_by_side(parts: Sequence[ChannelAtTicks]) -> ChannelAtTicks:
     if len(parts) == 1:
         return parts[0]
     values, sigma = (
         tuple(np.hstack(columns) for columns in zip(*sides, strict=True))
         for sides in ([part.derivatives for part in parts], [part.sigma for part in parts])
     )
-    return Smoothed(values, sigma, np.bitwise_or.reduce([part.refused for part in parts]))
+    return ChannelAtTicks(values, sigma, np.bitwise_or.reduce([part.refused for part in parts]))
 
 
 def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:

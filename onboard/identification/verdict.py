@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.identification.rows.held_out import HeldOut, Prediction
+from onboard.identification.rows.held_out import HeldOut, HeldOutFit
 
 MOST_CONTRADICTED = 0.05  # of the rows, by the residual gate
 MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
@@ -120,5 +120,5 @@ def _contradictions(evidence: Evidence) -> list[str]:
     return said
 
 
-def _beyond_noise(prediction: Prediction, evidence: Evidence) -> bool:
+def _beyond_noise(prediction: HeldOutFit, evidence: Evidence) -> bool:
     return prediction.misfit * evidence.correlation > NOISE

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from onboard.flight import manifest
-from onboard.live.server import Server, parse_address
+from onboard.live.server import LiveServer, parse_address
 
 _LOOK_S = 0.02
 _ASK_S = 0.5
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
         os.nice(_NICENESS)  # lower priority than the flight
     host, port = parse_address(address)
     try:
-        server = Server(log.stem, host, port)
+        server = LiveServer(log.stem, host, port)
     except (RuntimeError, OSError) as error:
         sys.stdout.write(f"{error}; give another address\n")
         return 2
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _serve(server: Server, log: Path) -> None:
+def _serve(server: LiveServer, log: Path) -> None:
     directory: Path | None = None
     asked = 0.0
     while True:

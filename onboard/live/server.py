@@ -36,7 +36,7 @@ def parse_address(text: str) -> tuple[str, int]:
     return host or default_host, int(port or default_port)
 
 
-class Server:
+class LiveServer:
     """Serves the rings in a directory.
 
     Args:

@@ -29,14 +29,14 @@ class KnownChannel(NamedTuple):
     units: dict[str, str]
 
 
-class Run(NamedTuple):
+class MessageRun(NamedTuple):
     """Consecutive messages of one channel: their records (n, record size), still in the chunk's own memory."""
 
     channel: KnownChannel
     records: NDArray[np.uint8]
 
 
-def rows_of(runs: list[Run]) -> Rows:
+def rows_of(runs: list[MessageRun]) -> Rows:
     """The rows (n,) of ``runs``, which are all of one channel."""
     bodies = np.concatenate([run.records[:, BODY_AT:] for run in runs])
     rows: Rows = bodies.view(runs[0].channel.dtype).reshape(len(bodies))
@@ -79,13 +79,13 @@ class Decoder:
         self._schemas: dict[int, str] = {}
         self._seen: set[bytes] = set()
 
-    def runs(self, records: bytes) -> list[Run]:
+    def runs(self, records: bytes) -> list[MessageRun]:
         """The messages of a chunk in the order they stand; learns the definitions on the way.
 
         Raises:
             LogFormatError: the records contradict each other or the definitions.
         """
-        runs: list[Run] = []
+        runs: list[MessageRun] = []
         at = 0
         while at < len(records):
             if len(records) - at < _HEAD.size:
@@ -102,7 +102,7 @@ class Decoder:
                 at = end
         return runs
 
-    def _run(self, records: bytes, at: int, size: int) -> Run:
+    def _run(self, records: bytes, at: int, size: int) -> MessageRun:
         number = int.from_bytes(records[at + _HEAD.size : at + _KEY_BYTES], "little")
         channel = self._by_number.get(number)
         if channel is None:
@@ -112,7 +112,7 @@ class Decoder:
         if records[at + BODY_AT - len(CDR_HEADER) : at + BODY_AT] != CDR_HEADER:
             raise LogFormatError(f"channel {channel.name!r}: message is not little-endian CDR")
         count = _run_length(records, at, size)
-        return Run(channel, np.frombuffer(records, np.uint8, count * size, at).reshape(count, size))
+        return MessageRun(channel, np.frombuffer(records, np.uint8, count * size, at).reshape(count, size))
 
     def _learn(self, opcode: int, body: bytes) -> None:
         key = bytes([opcode]) + body

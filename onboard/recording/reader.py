@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.records import Batch, Rows
-from onboard.recording.decode import Decoder, KnownChannel, Run, rows_of
+from onboard.recording.decode import Decoder, KnownChannel, MessageRun, rows_of
 from onboard.recording.errors import ChannelError, LogFormatError
 from onboard.recording.mcap_format import Attachment, Chunk, Header, Metadata
 from onboard.recording.scan import Damage, Scan
@@ -152,7 +152,7 @@ class LogReader:
 
     def _batches(self, channels: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Batch]:
         for chunk in self._chunks():
-            runs: dict[str, list[Run]] = {}
+            runs: dict[str, list[MessageRun]] = {}
             for run in chunk:
                 if channels is None or run.channel.name in channels:
                     runs.setdefault(run.channel.name, []).append(run)
@@ -161,7 +161,7 @@ class LogReader:
                 if len(rows):
                     yield Batch(name, rows)
 
-    def _chunks(self) -> Iterator[list[Run]]:
+    def _chunks(self) -> Iterator[list[MessageRun]]:
         """One pass: the runs of each chunk; what else is found is kept when the end is reached."""
         found = _Survey({}, {}, {}, [], False)
         self._before = 0
@@ -172,7 +172,7 @@ class LogReader:
         self._before -= self._scan.size
         self._found = found
 
-    def _segment(self, segment: Path, found: _Survey, *, last: bool) -> Generator[list[Run], None, _Survey]:
+    def _segment(self, segment: Path, found: _Survey, *, last: bool) -> Generator[list[MessageRun], None, _Survey]:
         """One pass over a segment; returns ``found`` and what is found in it.
 
         Args:

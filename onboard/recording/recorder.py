@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers import records
 from drivers.records import Batch, Rows, Severity
-from onboard.recording.segmented import GAP_CHANNEL, Mark
+from onboard.recording.segmented import GAP_CHANNEL, ChannelProgress
 from onboard.recording.source import OVERRUN, Ring, RingSource
 from onboard.recording.space import SpaceGuard
 
@@ -85,7 +85,7 @@ class Recorder:
         rings: Iterable[Ring],
         *,
         units: Mapping[str, Mapping[str, str]] | None = None,
-        recorded: Mapping[str, Mark] | None = None,
+        recorded: Mapping[str, ChannelProgress] | None = None,
         space: SpaceGuard | None = None,
         said: Callable[[Rows], object] = lambda rows: None,
     ) -> None:

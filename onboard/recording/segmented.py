@@ -30,7 +30,7 @@ _UNSEALED_AT_MOST = 3  # one that was being ended, one in use, one opened ahead
 _OPEN_AGAIN_NS = 1_000_000_000
 
 
-class Mark(NamedTuple):
+class ChannelProgress(NamedTuple):
     """How far a channel has come: sequence and host time of its newest row that is in the log, or told as missing."""
 
     sequence: int
@@ -81,11 +81,11 @@ class SegmentedLog:
         sync_interval_ns: int = SYNC_INTERVAL_NS,
         open_sink: Callable[[Path], Sink] = FileSink,
         number: int = 0,
-        recorded: Mapping[str, Mark] | None = None,
+        recorded: Mapping[str, ChannelProgress] | None = None,
     ) -> None:
         self._log, self._preamble, self._limits = log, preamble, limits
         self._sync_interval_ns, self._open_sink = sync_interval_ns, open_sink
-        self.recorded: dict[str, Mark] = dict(recorded or {})
+        self.recorded: dict[str, ChannelProgress] = dict(recorded or {})
         self._channels: dict[str, tuple[np.dtype[np.void], Mapping[str, str] | None]] = {}
         self._number = number
         self._opened_ns: int | None = None
@@ -245,30 +245,32 @@ class SegmentedLog:
             )
 
 
-def note(recorded: dict[str, Mark], channel: str, rows: Rows) -> None:
+def note(recorded: dict[str, ChannelProgress], channel: str, rows: Rows) -> None:
     """Bring ``recorded`` up to date with ``rows`` (n,) of ``channel``; what a gap of ours tells counts too."""
     if not len(rows):
         return
-    recorded[channel] = Mark(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
+    recorded[channel] = ChannelProgress(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
     if channel == GAP_CHANNEL and rows.dtype == records.GAP:
         for row in rows:
             name, last = row["channel"].decode(), int(row["last_missing"])
             if name not in recorded or recorded[name].sequence < last:
-                recorded[name] = Mark(last, int(row["host_ns"]))
+                recorded[name] = ChannelProgress(last, int(row["host_ns"]))
 
 
-def _recorded(found: list[Path]) -> dict[str, Mark]:
+def _recorded(found: list[Path]) -> dict[str, ChannelProgress]:
     """How far each channel is at the end of segments ``found``: the last that says how far it was at its head tells."""
-    rows: dict[str, Mark] = {}
+    rows: dict[str, ChannelProgress] = {}
     for segment in reversed(found):
         log = LogReader([segment])
-        here: dict[str, Mark] = {}
+        here: dict[str, ChannelProgress] = {}
         for channel, batch in log.batches():
             note(here, channel, batch)
         rows = here | rows
         if RECORDED in log.metadata:
             marks = {name: mark.split() for name, mark in log.metadata[RECORDED].items()}
-            return {name: Mark(int(sequence), int(host_ns)) for name, (sequence, host_ns) in marks.items()} | rows
+            return {
+                name: ChannelProgress(int(sequence), int(host_ns)) for name, (sequence, host_ns) in marks.items()
+            } | rows
     return rows
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from drivers.records import Rows
-from onboard.recording.segmented import Mark
+from onboard.recording.segmented import ChannelProgress
 
 OVERRUN = "ring_overrun"
 
@@ -46,7 +46,7 @@ class RingSource:
         recorded: how far the log has it; None when it has nothing.
     """
 
-    def __init__(self, ring: Ring, recorded: Mark | None = None) -> None:
+    def __init__(self, ring: Ring, recorded: ChannelProgress | None = None) -> None:
         self.ring, self.name = ring, ring.name
         self.missing: list[Missing] = []  # to be told
         self.unplaced = 0  # rows lost that no jump of the numbers shows
@@ -93,7 +93,7 @@ class RingSource:
         first_ns = int(host_ns[0])
         if self.missing and self.missing[-1].last + 1 == sequence[0]:
             self.missing[-1] = self.missing[-1]._replace(to_ns=first_ns)
-        last = self._last or Mark(-1, first_ns)
+        last = self._last or ChannelProgress(-1, first_ns)
         if self._rejoining:  # what lies between the log and the ring is lost, however many the ring has counted
             self._waiting, self._rejoining = max(0, int(sequence[0]) - last.sequence - 1), False
         if self._waiting:
@@ -107,4 +107,4 @@ class RingSource:
                     break
             self.unplaced += max(0, self._waiting)
             self._waiting = 0
-        self._last = Mark(int(sequence[-1]), int(host_ns[-1]))
+        self._last = ChannelProgress(int(sequence[-1]), int(host_ns[-1]))

@@ -24,14 +24,14 @@ BUSY_TICKS = 3.1
 _CYCLE_COUNTS = int(np.gcd(code.cycle_sync_periods(), SYNC_COUNTER_MODULUS))
 
 
-class Edge(NamedTuple):
+class EdgeBounds(NamedTuple):
     """The line rose between ``earliest_ns`` and ``latest_ns``."""
 
     earliest_ns: int
     latest_ns: int
 
 
-class Edges:
+class NewestEdges:
     """The newest edges of the line.
 
     Args:
@@ -42,9 +42,9 @@ class Edges:
 
     def __init__(self, window_ns: float) -> None:
         self.window_ns = window_ns
-        self._edges: deque[Edge] = deque(maxlen=self.HELD)
+        self._edges: deque[EdgeBounds] = deque(maxlen=self.HELD)
 
-    def append(self, edge: Edge) -> None:
+    def append(self, edge: EdgeBounds) -> None:
         """Add an edge."""
         self._edges.append(edge)
 
@@ -52,7 +52,7 @@ class Edges:
         """Whether the edge at ``time_ns`` may still be unread."""
         return not self._edges or time_ns - self._edges[-1].latest_ns > self.window_ns
 
-    def near(self, time_ns: int) -> Edge | None:
+    def near(self, time_ns: int) -> EdgeBounds | None:
         """The edge at ``time_ns``, if there is one."""
         nearest = min(self._edges, key=lambda edge: abs(edge.latest_ns - time_ns), default=None)
         return nearest if nearest is not None and abs(nearest.latest_ns - time_ns) < self.window_ns else None
@@ -141,7 +141,7 @@ class TickSource:
             self._plausible(*self._newest)
         return believed
 
-    def _is_told(self, edge: Edge | None, window_ns: float) -> TypeGuard[Edge]:
+    def _is_told(self, edge: EdgeBounds | None, window_ns: float) -> TypeGuard[EdgeBounds]:
         """Whether the line has an edge for a mark; repeated misses count against the clock."""
         if edge is not None:
             self._without_edge = 0
@@ -178,7 +178,7 @@ class FlaggingSource(TickSource):
         self._flagged.clear()
         self._last_flagged = -2
 
-    def update(self, rows: Rows, edges: Edges) -> bool:
+    def update(self, rows: Rows, edges: NewestEdges) -> bool:
         """Take samples; returns whether a mark was accepted."""
         before = self._newest
         rows, _ = self._samples(rows)
@@ -195,7 +195,7 @@ class FlaggingSource(TickSource):
             self._last_flagged = tick
         return self._match(edges)
 
-    def _match(self, edges: Edges) -> bool:
+    def _match(self, edges: NewestEdges) -> bool:
         believed = False
         while self._flagged:
             tick = self._flagged[0]
@@ -231,7 +231,7 @@ class LatchingSource(TickSource):
         if self._latched is not None:
             self._latched.clear()
 
-    def update(self, samples: Rows, marks: Rows, edges: Edges) -> bool:
+    def update(self, samples: Rows, marks: Rows, edges: NewestEdges) -> bool:
         """Take samples and marks; returns whether a mark was accepted."""
         if len(samples):
             samples, _ = self._samples(samples)
@@ -280,14 +280,14 @@ class SyncSource(TickSource):
             is_marked,
         )
         self._recent: deque[tuple[int, int, int]] = deque(maxlen=400)  # (tick, counter, host_ns)
-        self._unmatched: deque[tuple[Edge, PulsePlace]] = deque(maxlen=16)
+        self._unmatched: deque[tuple[EdgeBounds, PulsePlace]] = deque(maxlen=16)
 
     def restart(self) -> None:
         """See ``TickSource``."""
         super().restart()
         self._recent.clear()
 
-    def edge(self, edge: Edge, place: PulsePlace) -> None:
+    def edge(self, edge: EdgeBounds, place: PulsePlace) -> None:
         """Take an identified edge of the line."""
         self._unmatched.append((edge, place))
 
@@ -309,7 +309,7 @@ class SyncSource(TickSource):
                 believed |= self._believed(Mark(at, at, *edge))
         return believed if self.is_marked else moved
 
-    def _sync_of(self, edge: Edge, place: PulsePlace) -> int | None:
+    def _sync_of(self, edge: EdgeBounds, place: PulsePlace) -> int | None:
         """Tick of the SYNC in whose period the pulse rose."""
         began_ns = edge.latest_ns - place.dither_ns
         if self.clock.trusted:

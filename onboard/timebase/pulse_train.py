@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from drivers.sync_pulse import code
 
-Edges = NDArray[np.int64]
+EdgeTimes = NDArray[np.int64]
 
 
 class PulsePlace(NamedTuple):
@@ -92,7 +92,7 @@ class PulseTrain:
         allowed_ns = self.tolerance_ns + self.CRYSTALS * after_ns
         return nearest, np.abs(self._rise_ns[nearest] - expected_ns) < allowed_ns
 
-    def _name(self, edges: Edges) -> int | None:
+    def _name(self, edges: EdgeTimes) -> int | None:
         """Number of the pulse of the last of ``edges`` (n,), if unambiguous."""
         best: dict[int, tuple[int, float]] = {}  # pulse number: edges explained, rms distance
         for anchor in range(len(edges) - self.EDGES_TO_NAME + 1):
@@ -116,7 +116,7 @@ class PulseTrain:
                 return None
         return ordered[0] if ordered else None
 
-    def _off_ns(self, first: int, edges: Edges) -> float:
+    def _off_ns(self, first: int, edges: EdgeTimes) -> float:
         """Rms distance of ``edges`` (n,) from their pulses after a fit of the rate; the first is pulse ``first``."""
         since = (edges - edges[0]).astype(np.float64)
         rises = np.array([self._rise_ns[self._pulses(np.array([first]), int(ns))[0][0]] for ns in since])

@@ -15,11 +15,11 @@ from onboard.timebase.arrival import ArrivalClock
 from onboard.timebase.clock import ClockSolution, ClockState, DeviceClock
 from onboard.timebase.marking import (
     Bracket,
-    Edge,
-    Edges,
+    EdgeBounds,
     FlaggingSource,
     FreeSource,
     LatchingSource,
+    NewestEdges,
     SyncSource,
     TickSource,
 )
@@ -55,7 +55,7 @@ class Timebase:
         self._line = line
         self._train = PulseTrain(line.period_ns) if line is not None and line.coded else None
         interval_ns = line.shortest_interval_ns if line is not None else WIDEST_WINDOW_NS
-        self._edges = Edges(min(WIDEST_WINDOW_NS, 0.4 * interval_ns))
+        self._edges = NewestEdges(min(WIDEST_WINDOW_NS, 0.4 * interval_ns))
         self._sources = {name: source for name, spec in channels.items() if (source := _source(spec, line)) is not None}
         self._brackets = {n: Bracket(*s) for n, s in channels.items() if isinstance(s, PolledChannel)}
         self._states: dict[str, ClockState] = {}
@@ -142,7 +142,7 @@ class Timebase:
 
     def _pulses(self, line: SyncLine, rows: Rows) -> None:
         for edge_ns in rows["edge_ns"].tolist():
-            edge = Edge(edge_ns - line.late_ns, edge_ns)
+            edge = EdgeBounds(edge_ns - line.late_ns, edge_ns)
             self._edges.append(edge)
             place = self._train.edge(edge_ns) if self._train is not None else None
             if place is not None:

@@ -9,7 +9,7 @@ from drivers.canopen_pdo.cia404 import Cia404Config
 from drivers.canopen_pdo.cia404 import LoadCell as LoadCellData
 from drivers.canopen_pdo.cia406 import Cia406Config
 from drivers.canopen_pdo.cia406 import Encoder as EncoderData
-from drivers.canopen_pdo.sdo import Read, SdoClient, Write, attempt, ensure_tpdo, read_unsigned, write_unsigned
+from drivers.canopen_pdo.sdo import SdoClient, SdoRead, SdoWrite, attempt, ensure_tpdo, read_unsigned, write_unsigned
 from drivers.errors import ConfigurationError, NoAnswerError, SdoAbortError
 from tests.drivers.can_peers import MS, Encoder, LoadCell, u32
 
@@ -53,8 +53,8 @@ def test_a_sequence_reads_writes_and_is_told_when():
     exchange = Exchange(Encoder())
 
     def sequence():
-        first = yield Read(0x6501)
-        second = yield Write(0x1017, 0, b"\xf4\x01")
+        first = yield SdoRead(0x6501)
+        second = yield SdoWrite(0x1017, 0, b"\xf4\x01")
         return first, second
 
     first, second = exchange.run(sequence())
@@ -98,7 +98,7 @@ def test_answers_to_other_requests_and_damaged_ones_are_left():
     got = []
 
     def sequence():
-        got.append((yield Read(0x6501)))
+        got.append((yield SdoRead(0x6501)))
 
     client.begin(sequence(), 0)
     client.accept(bytes.fromhex("43 01 60 00 01 00 00 00"), 1)  # another index

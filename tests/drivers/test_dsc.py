@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dsc_load_cell import Answer, DscLoadCell, DscLoadCellConfig, decode_number, read_command
+from drivers.dsc_load_cell import DscLoadCell, DscLoadCellConfig, DscReply, decode_number, read_command
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SCALAR
 from tests.drivers.batches import codes, of, texts, whole
@@ -44,7 +44,7 @@ def test_what_is_no_number_is_refused(bad):
 
 
 def fed(data: bytes, bytewise: bool):
-    answer = Answer()
+    answer = DscReply()
     made = None
     for piece in [data[n : n + 1] for n in range(len(data))] if bytewise else [data]:
         assert made is None
@@ -62,12 +62,12 @@ def test_an_answer_ends_with_cr(text, bytewise):
 @pytest.mark.parametrize("bad", [b"+1.0\r\n", b"+1.0\r+2", b"x" * 33])
 def test_too_many_bytes_are_refused(bad):
     with pytest.raises(FrameError):
-        Answer().receive(bad)
+        DscReply().receive(bad)
 
 
 @given(st.lists(st.binary(max_size=20) | st.sampled_from([b"\r", b"+1.00"]), max_size=6))
 def test_any_bytes_give_a_number_nothing_or_frame_error(chunks):
-    answer = Answer()
+    answer = DscReply()
     for chunk in chunks:
         try:
             text = answer.receive(chunk)

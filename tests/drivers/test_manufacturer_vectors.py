@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, SyncConfig, frame
-from drivers.modbus_load_cell import Answer
+from drivers.modbus_load_cell import ModbusReply
 from drivers.modbus_load_cell.frame import ModbusException, read_request
 from drivers.qsb import QsbConfig, registers
 from tests.drivers.batches import codes, whole
@@ -59,7 +59,7 @@ def test_laumas_request_and_exception():
     request = read_request(1, 7, 2)
     assert request == bytes.fromhex(TLB_REQUEST)
     with pytest.raises(ModbusException, match="2"):
-        Answer(request).receive(bytes.fromhex(TLB_EXCEPTION))
+        ModbusReply(request).receive(bytes.fromhex(TLB_EXCEPTION))
 
 
 class StrainLink(PeerNode):

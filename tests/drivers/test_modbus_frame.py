@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, FrameError
 from drivers.modbus_load_cell import (
-    Answer,
     ModbusException,
     ModbusLoadCellConfig,
+    ModbusReply,
     crc16,
     decode_weights,
     read_request,
@@ -43,7 +43,7 @@ def test_requests_of_other_manuals(frame, made):
     assert made() == bytes.fromhex(frame)
 
 
-def fed(answer: Answer, data: bytes, bytewise: bool):
+def fed(answer: ModbusReply, data: bytes, bytewise: bool):
     """The first thing that is not None."""
     pieces = [data[n : n + 1] for n in range(len(data))] if bytewise else [data]
     for place, piece in enumerate(pieces):
@@ -59,13 +59,13 @@ def fed(answer: Answer, data: bytes, bytewise: bool):
 def test_the_manuals_answer(bytewise, echo):
     answer = framed(bytes.fromhex("01 03 04 00 01 02 03"))  # Laumas: 01 03 04 HH HH LL LL crc
     data = REQUEST + answer if echo else answer
-    gathering = Answer(REQUEST, echo)
+    gathering = ModbusReply(REQUEST, echo)
     assert gathering.missing == len(data)
     assert fed(gathering, data, bytewise) == (0x0001, 0x0203)
 
 
 def test_it_says_how_many_bytes_are_to_come():
-    answer, gathering = framed(bytes.fromhex("01 03 04 00 01 02 03")), Answer(REQUEST)
+    answer, gathering = framed(bytes.fromhex("01 03 04 00 01 02 03")), ModbusReply(REQUEST)
     missing = []
     for place in range(9):
         missing.append(gathering.missing)
@@ -77,9 +77,9 @@ def test_it_says_how_many_bytes_are_to_come():
 @pytest.mark.parametrize("bytewise", [False, True])
 def test_a_write_is_acknowledged(bytewise):
     request = write_request(1, 8, (2,))
-    assert fed(Answer(request), framed(request[:6]), bytewise) == ()
+    assert fed(ModbusReply(request), framed(request[:6]), bytewise) == ()
     with pytest.raises(FrameError, match="another write"):
-        Answer(request).receive(framed(bytes.fromhex("01 10 00 09 00 01")))
+        ModbusReply(request).receive(framed(bytes.fromhex("01 10 00 09 00 01")))
 
 
 @pytest.mark.parametrize("bytewise", [False, True])
@@ -88,7 +88,7 @@ def test_a_write_is_acknowledged(bytewise):
 )
 def test_exceptions(bytewise, code, word):
     with pytest.raises(ModbusException, match=word) as caught:
-        fed(Answer(REQUEST), framed(bytes([1, 0x83, code])), bytewise)
+        fed(ModbusReply(REQUEST), framed(bytes([1, 0x83, code])), bytewise)
     assert caught.value.code == code
 
 
@@ -106,17 +106,17 @@ BAD = {
 @pytest.mark.parametrize("bad", BAD.values(), ids=BAD)
 def test_what_is_no_answer_is_refused(bad):
     with pytest.raises(FrameError):
-        Answer(REQUEST).receive(bad)
+        ModbusReply(REQUEST).receive(bad)
 
 
 def test_an_echo_that_does_not_come_is_refused():
     with pytest.raises(FrameError, match="echo"):
-        Answer(REQUEST, True).receive(GOOD)
+        ModbusReply(REQUEST, True).receive(GOOD)
 
 
 @given(st.lists(st.binary(max_size=12) | st.sampled_from([GOOD[:4], GOOD[4:], REQUEST]), max_size=5), st.booleans())
 def test_any_bytes_give_registers_nothing_or_a_named_error(chunks, echo):
-    answer = Answer(REQUEST, echo)
+    answer = ModbusReply(REQUEST, echo)
     for chunk in chunks:
         try:
             registers = answer.receive(chunk)

@@ -22,7 +22,7 @@ class Twin(NamedTuple):
     vehicle: VehicleModel
     chi: np.ndarray  # the truth
     motion: free_flyer.JointMotion
-    flight: free_flyer.Flight
+    flight: free_flyer.FreeFlightSignals
 
     def samples(self, rng, errors=ImuErrors(), noise=True) -> Samples:  # noqa: B008
         if noise:

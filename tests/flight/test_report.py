@@ -16,7 +16,7 @@ from onboard import cli, config
 from onboard.flight.identification import build_identifier
 from onboard.offline.report import report
 from onboard.offline.report.alone import alone
-from onboard.offline.report.flight_data import Sweep
+from onboard.offline.report.flight_data import SweepData
 from onboard.offline.tables import truth
 from onboard.offline.tables.phases import Phase
 from onboard.recording.writer import LogWriter
@@ -126,7 +126,7 @@ def test_a_sweep_alone_is_the_prior_and_its_rows(rng: np.random.Generator) -> No
         again.rls.update(*part)
         states.append(state(block + 1))
     phase = Phase(0, 8, 3, "sweep 1", True)
-    found = {one.name: one for one in alone(Sweep(phase, 8, True, None, {}, before, states), fresh)}
+    found = {one.name: one for one in alone(SweepData(phase, 8, True, None, {}, before, states), fresh)}
     expected = again.rls.solve().mean
     assert set(found) == {quantity.name for quantity in fresh.quantities} > set()
     for quantity in fresh.quantities:

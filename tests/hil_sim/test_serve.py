@@ -23,7 +23,7 @@ import serial
 
 from hil_sim.buses.i2c_socket import I2cSocket
 from hil_sim.buses.media import I2cBus
-from hil_sim.buses.realtime import Server
+from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.can_wire import WireFrame
 from hil_sim.devices.mpu6050 import Mpu6050Twin
@@ -317,7 +317,7 @@ class Client(threading.Thread):
 def test_the_loop_keeps_real_time(tmp_path):
     mission, stop = SmallMission(3.0), threading.Event()
     with open_sockets(BUSES, tmp_path / "buses", seed=1) as ports:
-        server = Server(ports, time.monotonic_ns)
+        server = MissionServer(ports, time.monotonic_ns)
         assert set(ports.urls) == {"i2c_1", "can_0", "sync_line"}
         client = Client(ports.urls, stop)
         start_ns = time.monotonic_ns()
@@ -354,7 +354,7 @@ def test_the_loop_stops_when_told(tmp_path):
     with open_sockets(BUSES, tmp_path) as ports:
         mission.plug(ports.buses, time.monotonic_ns())
         begin = time.monotonic()
-        Server(ports, time.monotonic_ns).run(mission, lambda: time.monotonic() - begin > 0.2)
+        MissionServer(ports, time.monotonic_ns).run(mission, lambda: time.monotonic() - begin > 0.2)
     assert time.monotonic() - begin < 1.0
     assert not mission.finished
 
@@ -362,7 +362,7 @@ def test_the_loop_stops_when_told(tmp_path):
 def test_an_absent_client_costs_no_processor(tmp_path):
     mission = SmallMission(1.0)
     with open_sockets(BUSES, tmp_path) as ports:
-        server = Server(ports, time.monotonic_ns)
+        server = MissionServer(ports, time.monotonic_ns)
         can_bus = ports.buses["can_0"]
         fd = os.open(ports.urls["can_0"].removeprefix("can+slcan://").split("?")[0], os.O_RDWR | os.O_NOCTTY)
         os.write(fd, b"S6\rO\r")

@@ -8,7 +8,7 @@ from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.observability import subspace
-from onboard.identification.rows.held_out import HeldOut, Prediction, RowBlocks
+from onboard.identification.rows.held_out import HeldOut, HeldOutFit, RowBlocks
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, link_estimate
 from onboard.identification.verdict import Evidence, Level, verdict
@@ -17,7 +17,7 @@ from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
 NOISE_ALONE = 1.0  # residual sum a row
-FINE = Prediction(0.05, NOISE_ALONE)
+FINE = HeldOutFit(0.05, NOISE_ALONE)
 
 
 def evidence(**changed):
@@ -49,8 +49,8 @@ def test_what_is_not_determined_is_named():
         ({"rows_used": 0, "refused": {}}, "no row could be used (there was none)"),
         ({"asked": {"mass": False, "I_zz": False}}, "the motion determines nothing that was asked"),
         ({"refused": {"residual": 60}}, "6% of the rows contradict the others"),
-        ({"held_out": HeldOut(FINE, FINE, Prediction(0.4, 20.0))}, "40% of it is left over"),
-        ({"held_out": HeldOut(Prediction(1.2, 9.0), FINE, FINE)}, "from the other is off by 120%"),
+        ({"held_out": HeldOut(FINE, FINE, HeldOutFit(0.4, 20.0))}, "40% of it is left over"),
+        ({"held_out": HeldOut(HeldOutFit(1.2, 9.0), FINE, FINE)}, "from the other is off by 120%"),
         ({"failure": "the fit gave up: not converged"}, "the fit gave up"),
         ({"misfit": 2.5}, "2.5 times the noise is left over"),
         ({"away": {"payload": 6.0}}, "found for payload cannot exist: 6 sigmas from any body"),
@@ -67,8 +67,8 @@ def test_reasons_not_to_use_it(changed, said):
     ("changed", "said"),
     [
         ({"held_out": None}, "too short to be checked"),
-        ({"held_out": HeldOut(FINE, Prediction(0.6, 5.0), FINE)}, "off by 60%"),
-        ({"held_out": HeldOut(FINE, Prediction(0.6, 2.5), FINE), "correlation": 2.0}, "off by 60%"),
+        ({"held_out": HeldOut(FINE, HeldOutFit(0.6, 5.0), FINE)}, "off by 60%"),
+        ({"held_out": HeldOut(FINE, HeldOutFit(0.6, 2.5), FINE), "correlation": 2.0}, "off by 60%"),
     ],
 )
 def test_reasons_to_take_it_with_care(changed, said):
@@ -78,7 +78,7 @@ def test_reasons_to_take_it_with_care(changed, said):
 
 
 def test_what_noise_explains_is_no_reason():
-    noisy = Prediction(1.5, 1.2)
+    noisy = HeldOutFit(1.5, 1.2)
     assert verdict(evidence(held_out=HeldOut(noisy, noisy, noisy))).level is Level.GOOD
     assert verdict(evidence(refused={"residual": 40}, away={"payload": 2.0}, misfit=1.5)).level is Level.GOOD
 

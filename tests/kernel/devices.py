@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
-from hil_sim.buses.realtime import Server
+from hil_sim.buses.realtime import MissionServer
 from hil_sim.devices.encoder406 import Encoder406
 from hil_sim.devices.loadcell404 import LoadCell404
 from hil_sim.devices.mpu6050 import Mpu6050Twin
@@ -125,7 +125,7 @@ def main() -> None:
         tempfile.TemporaryDirectory() as directory,
         open_nodes(BUSES, Path(directory), i2c_node=node, can_interface=can) as ports,
     ):
-        server = Server(ports, time.monotonic_ns)
+        server = MissionServer(ports, time.monotonic_ns)
         start_ns = time.monotonic_ns()
         bench = Bench(ports.buses, start_ns, settings)
         sys.stdout.write(json.dumps({**ports.urls, "start_ns": start_ns}) + "\n")

@@ -22,7 +22,7 @@ from websockets.exceptions import ConnectionClosed
 from drivers import records
 from onboard.flight import directories, manifest
 from onboard.live import process
-from onboard.live.server import Server, parse_address
+from onboard.live.server import LiveServer, parse_address
 from onboard.recording.segmented import Preamble
 from onboard.ring import RingReader, RingWriter
 
@@ -66,7 +66,7 @@ async def everything(connection: ClientConnection) -> None:
 class Pump(threading.Thread):
     """Writes rows into a ring and has the server send them, as the flight and its viewer do."""
 
-    def __init__(self, server: Server, directory: Path, dtype: np.dtype[np.void], count: int) -> None:
+    def __init__(self, server: LiveServer, directory: Path, dtype: np.dtype[np.void], count: int) -> None:
         super().__init__(daemon=True)
         self._server, self._directory, self._dtype, self._count = server, directory, dtype, count
         self._writer = RingWriter(directory / "joint.ring", dtype, 16 * count)
@@ -86,7 +86,7 @@ class Pump(threading.Thread):
 
 @pytest.mark.realtime
 def test_a_client_gets_every_row_as_the_log_would_have_it(tmp_path: Path) -> None:
-    server = Server("test", "127.0.0.1", 0)
+    server = LiveServer("test", "127.0.0.1", 0)
     pump = Pump(server, tmp_path, records.SCALAR, 10)
 
     async def client() -> None:
@@ -115,7 +115,7 @@ def test_a_client_gets_every_row_as_the_log_would_have_it(tmp_path: Path) -> Non
 
 @pytest.mark.realtime
 def test_a_stalled_client_is_dropped_and_nobody_waits_for_it(tmp_path: Path) -> None:
-    server = Server("test", "127.0.0.1", 0, stall_s=1.0)
+    server = LiveServer("test", "127.0.0.1", 0, stall_s=1.0)
     pump = Pump(server, tmp_path, records.EVENT, 500)  # 240 bytes each, 10 MB/s: more than a socket can hold
 
     async def stalled() -> None:
@@ -159,7 +159,7 @@ def test_a_stalled_client_is_dropped_and_nobody_waits_for_it(tmp_path: Path) -> 
 def test_it_only_reads_and_starts_with_what_is_new(tmp_path: Path) -> None:
     writer = RingWriter(tmp_path / "joint.ring", records.SCALAR, 100)
     writer.push(rows(0, 50))
-    server = Server("test", "127.0.0.1", 0)
+    server = LiveServer("test", "127.0.0.1", 0)
     try:
         assert server.pump(tmp_path) == 0
         before = (tmp_path / "joint.ring").read_bytes()
@@ -177,7 +177,7 @@ def test_it_only_reads_and_starts_with_what_is_new(tmp_path: Path) -> None:
 
 def test_a_ring_that_is_just_being_made_is_waited_for(tmp_path: Path) -> None:
     (tmp_path / "half.ring").write_bytes(b"")
-    server = Server("test", "127.0.0.1", 0)
+    server = LiveServer("test", "127.0.0.1", 0)
     try:
         assert server.pump(tmp_path) == 0
     finally:

@@ -13,7 +13,7 @@ from onboard.recording.errors import LogFormatError
 from onboard.recording.mcap_format import Attachment
 from onboard.recording.reader import LogReader
 from onboard.recording.seal import seal
-from onboard.recording.segmented import Limits, Mark, Preamble, SegmentedLog
+from onboard.recording.segmented import ChannelProgress, Limits, Preamble, SegmentedLog
 from onboard.recording.segments import flights, read_head, segment_path, segments
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import LABEL, READING, FailingSink, label_rows, reading_rows, same_fields, write_small
@@ -177,7 +177,7 @@ def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written
             (again.parent / ahead.relative_to(log.parent)).write_bytes(files[ahead][: size % 23])
         second = SegmentedLog.resume(again, PREAMBLE)
         last = second.recorded["reading"].sequence
-        assert second.recorded["reading"] == Mark(last, last * 1000)
+        assert second.recorded["reading"] == ChannelProgress(last, last * 1000)
         second.register("reading", READING)
         second.write("reading", reading_rows(last + 1, 60))
         second.sync(0)
@@ -318,7 +318,7 @@ def test_a_takeover_that_is_itself_killed_at_any_write_forgets_nothing(tmp_path,
         with contextlib.suppress(KilledError):
             writer = SegmentedLog.resume(tmp_path / "a.mcap", PREAMBLE)
             calls[0] = 10_000
-            assert writer.recorded["reading"] == Mark(len(rows) - 1, (len(rows) - 1) * 1000), patience
+            assert writer.recorded["reading"] == ChannelProgress(len(rows) - 1, (len(rows) - 1) * 1000), patience
             writer.abandon()
         calls[0] = 10_000
     assert same_fields(LogReader(tmp_path / "a.mcap").read("reading"), rows)

@@ -37,7 +37,7 @@ from onboard.identification.exiddm.imu_errors import (
     whitened,
 )
 from onboard.identification.exiddm.parameters import Block, Layout, UncertainLinks
-from onboard.identification.rows.held_out import HeldOut, Prediction
+from onboard.identification.rows.held_out import HeldOut, HeldOutFit
 
 _GOOD_FIT = 1.3  # whitened residual sum per row of a guess that needs no other
 _ITERATIONS = 60  # on a part of the flight
@@ -220,7 +220,7 @@ class Exiddm:
         values, jacobian = tick_mean(shown.values, signals.samples), tick_mean(jacobian, signals.samples)
         return whitened(values, jacobian, self._measured[:n], self._sigma, self._valid[:n])
 
-    def predicted(self, x: FloatArray, own: FloatArray) -> Prediction:
+    def predicted(self, x: FloatArray, own: FloatArray) -> HeldOutFit:
         """What parameters found elsewhere leave of this flight, beside what is left when the payload is taken away.
 
         What another part of the flight has other values of (the state at its first tick, biases) is found anew.
@@ -241,7 +241,7 @@ class Exiddm:
         done = fit(residuals, own[anew], np.zeros(anew.size), prior, tolerance=_HELD_OUT_TOLERANCE)
         tried[anew], tried[self._payload] = done.x, _NOTHING
         none, _ = self.residuals(self._with_first_state(tried))
-        return Prediction(float(np.sqrt(done.residual_sum / (none @ none))), done.residual_sum / none.size)
+        return HeldOutFit(float(np.sqrt(done.residual_sum / (none @ none))), done.residual_sum / none.size)
 
     def _fit(self, x: FloatArray, ticks: int, tolerance: float, iterations: int = _ITERATIONS) -> Fit:
         early = partial(self.residuals, ticks=ticks)

@@ -17,7 +17,7 @@ from onboard.identification.rows.identifier import Identifier
 _FEWEST_BLOCKS = 2  # of a kind of rows; fewer cannot be halved
 
 
-class Prediction(NamedTuple):
+class HeldOutFit(NamedTuple):
     """How well parameters of one half explain the other."""
 
     relative_error: float  # norm of what is left over the norm of what was there to explain, weighted
@@ -27,12 +27,12 @@ class Prediction(NamedTuple):
 class HeldOut(NamedTuple):
     """Each half predicted from the other, and all rows from all."""
 
-    later: Prediction  # from the earlier half
-    earlier: Prediction  # from the later half
-    fit: Prediction  # nothing held out: what is left by the estimate of all rows
+    later: HeldOutFit  # from the earlier half
+    earlier: HeldOutFit  # from the later half
+    fit: HeldOutFit  # nothing held out: what is left by the estimate of all rows
 
     @property
-    def worst(self) -> Prediction:
+    def worst(self) -> HeldOutFit:
         """Of the two predictions."""
         return max(self.later, self.earlier)
 
@@ -117,10 +117,10 @@ def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> Fl
     return np.asarray(center + root @ vectors @ step, np.float64)
 
 
-def _prediction(normal: FloatArray, chi: FloatArray, reference: FloatArray | None) -> Prediction:
+def _prediction(normal: FloatArray, chi: FloatArray, reference: FloatArray | None) -> HeldOutFit:
     left = _residual_sum(normal, chi)
     whole = _residual_sum(normal, np.zeros_like(chi) if reference is None else reference)
-    return Prediction(float(np.sqrt(left / whole)), left / float(normal[-1, -1]))
+    return HeldOutFit(float(np.sqrt(left / whole)), left / float(normal[-1, -1]))
 
 
 def _residual_sum(normal: FloatArray, chi: FloatArray) -> float:

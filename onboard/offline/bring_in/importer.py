@@ -18,7 +18,7 @@ from drivers.records import Rows, SampleStatus, Severity
 from onboard.offline.bring_in import foreign, mapping
 from onboard.offline.bring_in.errors import SourceError
 from onboard.offline.bring_in.foreign import Values
-from onboard.offline.bring_in.mapping import NS_PER, ImuChannel, Mapping, Scalar, ScalarChannel, Time, Vector
+from onboard.offline.bring_in.mapping import NS_PER, ImuChannel, Mapping, Scalar, ScalarChannel, Time, VectorMapping
 from onboard.recording.writer import LogWriter
 
 MAPPING_ATTACHMENT = "mapping.toml"
@@ -201,7 +201,7 @@ def _imu(source: Path, columns: Columns[str, Values], channel: ImuChannel, host_
     return rows
 
 
-def _vector_counts(source: Path, columns: Columns[str, Values], vector: Vector, count: int) -> NDArray[np.int64]:
+def _vector_counts(source: Path, columns: Columns[str, Values], vector: VectorMapping, count: int) -> NDArray[np.int64]:
     """Counts (n, 3) in the recorded axes, within int16."""
     if vector.columns is None:
         assert vector.column is not None
@@ -228,7 +228,9 @@ def _scalar(source: Path, columns: Columns[str, Values], channel: ScalarChannel,
     return rows
 
 
-def _counts(source: Path, names: str, quantity: Vector | Scalar, values: Values, count: int) -> NDArray[np.int64]:
+def _counts(
+    source: Path, names: str, quantity: VectorMapping | Scalar, values: Values, count: int
+) -> NDArray[np.int64]:
     """``values`` as whole counts."""
     if len(values) != count:
         raise SourceError(

@@ -135,7 +135,7 @@ class _Quantity(_Section):
         return self.count * UNITS[self.unit][1]
 
 
-class Vector(_Quantity):
+class VectorMapping(_Quantity):
     """A quantity with three axes."""
 
     column: str | None = None
@@ -151,13 +151,13 @@ class Vector(_Quantity):
         return self
 
 
-class Acceleration(Vector):
+class Acceleration(VectorMapping):
     """Specific force."""
 
     keeps = ("m/s^2",)
 
 
-class AngularRate(Vector):
+class AngularRate(VectorMapping):
     """Angular velocity."""
 
     keeps = ("rad/s",)
@@ -187,7 +187,7 @@ class ScalarChannel(_Section):
     time: Time | None = None
 
 
-Channel = Annotated[ImuChannel | ScalarChannel, Field(discriminator="record")]
+ChannelMapping = Annotated[ImuChannel | ScalarChannel, Field(discriminator="record")]
 
 
 class MappingFile(_Section):
@@ -196,7 +196,7 @@ class MappingFile(_Section):
     mapping: About
     csv: Csv = Csv()
     time: Time
-    channel: Annotated[dict[str, Channel], Field(min_length=1)]
+    channel: Annotated[dict[str, ChannelMapping], Field(min_length=1)]
 
 
 class Mapping(BaseModel):

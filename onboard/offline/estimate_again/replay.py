@@ -149,7 +149,7 @@ def replay(path: Path, progress: Progress | None = None) -> Replay:
         return _replay(log, vehicle_of(log, Path(directory)), follow(progress, "replay", log))
 
 
-class Step(NamedTuple):
+class EstimatorStep(NamedTuple):
     """What a step of the onboard estimator consumed, by channel."""
 
     now_ns: int
@@ -159,7 +159,7 @@ class Step(NamedTuple):
     short: str  # what of it the log does not hold; empty where it holds all
 
 
-def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[Step]:
+def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
     """The steps that the estimator of a flight made, as the TICK records tell them.
 
     Args:
@@ -179,7 +179,7 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[Step]:
             if len(batches[name]) != count:
                 short = short or f"{name}: {count - len(batches[name])} rows of {first}..{last} are not in the log"
         fresh = "fresh" in (tick.dtype.names or ()) and bool(tick["fresh"])
-        yield Step(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short)
+        yield EstimatorStep(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short)
 
 
 def _replay(log: LogReader, vehicle: config.Vehicle, tell: Callable[[], None]) -> Replay:

@@ -8,7 +8,7 @@ from drivers.records import Rows
 from onboard.offline.tables.columns import Column
 
 
-class Table(Protocol):
+class TableWriter(Protocol):
     """Writer of a table file."""
 
     def write(self, rows: Rows) -> None:
@@ -21,7 +21,7 @@ class Table(Protocol):
 FORMATS = ("csv", "parquet", "npz", "mat")
 
 
-def opener(kind: str) -> Callable[[Path | BinaryIO, Sequence[Column]], Table]:
+def opener(kind: str) -> Callable[[Path | BinaryIO, Sequence[Column]], TableWriter]:
     """Factory of a table of format ``kind`` from a path (or an open file, CSV only) and columns.
 
     Raises:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from drivers.records import Rows
-from onboard.offline.export.csv_text import Encoder, header
+from onboard.offline.export.csv_text import CsvEncoder, header
 from onboard.offline.tables.columns import Column
 
 
@@ -20,7 +20,7 @@ class CsvTable:
     def __init__(self, target: Path | BinaryIO, columns: Sequence[Column]) -> None:
         self._own = isinstance(target, Path)
         self._file: BinaryIO = target.open("wb") if isinstance(target, Path) else target
-        self._encoder = Encoder(columns)
+        self._encoder = CsvEncoder(columns)
         self._file.write(header(columns))
 
     def write(self, rows: Rows) -> None:

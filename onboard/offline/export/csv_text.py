@@ -30,7 +30,7 @@ def header(columns: Sequence[Column]) -> bytes:
     return b",".join(_safe(column.header.encode()) for column in columns) + b"\n"
 
 
-class Encoder:
+class CsvEncoder:
     """Formats rows of one channel as lines, with caches of constant size.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 from rich.progress import Progress
 
 from drivers.records import Rows
-from onboard.offline.export import Table, legend, opener
+from onboard.offline.export import TableWriter, legend, opener
 from onboard.offline.tables.columns import Column
 from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.selection import Selection
@@ -24,8 +24,8 @@ from onboard.recording.scan import Damage
 _BLOCK_ROWS = 16384
 _BLOCK_BYTES = 4 << 20
 
-Values = Literal["both", "raw", "si"]
-Opener = Callable[[Path | BinaryIO, Sequence[Column]], Table]
+ValueKind = Literal["both", "raw", "si"]
+Opener = Callable[[Path | BinaryIO, Sequence[Column]], TableWriter]
 
 
 class DumpResult(NamedTuple):
@@ -43,7 +43,7 @@ def dump(
     selection: Selection = Selection(),  # noqa: B008  # frozen
     *,
     kind: str = "csv",
-    values: Values = "both",
+    values: ValueKind = "both",
     force: bool = False,
     progress: Progress | None = None,
 ) -> DumpResult:
@@ -116,7 +116,7 @@ def begin(folder: Path, tables: FlightTables, files: dict[str, str], *, force: b
     (folder / legend.FILE).write_text(legend.legend(tables, files), encoding="utf-8")
 
 
-def _channels(tables: FlightTables, selection: Selection, values: Values) -> list[str]:
+def _channels(tables: FlightTables, selection: Selection, values: ValueKind) -> list[str]:
     """Those asked for; of all of them, not such as only replay needs, unless the raw values are asked for."""
     every = tables.log.channels
     wanted = selection.channels
@@ -137,7 +137,7 @@ def _paths(folder: Path, channels: Collection[str], kind: str) -> dict[str, Path
     return paths
 
 
-def chosen_columns(every: Sequence[Column], values: Values, scratch: Collection[str] = ()) -> list[Column]:
+def chosen_columns(every: Sequence[Column], values: ValueKind, scratch: Collection[str] = ()) -> list[Column]:
     """Those of ``every`` that ``values`` asks for; ``scratch``: fields that only the raw values have."""
     if values == "raw":
         return [column for column in every if not column.converted]
@@ -152,12 +152,12 @@ class _Pending:
     """Buffer that joins a channel's rows into blocks for its table."""
 
     def __init__(
-        self, make: Opener, target: Path | BinaryIO, tables: FlightTables, channel: str, values: Values
+        self, make: Opener, target: Path | BinaryIO, tables: FlightTables, channel: str, values: ValueKind
     ) -> None:
         self.rows = 0
         self._make, self._target, self._values = make, target, values
         self._tables, self._channel = tables, channel
-        self._table: Table | None = None
+        self._table: TableWriter | None = None
         self._waiting: list[Rows] = []
         self._waiting_rows = 0
         self._block = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // tables.log.channels[channel].itemsize))

@@ -17,7 +17,7 @@ from onboard.estimation.memory import FOR_EVER
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
 from onboard.identification.rows.identifier import Identifier
-from onboard.offline.report.flight_data import Sweep
+from onboard.offline.report.flight_data import SweepData
 
 
 class Alone(NamedTuple):
@@ -31,7 +31,7 @@ class Alone(NamedTuple):
     high: FloatArray
 
 
-def alone(sweep: Sweep, identifier: Identifier) -> list[Alone]:
+def alone(sweep: SweepData, identifier: Identifier) -> list[Alone]:
     """Every quantity of ``identifier`` by ``sweep`` alone, without those never determined; empty if rows fade.
 
     Args:

@@ -12,7 +12,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
 from onboard.offline.report.alone import Alone
 from onboard.offline.report.figures import legend, second_axis, shade
-from onboard.offline.report.flight_data import FlightData, Sweep
+from onboard.offline.report.flight_data import FlightData, SweepData
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
 
 _LINES = 4  # sweeps per axes
@@ -48,7 +48,7 @@ def torque_and_acceleration(flight: FlightData, side: Side) -> Figure | None:
     return figure
 
 
-def _over_time(axes: Axes, flight: FlightData, sweep: Sweep, side: Side, *, first: bool) -> None:
+def _over_time(axes: Axes, flight: FlightData, sweep: SweepData, side: Side, *, first: bool) -> None:
     assert sweep.rows is not None
     at_s = flight.seconds(sweep.rows["vehicle_ns"])
     other = second_axis(axes, "rad/s²")
@@ -69,7 +69,7 @@ def _measured(rows: Rows, side: Side) -> tuple[FloatArray, NDArray[np.bool_]]:
     return np.where(gate & GateReason.SATURATED, np.nan, measured), gate == 0
 
 
-def _against(axes: Axes, sweep: Sweep, side: Side, *, first: bool) -> None:
+def _against(axes: Axes, sweep: SweepData, side: Side, *, first: bool) -> None:
     assert sweep.rows is not None
     x = sweep.rows["joint_rad_s2"][:, -1]
     y, used = _measured(sweep.rows, side)

@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 from drivers.records import Rows, Severity
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
-from onboard.offline.report.flight_data import FlightData, Sweep
+from onboard.offline.report.flight_data import FlightData, SweepData
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
 from onboard.offline.tables.thin import Trace
 from onboard.timebase.clock import ClockState
@@ -47,11 +47,11 @@ def timeline(flight: FlightData) -> Figure:
     return figure
 
 
-Span = tuple[float, float, str, str]  # start, end [s], colour, text
+LabelledSpan = tuple[float, float, str, str]  # start, end [s], colour, text
 
 
-def _lanes(flight: FlightData) -> list[tuple[str, list[Span]]]:
-    lanes: list[tuple[str, list[Span]]] = []
+def _lanes(flight: FlightData) -> list[tuple[str, list[LabelledSpan]]]:
+    lanes: list[tuple[str, list[LabelledSpan]]] = []
     if flight.phases:
         lanes.append(("phase", [_phase_span(flight, number) for number in range(len(flight.phases))]))
     if flight.changes:
@@ -76,7 +76,7 @@ def _lanes(flight: FlightData) -> list[tuple[str, list[Span]]]:
             (start, end, STATE_COLOUR[state], "") for start, end, state in zip(at_s, at_s[1:], states, strict=False)
         ]
         lanes.append((f"clock {name}", _joined(spans)))
-    troubles: dict[str, list[Span]] = {}
+    troubles: dict[str, list[LabelledSpan]] = {}
     for rows in flight.gaps:
         for row in rows:
             end_s = float(flight.seconds(row["host_ns"]))
@@ -98,22 +98,22 @@ def _lanes(flight: FlightData) -> list[tuple[str, list[Span]]]:
     return lanes
 
 
-def _phase_span(flight: FlightData, number: int) -> Span:
+def _phase_span(flight: FlightData, number: int) -> LabelledSpan:
     phase = flight.phases[number]
     start_s, end_s = (float(flight.seconds(t)) for t in (phase.start_ns, phase.end_ns))
     colour = COLOUR["a"] if phase.sweep else COLOUR["d"] if phase.name == "release" else COLOUR["idle"]
     return start_s, end_s, colour, phase.name.replace("phase ", "")
 
 
-def _runs(at_s: np.ndarray, flags: np.ndarray, colour: str) -> list[Span]:
+def _runs(at_s: np.ndarray, flags: np.ndarray, colour: str) -> list[LabelledSpan]:
     """Intervals in which ``flags`` (n,) are true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     last = len(at_s) - 1
     return [(at_s[a], at_s[min(b, last)], colour, "") for a, b in edges.reshape(-1, 2)]
 
 
-def _joined(spans: Sequence[Span]) -> list[Span]:
-    joined: list[Span] = []
+def _joined(spans: Sequence[LabelledSpan]) -> list[LabelledSpan]:
+    joined: list[LabelledSpan] = []
     for span in spans:
         if joined and joined[-1][2:] == span[2:]:
             joined[-1] = (joined[-1][0], span[1], *span[2:])
@@ -192,7 +192,7 @@ def sweeps(flight: FlightData) -> Figure | None:
 
 
 def _sweep(
-    axes: Axes, flight: FlightData, sweep: Sweep, channels: Iterable[tuple[str, str, str, float]], *, first: bool
+    axes: Axes, flight: FlightData, sweep: SweepData, channels: Iterable[tuple[str, str, str, float]], *, first: bool
 ) -> None:
     axes.set_title(sweep.phase.name)
     other: Axes | None = None

@@ -36,7 +36,7 @@ _FEWEST_BLOCKS = 4
 
 
 @dataclass
-class Sweep:
+class SweepData:
     """One identification phase."""
 
     phase: Phase
@@ -58,7 +58,7 @@ class FlightData:
     identifier: Identifier | None
     model: VehicleModel | None
     phases: tuple[Phase, ...]
-    sweeps: list[Sweep]
+    sweeps: list[SweepData]
     truth: true.Truth | None
     notes: list[str]  # what could not be shown, with the reason
     traces: dict[str, Trace] = field(default_factory=dict)
@@ -122,7 +122,7 @@ def _begin(log: LogReader, about: LogInfo, given: config.Vehicle | None) -> Flig
     shown = set(np.linspace(0, len(flown) - 1, min(len(flown), _SWEEPS_DETAILED)).round().astype(int).tolist())
     if len(flown) > len(shown):
         notes.append(f"{len(shown)} of {len(flown)} sweeps, evenly chosen, are shown in detail.")
-    sweeps = [Sweep(phase, _blocks(phase, vehicle), n in shown) for n, phase in enumerate(flown) if vehicle]
+    sweeps = [SweepData(phase, _blocks(phase, vehicle), n in shown) for n, phase in enumerate(flown) if vehicle]
     return FlightData(about, vehicle, roles, identifier, model, phases, sweeps, true.read(log.path), notes)
 
 

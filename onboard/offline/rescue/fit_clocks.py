@@ -48,7 +48,7 @@ class Recorded(NamedTuple):
     angle: FloatArray  # (m, joints)
 
 
-class Clock(NamedTuple):
+class FittedClock(NamedTuple):
     """Reference time = ``pivot_s + offset_s + (1 + rate) * (own time - pivot_s)``."""
 
     pivot_s: float
@@ -66,7 +66,7 @@ class Clock(NamedTuple):
 class Rescued(NamedTuple):
     """The clock, and what was held."""
 
-    clock: Clock
+    clock: FittedClock
     found: PayloadFit
     rounds: int
 
@@ -79,7 +79,7 @@ class Rescued(NamedTuple):
 Build = Callable[[FlightSignals, ImuPrior], Exiddm]
 
 
-def coarse_clocks(vehicle: VehicleModel, imu_frame: str, recorded: Recorded, rate_limit: float) -> list[Clock]:
+def coarse_clocks(vehicle: VehicleModel, imu_frame: str, recorded: Recorded, rate_limit: float) -> list[FittedClock]:
     """Clocks by correlation, likeliest first: the gyro is a linear map of base rates predicted from the joints.
 
     One, where it stands out; else the best few, for :func:`rescue` to tell apart.
@@ -97,11 +97,11 @@ def coarse_clocks(vehicle: VehicleModel, imu_frame: str, recorded: Recorded, rat
         found = align(seen, other, PEAK_HZ, rate_limit)
     except ResyncError:
         likely = candidates(seen, other, PEAK_HZ, rate_limit, CANDIDATES)
-        return [Clock(one.pivot_s, one.offset_s, one.rate, COARSE_SIGMA_S, rate_limit) for one in likely]
-    return [Clock(found.pivot_s, found.offset_s, found.rate, COARSE_SIGMA_S, rate_limit)]
+        return [FittedClock(one.pivot_s, one.offset_s, one.rate, COARSE_SIGMA_S, rate_limit) for one in likely]
+    return [FittedClock(found.pivot_s, found.offset_s, found.rate, COARSE_SIGMA_S, rate_limit)]
 
 
-def placed_signals(recorded: Recorded, clock: Clock, samples: int, width_s: float) -> tuple[FlightSignals, float]:
+def placed_signals(recorded: Recorded, clock: FittedClock, samples: int, width_s: float) -> tuple[FlightSignals, float]:
     """Ticks of the time that both recorders share, joints placed by ``clock``; and the middle of it.
 
     Args:
@@ -123,7 +123,7 @@ def placed_signals(recorded: Recorded, clock: Clock, samples: int, width_s: floa
 
 def rescue(
     recorded: Recorded,
-    clocks: Sequence[Clock],
+    clocks: Sequence[FittedClock],
     build: Build,
     imu_prior: ImuPrior,
     samples: int = 5,
@@ -160,7 +160,7 @@ def rescue(
 
 
 def _settled(
-    recorded: Recorded, clock: Clock, build: Build, imu_prior: ImuPrior, samples: int, width_s: float
+    recorded: Recorded, clock: FittedClock, build: Build, imu_prior: ImuPrior, samples: int, width_s: float
 ) -> Rescued:
     """The fit with the clock's own share in it, joints placed anew until nothing moves."""
     span_s = float(np.ptp(recorded.imu_s))

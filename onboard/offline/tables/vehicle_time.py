@@ -30,7 +30,7 @@ class Timed(NamedTuple):
     rows: Rows  # (n,)
 
 
-class Step(NamedTuple):
+class TimedStep(NamedTuple):
     """Samples timed in a step; no later step has samples before ``until_ns``."""
 
     until_ns: int
@@ -43,7 +43,7 @@ def clocked(log: LogReader, vehicle: config.Vehicle) -> list[str]:
     return [n for n, dtype in vehicle.channels.items() if n in timebase.channels and log.channels.get(n) == dtype]
 
 
-def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) -> Iterator[Step]:
+def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) -> Iterator[TimedStep]:
     """The samples of ``channels``, which have clocks, in steps of time; every row of them, in the order of the file.
 
     Raises:
@@ -70,4 +70,4 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
             if ready:
                 samples.append(Timed(name, times, rows[:ready]))
             waiting[name] = rows[ready:]
-        yield Step(until_ns, samples)
+        yield TimedStep(until_ns, samples)

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hil_sim.plants.rocket_arm import Plant, build, mass_properties
+from hil_sim.plants.rocket_arm import RocketArmPlant, build, mass_properties
 from hil_sim.plants.world import NotYetComputedError
 from hil_sim.scenario.load import load
 
@@ -45,13 +45,13 @@ def push(degrees: float) -> dict[str, object]:
     return {"phase": 1, "action": "push", "command_deg": degrees, "approach_s": 1.4, "hold_s": 0.6, "retreat_s": 1.0}
 
 
-def flown(seed: int = 7, **overrides) -> Plant:
-    plant = Plant(load("rocksat", overrides), np.random.default_rng(seed))
+def flown(seed: int = 7, **overrides) -> RocketArmPlant:
+    plant = RocketArmPlant(load("rocksat", overrides), np.random.default_rng(seed))
     plant.advance(1e9)
     return plant
 
 
-def joint_acceleration(plant: Plant) -> np.ndarray:
+def joint_acceleration(plant: RocketArmPlant) -> np.ndarray:
     """(n - 2,) at rows 1..n-2."""
     return np.diff(plant.history.angle_rad, 2) / STEP_S**2
 
@@ -60,7 +60,7 @@ def parallel_axis(mass_kg, com_m, inertia_kg_m2):
     return inertia_kg_m2 + mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
 
 
-def hand_moment(plant: Plant, with_tip: bool) -> np.ndarray:
+def hand_moment(plant: RocketArmPlant, with_tip: bool) -> np.ndarray:
     """Moment about the joint axis the flange must exert, rows 1..n-2 (n - 2,): Newton-Euler about the joint."""
     I_O = parallel_axis(ARM_kg, ARM_COM_m, ARM_I_kg_m2)
     mc = ARM_kg * ARM_COM_m
@@ -265,7 +265,7 @@ def test_air_pushes_beyond_the_cell_at_the_centre_of_pressure() -> None:
 
 def test_history_does_not_hang_on_how_it_was_advanced() -> None:
     scenario = load("rocksat", {"sequence": [HOLD, SWEEP]})
-    whole, halting = (Plant(scenario, np.random.default_rng(3)) for _ in range(2))
+    whole, halting = (RocketArmPlant(scenario, np.random.default_rng(3)) for _ in range(2))
     whole.advance(1e9)
     for time_s in np.arange(0.0, 10.0, 0.00713):
         halting.advance(time_s)
@@ -275,7 +275,7 @@ def test_history_does_not_hang_on_how_it_was_advanced() -> None:
 
 
 def test_plant_knows_what_it_has_not_computed() -> None:
-    plant = Plant(load("rocksat", {"sequence": [HOLD]}), np.random.default_rng(3))
+    plant = RocketArmPlant(load("rocksat", {"sequence": [HOLD]}), np.random.default_rng(3))
     with pytest.raises(NotYetComputedError, match="advance the mission first"):
         plant.require(0.0)
     plant.advance(0.5)

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from hil_sim.scenario import load as scenarios
-from hil_sim.scenario.sensor_tables import Imu
+from hil_sim.scenario.sensor_tables import ImuTable
 
 
 def test_packaged_scenario_loads() -> None:
@@ -36,7 +36,7 @@ def test_geometry_and_masses_are_those_of_tables_4_5_and_4_6() -> None:
 
 def test_imu_filters_are_those_of_register_26() -> None:
     imu = scenarios.load("rocksat").sensor["imu"]
-    assert isinstance(imu, Imu)
+    assert isinstance(imu, ImuTable)
     assert imu.accel_g.bandwidth_Hz[:7] == (260, 184, 94, 44, 21, 10, 5)
     assert imu.accel_g.delay_ms[:7] == (0.0, 2.0, 3.0, 4.9, 8.5, 13.8, 19.0)
     assert imu.gyro_deg_s.bandwidth_Hz[:7] == (256, 188, 98, 42, 20, 10, 5)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from hil_sim.plants.rocket_arm import Plant
+from hil_sim.plants.rocket_arm import RocketArmPlant
 from hil_sim.plants.world import Inertial, NotYetComputedError
 from hil_sim.scenario.load import load
 from hil_sim.sensing.sensors import (
@@ -252,7 +252,7 @@ def test_counts_do_not_hang_on_the_polling() -> None:
     times = np.arange(0.05, 1.9, 1.0037e-3)
     answers = []
     for batch in (1, 7, 2000):
-        plant = Plant(scenario, np.random.default_rng(1))
+        plant = RocketArmPlant(scenario, np.random.default_rng(1))
         imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2))
         cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
         rows, forces = [], []
@@ -274,7 +274,7 @@ def test_changing_the_filter_does_not_disturb_the_other_one(rng) -> None:
 
 def test_no_sensor_answers_about_the_future() -> None:
     scenario = load("rocksat", {"sequence": [{"phase": 0, "action": "hold", "duration_s": 2.0}]})
-    plant = Plant(scenario, np.random.default_rng(1))
+    plant = RocketArmPlant(scenario, np.random.default_rng(1))
     plant.advance(1.0)
     imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2))
     cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
@@ -399,7 +399,7 @@ def test_two_single_samples_read_full_scale(rng) -> None:
 
 def test_flight_has_its_two_full_scale_readings_in_the_middle_of_sweeps() -> None:
     scenario = load("rocksat")
-    plant = Plant(scenario, np.random.default_rng(0))
+    plant = RocketArmPlant(scenario, np.random.default_rng(0))
     sweeps = [span for span in plant.program.spans if span.action == "sweep"]
     assert len(scenario.sensor["load_cell"].full_scale_readings_s) == 2
     for start in scenario.sensor["load_cell"].full_scale_readings_s:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from onboard.offline.export.csv_text import Encoder, cells, header
+from onboard.offline.export.csv_text import CsvEncoder, cells, header
 from onboard.offline.tables.columns import Column
 
 integers = st.sampled_from(["|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8"])
@@ -60,7 +60,7 @@ def test_text_is_read_back_by_the_csv_module(values):
     rows = np.zeros(len(values), [("text", "S12")])
     rows["text"] = values
     number = Column("n", "count", lambda rows: np.arange(len(rows)))
-    data = header([number, column]) + Encoder([number, column]).block(rows)
+    data = header([number, column]) + CsvEncoder([number, column]).block(rows)
     lines = list(csv.reader(io.StringIO(data.decode(), newline=""), strict=True))
     assert lines[0] == ["n [count]", "text, with comma"]
     expected = [bytes(value).decode(errors="backslashreplace").replace("\0", "\\x00") for value in rows["text"]]
@@ -70,7 +70,7 @@ def test_text_is_read_back_by_the_csv_module(values):
 
 
 def test_no_rows_no_lines():
-    assert Encoder([Column("a", "", lambda rows: rows["a"])]).block(np.zeros(0, [("a", "<i4")])) == b""
+    assert CsvEncoder([Column("a", "", lambda rows: rows["a"])]).block(np.zeros(0, [("a", "<i4")])) == b""
 
 
 def product(scale_kind):
@@ -90,7 +90,7 @@ def product(scale_kind):
 )
 def test_products_from_the_table_are_those_made_one_by_one(blocks):
     dtype, column = product("<f4")
-    encoder = Encoder([column])
+    encoder = CsvEncoder([column])
     for counts, scale in blocks:
         rows = np.zeros(len(counts), dtype)
         rows["counts"], rows["scale"] = counts, scale
@@ -101,4 +101,4 @@ def test_products_from_the_table_are_those_made_one_by_one(blocks):
 def test_a_scale_that_changes_within_a_block():
     dtype, column = product("<f8")
     rows = np.array([(3, 0.5), (3, 0.25)], dtype)
-    assert Encoder([column]).block(rows) == b"1.5\n0.75\n"
+    assert CsvEncoder([column]).block(rows) == b"1.5\n0.75\n"
