@@ -111,12 +111,12 @@ def _troubles(log: LogReader) -> list[str]:
 
 
 def render(table: Result) -> RenderableType:
-    """The table as people see it; 80 columns are enough."""
+    """The table for a terminal of 80 columns."""
     title = f"{table['title']} (seed {table['seed']})"
     published = any("identified_g" in row for row in table["masses"])
     shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     shown.add_column("", no_wrap=True)
-    for heading in ("truth", *(("theirs", "err %") if published else ()), "heft", "95 % interval", "err %"):
+    for heading in ("truth", *(("publ.", "err %") if published else ()), "heft", "95 % interval", "err %"):
         shown.add_column(heading, justify="right", no_wrap=True)
     for section in ("masses", "centres", "inertias"):
         for row in table[section]:
@@ -128,8 +128,8 @@ def render(table: Result) -> RenderableType:
         shown.add_section()
     lines: list[Text] = []
     if capture := table["capture"]:
-        said = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "not at all"
-        lines.append(Text(f"caught at {capture['true_s']:.2f} s, which nobody told; noticed: {said}"))
+        said = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
+        lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {said}"))
     counted = ", ".join(
         f"{name} {c['recorded']}" + (f" (and {c['missing']} missing)" if c["missing"] else "")
         for name, c in table["channels"].items()

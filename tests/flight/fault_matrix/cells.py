@@ -33,7 +33,7 @@ CHANNELS = {  # what a fault of a device may touch; everything else must lose no
 }
 KINDS = {  # of the devices, for the reader of the table
     "rocksat": "MPU-6050 by its FIFO (I2C), CiA 406 encoder, CiA 404 load cell and a CANopen object (CAN), SYNC, pulse",
-    "rocksat_serial": "nIMU, QSB, Modbus load cell and a node of our own making, each on a serial line",
+    "rocksat_serial": "nIMU, QSB, Modbus load cell and a custom node, each on a serial line",
     "rocksat_mixed": "MPU-6050 in burst mode, CiA 402 drive with node guarding, DSC load cell on a serial line",
 }
 

@@ -8,29 +8,29 @@ from tests.flight.fault_matrix.cells import CELLS, KINDS, Cell
 from tests.flight.fault_matrix.flights import Outcome, broken_promises, others_lost, outcomes
 
 INPUTS = (FaultKind.STUCK, FaultKind.WRONG, FaultKind.DELAYED)
-HEADING = """# Faults: what is said, who suffers, how it ends
+HEADING = """# Faults: detection, side effects, recovery
 
-Written by `python -m tests.flight.fault_matrix docs/faults.md`, which flies them all (with `--check` it compares and
-writes nothing); `tests/flight/test_fault_matrix.py` flies a part of them again and compares their lines. Each fault of
-`hil_sim/faults` begins and ends in mid-flight of an 11 s RockSat-X mission in virtual time.
+Written by `python -m tests.flight.fault_matrix docs/faults.md`, which flies all of them (with `--check` it compares and
+writes nothing); `tests/flight/test_fault_matrix.py` flies a part of them and compares their lines. Each fault of
+`hil_sim/faults` begins and ends in the middle of an 11 s RockSat-X mission in virtual time.
 
-- **driver says**: event codes and causes of `gap` records. *cannot know*: what comes is well-formed and plausible, and
-  nothing that the device sends contradicts it.
-- **vehicle says**: what its clocks say of sync marks, and the estimator's gates of the rows they refuse: consistency
-  with the other devices. Where both columns are empty nothing catches it at this size; *estimate* tells what it did.
-- **others lose**: samples missing in channels that do not hang on the device.
-- **flows again**: from the end of the fault to the first good row of the device; 5 ms is one step of the flight.
-- **samples**: *all* when what the device made is recorded or named as missing, to the sample. *n more named*: gap
-  records name samples that were never made: the device was off or heard no SYNC. *n in no gap record*: made, and lost
-  without one; the events beside it are all that tells.
+- **driver reports**: event codes and causes of `gap` records. *cannot know*: the data are well-formed and plausible,
+  and nothing that the device sends contradicts them.
+- **vehicle reports**: states of its clocks, and the estimator's gates of refused rows: consistency with the other
+  devices. Where both columns are empty nothing detects the fault at this size; *estimate* gives its effect.
+- **others lose**: missing samples in channels that do not depend on the device.
+- **recovery**: time from the end of the fault to the first good row of the device; 5 ms is one step of the flight.
+- **samples**: *all*: every sample the device made is recorded or in a gap record. *n more named*: gap records contain
+  samples that were never made: the device was off or received no SYNC. *n in no gap record*: made and lost without a
+  gap record; only events report the fault.
 - **estimate**: five masses and inertias at the end of the flight. *right*: the truth is in the 95 % interval; *absent*:
-  not reported. A wrong one fails the test, at whatever time of the flight.
-- **flown with**: two faults that only take samples away may share a flight, one in each sweep; the estimate is then
+  not reported. A wrong one fails the test, at any time of the flight.
+- **flown with**: two faults that only remove samples may share a flight, one in each sweep; the estimate is then
   that of both.
 """
 COLUMNS = (
-    "| device | fault | lasts | driver says | vehicle says | others lose "
-    "| flows again | samples | estimate | flown with |"
+    "| device | fault | lasts | driver reports | vehicle reports | others lose "
+    "| recovery | samples | estimate | flown with |"
 )
 
 
