@@ -1,1 +1,1 @@
-"""heft's flight computer side: records to vehicle time, to rows, to an estimate, to a log; and back from the log."""
+"""Flight computer side of heft: records, vehicle time, measurement rows, estimation, log, and offline tools."""

@@ -1,4 +1,4 @@
-"""Records that heft itself makes on board; what the devices say is in ``drivers.records``. The same rules hold."""
+"""Dtypes of heft's own channels (clocks, estimates, rows); those of devices are in ``drivers.records``. Same rules."""
 
 import numpy as np
 
@@ -30,7 +30,7 @@ QUANTITY = np.dtype(
         ("sigma", "<f8"),
         ("low", "<f8"),  # 95 % interval
         ("high", "<f8"),
-        ("supported", "u1"),  # 0: the data do not hold this quantity (yet); value is not to be shown
+        ("supported", "u1"),  # 0: the data do not determine this quantity (yet); do not show the value
         ("unit", "S15"),
         ("name", "S32"),
     ],
@@ -45,9 +45,9 @@ def tick_dtype(channels: int) -> np.dtype[np.void]:
             *_HEAD,
             ("first_sequence", "<u8", (channels,)),
             ("last_sequence", "<u8", (channels,)),
-            ("consumed", "<u4", (channels,)),  # rows; 0: nothing, and the two sequence numbers mean nothing
-            ("final", "u1"),  # 1: the last step, which waits for nothing more
-            ("fresh", "u1"),  # 1: an estimator that has learned nothing began with this step, in place of one that died
+            ("consumed", "<u4", (channels,)),  # rows; 0: none, and the two sequence numbers are void
+            ("final", "u1"),  # 1: the last step; no later samples are awaited
+            ("fresh", "u1"),  # 1: a new estimator without data replaced one that died, from this step on
         ],
         align=True,
     )

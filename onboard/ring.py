@@ -1,12 +1,13 @@
-"""Shared-memory broadcast ring: one writer, many readers, nobody waits.
+"""Shared-memory broadcast ring: one writer, any number of readers, without locks.
 
-A ring is one file (in ``/dev/shm`` in flight), so it outlives the processes that map it. The writer never looks at a
-reader; a reader that is too slow is told how many rows it lost. Rows are kept as their own bytes, padding included.
+A ring is one file (in ``/dev/shm`` in flight), so it outlives the processes that map it. The writer is independent of
+readers; a reader that is too slow gets the number of rows it lost. Rows are stored as their own bytes, padding
+included.
 
-Publication is a two-counter protocol. ``claimed`` is moved before the rows are written, ``published`` after. A reader
-copies what is published, then looks at ``claimed`` again: rows that the writer may have begun to overwrite meanwhile
-are discarded and counted. A 32-bit multilinear check of row and position guards against stores that another core sees
-out of order (ARM) and against a ring damaged by a dying machine: such a row is counted as lost, never handed out.
+Publication is a two-counter protocol. ``claimed`` is advanced before the rows are written, ``published`` after. A
+reader copies published rows, then reads ``claimed`` again: rows that the writer may have begun to overwrite meanwhile
+are discarded and counted. A 32-bit multilinear check of row and position detects stores seen out of order by another
+core (ARM) and a damaged ring: such a row is counted as lost and not returned.
 
 A per-row CRC in a Python loop costs 0.3 us a row; the check is one matrix product for the whole batch.
 """
@@ -25,11 +26,11 @@ _MAGIC = b"heftring1\0"
 _HEADER_BYTES = 4096
 _COUNTERS_AT = 64  # claimed, published: two u64
 _DESCRIPTION_AT = 128
-_STEP = 2654435761  # 2^32 over the golden ratio: what a row's check moves by from one position to the next
+_STEP = 2654435761  # 2^32 over the golden ratio: increment of a row's check per position
 
 
 class RingError(Exception):
-    """Base of what this room raises."""
+    """Base of the ring's errors."""
 
 
 class RingFormatError(RingError, ValueError):
@@ -48,7 +49,7 @@ def _rebuild(description: list[tuple[str, str, list[int]]]) -> np.dtype[np.void]
 
 
 class _Ring:
-    """The mapping that both ends share."""
+    """Memory mapping common to both ends."""
 
     def __init__(self, path: Path, dtype: np.dtype[np.void], capacity: int, file_descriptor: int, name: str) -> None:
         self.path, self.dtype, self.capacity, self.name = path, dtype, capacity, name
@@ -96,13 +97,13 @@ class RingWriter(_Ring):
     """The one writing end of a ring.
 
     Args:
-        path: file to create, or to go on with when it already is a ring of the same record.
+        path: file to create, or an existing ring of the same record to continue.
         dtype: record, built with ``align=True``.
         capacity: rows kept.
 
     Raises:
         RingFormatError: the file exists and is a ring of another record or capacity.
-        OSError: there is no room for it.
+        OSError: not enough space.
     """
 
     def __init__(self, path: Path, dtype: np.dtype[np.void], capacity: int) -> None:
@@ -114,7 +115,7 @@ class RingWriter(_Ring):
         try:
             fresh = os.fstat(descriptor).st_size == 0
             if fresh:
-                os.posix_fallocate(descriptor, 0, size)  # memory that is not there is told now, and not by a SIGBUS
+                os.posix_fallocate(descriptor, 0, size)  # missing memory is an OSError here, not a SIGBUS later
             elif os.pread(descriptor, _HEADER_BYTES, 0)[_DESCRIPTION_AT:].rstrip(b"\0") != description:
                 raise RingFormatError(
                     f"{path} is a ring of another record or size: remove it, or start in a new directory"
@@ -127,7 +128,7 @@ class RingWriter(_Ring):
             self._map[: len(_MAGIC)] = _MAGIC
 
     def newest(self) -> Rows:
-        """The rows that the ring holds, oldest first; for a writer that goes on where another died."""
+        """The rows in the ring, oldest first; for a writer that continues after another died."""
         reader = RingReader(self.path)
         try:
             return reader.read()[0]
@@ -165,7 +166,7 @@ class RingReader(_Ring):
         position: first row to read; rows older than the ring holds are reported as lost.
 
     Raises:
-        RingFormatError: the file is no ring.
+        RingFormatError: the file is not a ring.
         FileNotFoundError: there is none.
     """
 
@@ -184,11 +185,11 @@ class RingReader(_Ring):
 
     @property
     def backlog(self) -> int:
-        """Rows that were pushed and not read."""
+        """Number of rows pushed and not yet read."""
         return self.published - self.position
 
     def seek_after(self, sequence: int) -> bool:
-        """Go on after the row that bears ``sequence``, which must ascend through the ring; counts nothing as lost.
+        """Continue after the row with ``sequence`` (ascending in the ring); counts nothing as lost.
 
         Returns:
             Whether that row, or the one after it, was still there: nothing between is lost.
@@ -204,9 +205,9 @@ class RingReader(_Ring):
         return oldest == 0 or int(numbers[0]) <= sequence + 1
 
     def read(self, limit: int | None = None) -> tuple[Rows, int]:
-        """Rows not read yet (oldest first, at most ``limit``), and how many were lost since the last call.
+        """Unread rows (oldest first, at most ``limit``), and the number lost since the last call.
 
-        Lost rows lie before, or among, those returned: their ``sequence`` numbers tell which.
+        Lost rows lie before or among those returned, as their ``sequence`` numbers show.
         """
         published = self.published
         first = max(self.position, published - self.capacity)
@@ -223,7 +224,7 @@ class RingReader(_Ring):
         """Rows (n, itemsize) from position ``first`` on, whether each is good (n,), and ``count - n``: overwritten."""
         raw = np.concatenate([self._data[slots] for slots in self._slots(first, count)])
         checks = np.concatenate([self._checks[slots] for slots in self._slots(first, count)])
-        # what the writer may have begun to overwrite while we copied
+        # rows that the writer may have begun to overwrite during the copy
         overwritten = min(count, max(0, int(self._counters[0]) - self.capacity - first))
         raw, checks = raw[overwritten:], checks[overwritten:]
         return raw, checks == self._check(raw, first + overwritten), overwritten

@@ -1,4 +1,4 @@
-"""What the sections of a vehicle file share: number types and their base class. Units stand in the keys."""
+"""Base class and number types of the sections of a vehicle file. Units are in the keys."""
 
 from typing import Annotated
 

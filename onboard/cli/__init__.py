@@ -1,10 +1,10 @@
-"""heft's command line. Thin: arguments in, one call, an exit code out.
+"""heft's command line: parses arguments, makes one call, returns an exit code.
 
 Each command is a module of this package, named like it, with ``add(commands)``; nothing else names it.
 
-Exit codes: 0 done; 1 it ran and failed (nothing identified, a replay that differs, a worker that died, nothing
-recoverable); 2 the input cannot be used (arguments, vehicle file, mapping, no such file); 3 the log is truncated or
-damaged, and what could be read was; 4 preflight found the vehicle not ready.
+Exit codes: 0 done; 1 it ran and failed (nothing identified, replay differs, a worker died, nothing recoverable); 2 the
+input cannot be used (arguments, vehicle file, mapping, missing file); 3 the log is truncated or damaged, the readable
+part was processed; 4 preflight found the vehicle not ready.
 """
 
 import argparse
@@ -22,7 +22,7 @@ __all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "main", "parser"]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``heft`` and return its exit code."""
-    # The matrices are small: threads of BLAS wait for each other more than they work (a replay takes a third without).
+    # The matrices are small: BLAS threads cost more than they save (a replay takes a third of the time without).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = parser().parse_args(argv)
     command: Callable[[argparse.Namespace], int] = arguments.command
@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except (OSError, ValueError) as error:
-        # every error that bad input can cause is one of these by its second parent; a bug is anything else
+        # errors of bad input have one of these as second parent; any other exception is a bug
         if isinstance(error, BrokenPipeError):
             return OK
         sys.stderr.write(f"heft: {_sentence(error)}\n")
@@ -39,14 +39,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _sentence(error: OSError | ValueError) -> str:
-    """What went wrong, and what to do: errors of ours say it themselves, those of the system are put into words."""
+    """Message with remedy; heft's errors contain it, for system errors it is added here."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         remedy = {
             FileNotFoundError: "check the path",
-            FileExistsError: "it is never written over; name another file",
-            PermissionError: "ask for the right to it, or name another",
+            FileExistsError: "files are not overwritten; name another file",
+            PermissionError: "get permission for it, or name another",
             IsADirectoryError: "name a file",
-            NotADirectoryError: "a file of that name is in the way; name another directory",
+            NotADirectoryError: "a file of that name exists; name another directory",
         }.get(type(error), "")
         return f"{error.filename}: {error.strerror.lower()}" + (f"; {remedy}" if remedy else "")
     return str(error)
@@ -56,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
     """Of the command line, with every command."""
     made = argparse.ArgumentParser(
         prog="heft",
-        description="Weigh what an arm holds: acquisition, log and inertial identification for free-flying servicers.",
+        description="Identify the payload of a free-flying servicer's arm: acquisition, log, inertial estimation.",
         epilog="exit codes: 0 done, 1 ran and failed, 2 bad input, 3 log damaged but read, 4 not ready to fly",
     )
     made.add_argument("--version", action="version", version=f"heft {_version()}")

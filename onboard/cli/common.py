@@ -1,4 +1,4 @@
-"""What the commands share: exit codes, the console, warnings, options that several of them have."""
+"""Common parts of the commands: exit codes, console, warnings, shared options."""
 
 import sys
 from collections.abc import Iterable, Sequence
@@ -86,18 +86,18 @@ def load_vehicle(name: str) -> "config.Vehicle":
 
 
 def complain(text: object) -> None:
-    """Say why a command failed."""
+    """Print the reason of a failure."""
     sys.stderr.write(f"heft: {text}\n")
 
 
 def warn(damage: Iterable[object]) -> None:
-    """Say what of the input could not be read."""
+    """Print a warning for each damaged part of the input."""
     for one in damage:
         sys.stderr.write(f"heft: warning: {one}\n")
 
 
 def worst(codes: Sequence[int]) -> int:
-    """The exit code of several logs together: failed before damaged before whole."""
+    """Common exit code of several logs: failed before damaged before intact."""
     return FAILED if FAILED in codes else max(codes, default=OK)
 
 
@@ -113,7 +113,7 @@ def add_live(command: Any) -> None:
 
 
 def serve_live(address: str | None, log: Path) -> AbstractContextManager[int | None]:
-    """The live server of ``--live``; nothing where it was not asked for.
+    """The live server of ``--live``; none without the option.
 
     Raises:
         ValueError: the Foxglove SDK is not installed.

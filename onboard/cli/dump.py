@@ -10,15 +10,13 @@ from onboard.cli.common import Commands, load_vehicle, progress, warn, worst
 def add(commands: Commands) -> None:
     """Make the command known."""
     dump = commands.add_parser("dump", help="logs as tables for other programs: csv, parquet, npz, mat")
-    dump.add_argument(
-        "logs", type=Path, nargs="+", metavar="LOG", help="with several, each gets a directory of its own"
-    )
+    dump.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="with several, each gets its own directory")
     dump.add_argument(
         "--to",
         nargs=2,
         metavar=("FORMAT", "DIR"),
         required=True,
-        help="csv, parquet, npz or mat; DIR gets one file a channel; csv - writes one channel to stdout",
+        help="csv, parquet, npz or mat; DIR gets one file per channel; csv - writes one channel to stdout",
     )
     dump.add_argument("--channel", action="append", help="only this channel (may be repeated)")
     dump.add_argument("--from", dest="start", type=float, metavar="S", help="from S seconds after the first record")
@@ -30,7 +28,7 @@ def add(commands: Commands) -> None:
     kinds.add_argument("--raw", dest="values", action="store_const", const="raw", help="all as recorded, no SI")
     kinds.add_argument("--si", dest="values", action="store_const", const="si", help="SI, without counts and scales")
     kinds.add_argument(
-        "--aligned", type=float, metavar="HZ", help="every signal at the same instants of vehicle time, in one table"
+        "--aligned", type=float, metavar="HZ", help="all signals at common instants of vehicle time, in one table"
     )
     dump.set_defaults(command=_dump, values="both")
 
@@ -44,7 +42,7 @@ def _dump(arguments: argparse.Namespace) -> int:
     from onboard.recording.segments import flights
 
     kind, target = arguments.to
-    opener(kind)  # an unknown format is told before a log is missed
+    opener(kind)  # an unknown format is reported before a missing log
     channels = tuple(arguments.channel) if arguments.channel else None
     selection = Selection(channels, arguments.start, arguments.until, tuple(arguments.phase))
     groups = flights(arguments.logs)

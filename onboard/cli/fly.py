@@ -21,13 +21,13 @@ def add(commands: Commands) -> None:
     fly = commands.add_parser("fly", help="fly a vehicle: acquire, record, estimate")
     fly.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
     fly.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
-    fly.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    fly.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
     fly.add_argument(
         "--continue",
         dest="earlier",
         type=Path,
         metavar="LOG",
-        help="go on from what the flight of LOG said last: the same payload is held still",
+        help="start from the last estimate of LOG: the same payload must still be held",
     )
     fly.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
     spoken = fly.add_mutually_exclusive_group()
@@ -61,5 +61,5 @@ def _fly(arguments: argparse.Namespace) -> int:
         return FAILED
     print(flight.log)
     for name in flight.died:
-        complain(f"the {name} worker died; its message stands above, and an event in the log")
+        complain(f"the {name} worker died; see its message above, and the event in the log")
     return FAILED if flight.died or (flight.missing and not flight.was_over) else OK

@@ -22,9 +22,9 @@ def add(commands: Commands) -> None:
     """Make the command known."""
     hil = commands.add_parser("hil", help="fly a scenario against simulated devices")
     hil.add_argument("scenario", help="a packaged scenario: rocksat, dymaflex, ...")
-    hil.add_argument("--seed", type=int, default=1, help="of everything random in the scenario (default 1)")
+    hil.add_argument("--seed", type=int, default=1, help="seed of all random numbers of the scenario (default 1)")
     hil.add_argument("--realtime", action="store_true", help="devices and flight app as processes, on the real clock")
-    hil.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
+    hil.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
     hil.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
     add_live(hil)
     hil.set_defaults(command=_hil)

@@ -1,4 +1,4 @@
-"""``heft identify`` identifies from logs with the estimator that flies."""
+"""``heft identify``: identification from logs with the onboard estimator."""
 
 import argparse
 import json
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    identify = commands.add_parser("identify", help="identify from logs, with the estimator that flies")
+    identify = commands.add_parser("identify", help="identify from logs with the onboard estimator")
     identify.add_argument("logs", type=Path, nargs="*", metavar="LOG")
     identify.add_argument(
         "--vehicle", help="vehicle.toml, or the name of a packaged vehicle (default: the one that the logs carry)"
     )
     identify.add_argument(
-        "--parameters", action="store_true", help="show the base parameters of the vehicle, written with its lengths"
+        "--parameters", action="store_true", help="show the base parameters of the vehicle in symbols"
     )
     identify.add_argument(
         "--method",
@@ -28,10 +28,10 @@ def add(commands: Commands) -> None:
         help="by rows, with instruments, or by maximum likelihood (default: the vehicle file's)",
     )
     identify.add_argument(
-        "--from", dest="earlier", type=Path, metavar="LOG", help="go on from what the flight of LOG said last"
+        "--from", dest="earlier", type=Path, metavar="LOG", help="start from the last estimate of LOG"
     )
-    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies that one log shows")
-    identify.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
+    identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
+    identify.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
     identify.set_defaults(command=_identify)
 
 
@@ -62,7 +62,7 @@ def _identify_with(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> 
     if not arguments.logs:
         raise ValueError("no log to identify from; name one, or ask for --parameters")
     if arguments.urdf and len(arguments.logs) > 1:
-        raise ValueError("a URDF holds what one log says; give --urdf with one log")
+        raise ValueError("a URDF holds the result of one log; give --urdf with one log")
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
@@ -81,7 +81,7 @@ def _parameters(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int
     from onboard.offline.estimate_again import parameters
 
     if arguments.logs:
-        raise ValueError("--parameters are those of the vehicle, whatever flew; leave the logs out")
+        raise ValueError("--parameters depend on the vehicle only; leave the logs out")
     found = parameters.parameters(vehicle)
     show(parameters.render(found))
     if arguments.json:

@@ -1,4 +1,4 @@
-"""``heft import`` brings recordings from elsewhere into logs."""
+"""``heft import`` converts foreign recordings to logs."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from onboard.cli.common import OK, Commands, progress
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    importer = commands.add_parser("import", help="bring recordings from elsewhere into logs")
+    importer = commands.add_parser("import", help="convert foreign recordings to logs")
     importer.add_argument("mapping", help="mapping TOML, or the name of a packaged one: tudelft")
     importer.add_argument("source", type=Path, help="a recording, or a directory of them")
     importer.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")

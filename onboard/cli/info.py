@@ -1,4 +1,4 @@
-"""``heft info`` shows what a log holds on one screen."""
+"""``heft info``: summary of a log on one screen."""
 
 import argparse
 import json
@@ -9,9 +9,9 @@ from onboard.cli.common import Commands, progress, show
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    info = commands.add_parser("info", help="what a log holds, on one screen")
+    info = commands.add_parser("info", help="summary of a log on one screen")
     info.add_argument("log", type=Path)
-    info.add_argument("--json", type=Path, metavar="FILE", help="write it as JSON too; - writes nothing else to stdout")
+    info.add_argument("--json", type=Path, metavar="FILE", help="also write it as JSON; - writes only JSON, to stdout")
     info.add_argument("--clocks", type=Path, metavar="PNG", help="plot each clock's residuals, rate and state")
     info.set_defaults(command=_info)
 

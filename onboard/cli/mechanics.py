@@ -1,4 +1,4 @@
-"""``heft mechanics`` shows what an arm does to the base it floats with: Jacobians, workspaces, reorientation."""
+"""``heft mechanics``: reaction of a floating base to its arm: Jacobians, workspaces, reorientation."""
 
 import argparse
 import json
@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    mechanics = commands.add_parser(
-        "mechanics", help="what a free-floating arm does to its base, before anything flies"
-    )
+    mechanics = commands.add_parser("mechanics", help="mechanics of a free-floating arm and its base")
     mechanics.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
     mechanics.add_argument("--tip", metavar="FRAME", help="frame that is moved (default: the payload link)")
     mechanics.add_argument(
@@ -32,7 +30,7 @@ def add(commands: Commands) -> None:
     mechanics.add_argument("--seconds", type=float, default=5.0, metavar="S", help="for --line (default 5)")
     mechanics.add_argument("--turn", metavar="X,Y,Z", help="turn the base by this rotation vector, deg, by arm cycles")
     mechanics.add_argument("--map", nargs=2, metavar="JOINT", help="singularities and workspaces over two joints")
-    mechanics.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON too")
+    mechanics.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
     mechanics.add_argument("--figures", type=Path, metavar="DIR", help="draw --line and --map into DIR")
     mechanics.set_defaults(command=_mechanics)
 

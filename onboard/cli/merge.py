@@ -8,18 +8,18 @@ from onboard.cli.common import DAMAGED, OK, Commands, progress, warn
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    merge = commands.add_parser("merge", help="the logs of several recorders of one flight as one")
+    merge = commands.add_parser("merge", help="merge the logs of several recorders of one flight")
     merge.add_argument("logs", type=Path, nargs="+", metavar="LOG")
     merge.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
     merge.add_argument(
-        "--rename", action="store_true", help="give channels that several logs have the name of their log in front"
+        "--rename", action="store_true", help="prefix channels that several logs have with the name of their log"
     )
     merge.add_argument(
         "--align",
         action="append",
         default=[],
         metavar="LOG=S[,RATE]",
-        help="put LOG on the first log's clock: its time x RATE + S seconds (as heft resync says)",
+        help="put LOG on the first log's clock: its time x RATE + S seconds (as printed by heft resync)",
     )
     merge.set_defaults(command=_merge)
 

@@ -1,4 +1,4 @@
-"""``heft preflight`` checks that every device of a vehicle is there and as its file says."""
+"""``heft preflight`` checks every device of a vehicle against the vehicle file."""
 
 import argparse
 import time
@@ -15,9 +15,9 @@ from onboard.cli.common import (
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    preflight = commands.add_parser("preflight", help="is every device of a vehicle there and as its file says?")
+    preflight = commands.add_parser("preflight", help="check every device of a vehicle against its file")
     preflight.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
-    preflight.add_argument("--seconds", type=float, metavar="S", help="run the devices for so long")
+    preflight.add_argument("--seconds", type=float, metavar="S", help="run the devices for this many seconds")
     preflight.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
     preflight.set_defaults(command=_preflight)
 

@@ -1,4 +1,4 @@
-"""``heft recover`` writes what can be read of a damaged log as a whole one."""
+"""``heft recover`` copies the readable part of a damaged log into an intact one."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from onboard.cli.common import DAMAGED, FAILED, OK, Commands, complain, progress
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    recover = commands.add_parser("recover", help="what can be read of a damaged log, as a whole one, and what is lost")
+    recover = commands.add_parser("recover", help="copy the readable part of a damaged log, and list what is lost")
     recover.add_argument("log", type=Path, nargs="+", help="a log, a flight directory, or all segments of one flight")
     recover.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
     recover.set_defaults(command=_recover)

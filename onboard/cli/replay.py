@@ -1,4 +1,4 @@
-"""``heft replay`` estimates again from a log and compares with what was said in flight."""
+"""``heft replay`` recomputes the estimates from a log and compares them with those of the flight."""
 
 import argparse
 import json
@@ -9,16 +9,16 @@ from onboard.cli.common import DAMAGED, FAILED, OK, Commands, progress, show, wa
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    replay = commands.add_parser("replay", help="estimate again from a log and compare bit for bit")
+    replay = commands.add_parser("replay", help="recompute the estimates from a log and compare bit for bit")
     replay.add_argument("log", type=Path)
     replay.add_argument(
         "--with",
         dest="settings",
         type=Path,
         metavar="TOML",
-        help="estimate with these settings put over the log's own, and show what differs",
+        help="use these settings over the log's own, and show the differences",
     )
-    replay.add_argument("--json", type=Path, metavar="FILE", help="with --with: write the result as JSON too")
+    replay.add_argument("--json", type=Path, metavar="FILE", help="with --with: also write the result as JSON")
     replay.set_defaults(command=_replay)
 
 

@@ -1,4 +1,4 @@
-"""``heft report`` writes a flight as one self-contained HTML page."""
+"""``heft report`` writes a self-contained HTML page about a flight."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from onboard.cli.common import DAMAGED, OK, Commands, load_vehicle, progress, wa
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    report = commands.add_parser("report", help="a flight as one self-contained HTML page")
+    report = commands.add_parser("report", help="write a self-contained HTML page about a flight")
     report.add_argument("log", type=Path)
     report.add_argument("-o", "--output", type=Path, metavar="FILE", help="page to write (default: LOG.html)")
     report.add_argument("--vehicle", metavar="VEHICLE", help="file or name, for a log that carries none")

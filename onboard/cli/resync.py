@@ -1,4 +1,4 @@
-"""``heft resync`` finds the clocks of several recorders from the motion."""
+"""``heft resync`` aligns the clocks of several recorders by the motion."""
 
 import argparse
 from pathlib import Path
@@ -12,7 +12,7 @@ def add(commands: Commands) -> None:
     resync.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="logs of one flight; one with an IMU")
     resync.add_argument("--vehicle", metavar="VEHICLE", help="file or name: which channel is what, and the model")
     resync.add_argument(
-        "--peak-hz", type=float, default=1.0, help="where the motion is liveliest (1); the model needs none"
+        "--peak-hz", type=float, default=1.0, help="frequency of the strongest motion, Hz (1); not used with a model"
     )
     resync.add_argument("--rate-limit", type=float, default=0.02, help="largest error of a clock's rate (0.02)")
     resync.add_argument("--shocks", action="store_true", help="compare taps of a mallet instead; good to milliseconds")

@@ -1,4 +1,4 @@
-"""``heft watch``: what paces the board. Nothing here can disturb a flight: rings are only read."""
+"""``heft watch``: updates the board from a log or from the rings of a flight, which it only reads."""
 
 import argparse
 import contextlib
@@ -22,9 +22,9 @@ def add(commands: Commands) -> None:
         "watch", help="rates, gaps, clocks, gates, the estimate: a running flight, or a log played"
     )
     watch.add_argument("log", type=Path, nargs="?", help="log to play")
-    watch.add_argument("--live", action="store_true", help="the flight that is running on this machine")
+    watch.add_argument("--live", action="store_true", help="the flight running on this machine")
     watch.add_argument(
-        "--speed", type=float, default=1.0, metavar="X", help="play X times as fast (0: as fast as it goes)"
+        "--speed", type=float, default=1.0, metavar="X", help="play X times as fast (0: as fast as possible)"
     )
     watch.set_defaults(command=_watch)
 
@@ -39,7 +39,7 @@ def _watch(arguments: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _screen(board: "Board") -> Iterator[Any]:
-    """The board on the terminal until the end, and its last state left there; without a terminal only that."""
+    """Show the board on the terminal, and leave its last state; without a terminal only the latter."""
     from rich.live import Live
 
     shown = console()
@@ -83,7 +83,7 @@ def _live() -> int:
 
     flights = manifest.running()
     if not flights:
-        raise ValueError("no flight of yours is running on this machine; heft watch LOG plays one that is over")
+        raise ValueError("no flight of yours is running on this machine; heft watch LOG plays a recorded one")
     flight = flights[-1]
     board = Board(f"{flight.vehicle}  {flight.log}")
     rings: dict[Path, RingReader] = {}
@@ -98,7 +98,7 @@ def _live() -> int:
 
 
 def look(board: "Board", directory: Path, rings: "dict[Path, RingReader]") -> None:
-    """Take what the rings hold since the last look; rings of a restarted flight turn up as they come."""
+    """Read new rows of the rings; rings of a restarted flight are added as they appear."""
     from drivers.records import Batch
     from onboard.ring import RingReader
 
@@ -107,8 +107,8 @@ def look(board: "Board", directory: Path, rings: "dict[Path, RingReader]") -> No
             try:
                 rings[path] = RingReader(path)
             except (OSError, ValueError):
-                continue  # just being made: next time
-            # not from the very oldest row, which is written over while we look
+                continue  # under construction: retried in the next pass
+            # not from the oldest row, which is being overwritten
             rings[path].position = max(0, rings[path].published - rings[path].capacity * 9 // 10)
     for reader in rings.values():
         rows, lost = reader.read()

@@ -1,6 +1,6 @@
-"""The acquisition worker: pumps every device into its ring, and waits for nobody.
+"""Acquisition worker: pumps every device and publishes its rows to rings, without waiting for other workers.
 
-A device that cannot be started is reported by name and left out; the others fly.
+A device that cannot be started is reported and left out; the others continue.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class Acquisition:
         return True
 
     def pump(self, device: Device, now_ns: int, timeout_s: float) -> None:
-        """Publish what one device has."""
+        """Pump one device and publish its batches."""
         self._publisher.publish(device.pump(now_ns, timeout_s))
 
     def step(self, now_ns: int) -> None:
@@ -44,7 +44,7 @@ class Acquisition:
                 self._due_ns[device.name] = now_ns + device.period_ns
 
     def stop_device(self, device: Device, now_ns: int) -> None:
-        """Stop one device and publish what it still held."""
+        """Stop one device and publish its last batches."""
         try:
             self._publisher.publish(device.stop(now_ns))
         except (DriverError, OSError) as error:
@@ -56,5 +56,5 @@ class Acquisition:
             self.stop_device(device, now_ns)
 
     def report(self, batches: list[Batch]) -> None:
-        """Publish what the app itself has to say."""
+        """Publish batches of the app itself."""
         self._publisher.publish(batches)

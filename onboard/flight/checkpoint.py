@@ -1,8 +1,7 @@
-"""The state of a running estimator, kept beside the rings so that it outlives its process.
+"""Checkpoints of the running estimator, kept beside the rings.
 
-It is data (:mod:`onboard.flight.state`) in a file that only this user can write. What an estimator does in a step
-follows from the rows that the step's TICK record names; so a state and the ticks after it give back the estimator as it
-was when its process died.
+It is data (:mod:`onboard.flight.state`) in a file that only this user can write. A step of the estimator is determined
+by the rows named in its TICK record, so a checkpoint and the ticks after it restore the estimator of a dead process.
 """
 
 from pathlib import Path
@@ -49,7 +48,7 @@ class Checkpoints:
         self._underway.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
-        """The newest; None when there is none, or when to go on from it has been tried and did not get anywhere.
+        """The newest checkpoint; None if there is none, or if restarting from it has already failed.
 
         Raises:
             StateError: it is damaged.

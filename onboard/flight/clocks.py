@@ -1,4 +1,4 @@
-"""The clocks of a vehicle's channels, and the known delays of their samples: as its devices say."""
+"""Clocks of a vehicle's channels and known delays of their samples, from its devices."""
 
 from onboard import config
 from onboard.timebase.delays import Delay
@@ -15,14 +15,14 @@ def timebase_of(vehicle: config.Vehicle) -> Timebase:
 
 
 def sync_line(vehicle: config.Vehicle) -> SyncLine | None:
-    """The line that marks come from: the coded one, or else somebody's PPS."""
+    """The sync line: the coded one, else a PPS."""
     lines = [device.sync_line(name) for name, device in vehicle.file.device.items()]
     there = [line for line in lines if line is not None]
     return min(there, key=lambda line: not line.coded, default=None)
 
 
 def known_delays(vehicle: config.Vehicle) -> list[Delay]:
-    """Everything that is taken off the samples' times, channel by channel."""
+    """The delays subtracted from the samples' times, by channel."""
     devices = vehicle.file.device.items()
     delays = [delay for name, device in devices for delay in device.delays(name, vehicle)]
     return [delay for delay in delays if delay.delay_s or delay.sigma_s]

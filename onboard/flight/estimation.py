@@ -1,9 +1,9 @@
-"""The estimation worker: rings in, rings out, and a TICK record of what each step consumed, so that replay is exact.
+"""Estimation worker: reads rings, writes estimates to rings, and records the rows of each step (TICK) for exact replay.
 
-A worker whose process died is taken over by another one: it loads the newest checkpoint, does again what the TICK
-records after it say, publishes what of the answers had not been, and goes on. The log shows no trace of it. Where that
-cannot be done (the rings hold the rows no more, or the same rows have killed two processes), an estimator that has
-learned nothing goes on after the last row that was consumed; its first TICK says ``fresh``, and an event why.
+A worker whose process died is taken over by another one: it loads the newest checkpoint, repeats the steps of the later
+TICK records, publishes the outputs not yet published, and continues; the log is the same as without the failure. If
+that is impossible (rows no longer in the rings, or the same rows have killed two processes), a new estimator without
+data continues after the last consumed row; its first TICK is marked ``fresh``, and an event gives the reason.
 """
 
 from collections.abc import Mapping

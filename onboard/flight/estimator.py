@@ -1,7 +1,7 @@
-"""The estimator as a function of records: what a step consumed in, clocks, rows and answers out.
+"""Estimator as a function of records: input records of a step in, clock solutions, rows and estimates out.
 
 It owns no ring, log or clock, so the flight (:mod:`onboard.flight.estimation`), the replay and ``heft identify`` all
-run this very code. Rows are made at whole multiples of the row period in vehicle time, a fixed lag after the fact.
+run the same code. Rows are made at whole multiples of the row period in vehicle time, with a fixed lag.
 """
 
 from collections.abc import Mapping

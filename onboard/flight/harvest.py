@@ -1,4 +1,4 @@
-"""Before a flight: what earlier ones, whose processes all died, left in their rings goes into their logs."""
+"""Before a flight: rows left in the rings by earlier flights whose processes died are written to their logs."""
 
 from pathlib import Path
 from typing import NamedTuple

@@ -1,6 +1,6 @@
-"""The HIL harness: the flight app against devices that somebody else simulates.
+"""HIL harness: the flight app against simulated devices.
 
-It knows the simulator by a protocol and by bus URLs, and imports none of it.
+It uses the simulator through a protocol and bus URLs, and imports none of it.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The last few seconds of a channel, as arrays: append a batch, look at the tail, never shift on every append."""
+"""The last few seconds of a channel as arrays, with amortised shifts."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class History:
         rows, values, valid = rows[-self._capacity :], values[-self._capacity :], valid[-self._capacity :]
         count = len(rows)
         if count == self._capacity:
-            self._end = 0  # what is older lies before a hole
+            self._end = 0  # older samples lie before a gap
         if self._end + count > len(self._stamps):
             keep = slice(self._end - min(self._end, self._capacity), self._end)
             kept = keep.stop - keep.start
@@ -42,7 +42,7 @@ class History:
         self._end += count
 
     def clear(self) -> None:
-        """Forget everything: the device's ticks began again."""
+        """Clear: the device's ticks restarted."""
         self._end = 0
 
     @property

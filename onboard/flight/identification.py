@@ -203,7 +203,7 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
 
 
 def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: VehicleModel) -> None:
-    """A link is exact because the file says so, and not because a share of nothing is nothing."""
+    """Refuse a relative sigma on a massless link, which would silently fix its parameters."""
     for index, link in enumerate(model.links):
         if relative[link] > 0.0 and not prior[10 * index : 10 * index + 10].all():
             text = f"link {link!r} has no mass or no inertia in the URDF that a relative sigma could be of"

@@ -1,8 +1,8 @@
-"""What the mission is doing, as a channel tells it; and what follows: is the payload held, is the IMU zeroed.
+"""Mission phases from a phase channel, and the payload state and IMU zeroing that follow from them.
 
-Phase changes are events on a bus, stamped on arrival: good to some milliseconds, which the settling time covers. That
-the payload is taken or gone is believed for good, so it takes two readings in succession: a driver of event-driven
-objects reads each change back.
+Phase changes are events on a bus, stamped on arrival with an error of some milliseconds, which the settling time
+covers. A change of the payload is permanent, so it requires two successive readings (the driver of event-driven objects
+reads each change back).
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from onboard import config
 
 
 class PhaseTrack:
-    """Phase changes seen so far. Without a phase channel everything is one long phase with the payload held."""
+    """Phase changes so far. Without a phase channel there is a single phase with the payload held."""
 
     def __init__(self, settings: config.Phases | None) -> None:
         self._settings = settings
@@ -25,7 +25,7 @@ class PhaseTrack:
         self._gone_ns: int | None = None
 
     def update(self, batches: Mapping[str, Rows]) -> list[str]:
-        """Take in what a step consumed, samples marked NOT_VALID aside; returns a line of text for each change."""
+        """Process the rows of a step, except NOT_VALID ones; returns a line of text for each change."""
         rows = batches.get(self._settings.channel) if self._settings else None
         said = []
         for row in rows if rows is not None else ():

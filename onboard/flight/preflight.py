@@ -1,7 +1,7 @@
-"""Before the flight: is every device there, is it the right one, does it make what the vehicle file says?
+"""Preflight check of every device: presence, identity, rate and sync marks against the vehicle file.
 
-Every bus is opened as in flight, every device runs for a few seconds, and what it said is held against what it should
-have said. Nothing is recorded. The IMUs test themselves first, for which the vehicle must be at rest.
+Every bus is opened as in flight, every device runs for a few seconds, and its data are compared with the vehicle file.
+Nothing is recorded. The IMUs' self tests run first, with the vehicle at rest.
 """
 
 import os
@@ -205,7 +205,7 @@ def _check(
     if not is_open:
         problems.append(f"bus {device.bus} could not be opened")
     elif not len(stamps):
-        problems += [] if problems else ["it said nothing: check its power and wiring"]
+        problems += [] if problems else ["no data: check its power and wiring"]
     elif nominal_hz is not None:
         problems += _rate_problems(device, rate_hz, nominal_hz, (end_ns - int(stamps[-1])) * 1e-9)
     if device.tick_rate_hz is not None and span_s > 0.0:
@@ -213,15 +213,13 @@ def _check(
         problems += _clock_problems(device.tick_rate_hz, (float(ticks[-1]) - float(ticks[0])) / span_s)
     warnings = list(dict.fromkeys(_text(e) for e in mine[mine["severity"] == Severity.WARNING]))
     if lost > LOSS_TOLERANCE * made:
-        warnings.append(f"{lost} of {made} samples were lost: look whether this computer is busy, or the link too slow")
+        warnings.append(f"{lost} of {made} samples were lost: the computer is overloaded, or the link too slow")
     marks = _marks(vehicle, name, device, rows) if len(stamps) else None
     if marks == 0:
         if device.marks_at_rest:
             problems.append("no sync pulse in its samples: check the sync line to it")
         else:
-            warnings.append(
-                "no sync pulse in its stream: it tells of few while the joint rests; turn it and look again"
-            )
+            warnings.append("no sync pulse in its stream: few are reported while the joint rests; move it and repeat")
     return Check(
         *(name, device.kind, device.bus, _identity(mine), len(stamps), nominal_hz, rate_hz, marks, outcome),
         *(tuple(problems), tuple(warnings)),
@@ -245,18 +243,18 @@ def _stamps(rows: Rows | None) -> NDArray[np.int64]:
 
 def _rate_problems(device: BusDevice, rate_hz: float | None, nominal_hz: float, silent_s: float) -> list[str]:
     if rate_hz is None:
-        return ["one row only: look again for longer"]
+        return ["one row only: repeat with a longer time"]
     if silent_s > max(SILENT_S, 5.0 / nominal_hz):
-        return [f"it fell silent {silent_s:.1f} s before the end: check its power and wiring"]
+        return [f"no data for the last {silent_s:.1f} s: check its power and wiring"]
     if abs(rate_hz / nominal_hz - 1.0) > device.rate_tolerance:
-        return [f"{rate_hz:.4g} Hz where the vehicle file has {nominal_hz:.4g} Hz: mend the file, or the device"]
+        return [f"{rate_hz:.4g} Hz where the vehicle file has {nominal_hz:.4g} Hz: correct the file, or the device"]
     return []
 
 
 def _clock_problems(nominal_hz: float, tick_hz: float) -> list[str]:
     if abs(tick_hz / nominal_hz - 1.0) <= TICK_TOLERANCE:
         return []
-    return [f"its clock makes {tick_hz:.4g} ticks/s, tick_hz is {nominal_hz:.4g}: mend the file, or the node"]
+    return [f"its clock makes {tick_hz:.4g} ticks/s, tick_hz is {nominal_hz:.4g}: correct the file, or the node"]
 
 
 def _marks(vehicle: config.Vehicle, name: str, device: BusDevice, rows: dict[str, Rows]) -> int | None:

@@ -1,7 +1,7 @@
-"""Batches into rings. Gives the rows of channels that many hands write (events, gaps) their sequence numbers.
+"""Pushes batches into rings; numbers the rows of shared channels (events, gaps).
 
-A process that takes over the rings of one that died goes on with their numbers: its devices count from 0 again, so
-theirs are moved on, past those estimated to have been missed meanwhile, which a GAP row names.
+A process that takes over the rings of a dead one continues their sequence numbers: its devices count from 0 again, so
+their numbers are shifted past those estimated to be lost meanwhile, which a GAP row records.
 """
 
 import threading
@@ -18,7 +18,7 @@ RESTART = "worker_restart"
 
 
 class _Left(NamedTuple):
-    """What the process before left in a channel."""
+    """Last rows of the previous process in a channel."""
 
     sequence: int
     host_ns: int
@@ -31,7 +31,7 @@ class Publisher:
     Args:
         rings: by channel name. Those that hold rows are taken over from a process that died.
         suffix: appended to the names of shared channels, so that every process has its own (``event_estimation``).
-        renumber: channels are numbered by devices that begin at 0 with this process.
+        renumber: devices start their numbers at 0 in this process.
     """
 
     def __init__(self, rings: Mapping[str, RingWriter], suffix: str = "", *, renumber: bool = False) -> None:
@@ -76,7 +76,7 @@ class Publisher:
             ring.push(rows)
 
     def _take_over(self, channel: str, host_ns: int) -> None:
-        """Number ``channel`` on from what was left of it, and name what was missed until ``host_ns``."""
+        """Continue the numbers of ``channel`` and record the rows lost until ``host_ns`` as a gap."""
         sequence, left_ns, period_ns = self._left.pop(channel)
         missed = max(0, round((host_ns - left_ns) / period_ns) - 1) if period_ns else 0
         self._shift[channel] = sequence + 1 + missed

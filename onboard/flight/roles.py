@@ -1,4 +1,4 @@
-"""Who measures what in a vehicle, as its devices say. Kinds of devices end here.
+"""Roles of a vehicle's channels: which device measures which quantity.
 
 Of several IMUs the first in the file measures the base; the others are recorded.
 """

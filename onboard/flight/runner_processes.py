@@ -1,4 +1,4 @@
-"""A worker's process as its supervisor sees it: started, listened to, killed when it hangs, started again."""
+"""Supervision of a worker process: start, heartbeat, kill if it hangs, restart."""
 
 import contextlib
 import multiprocessing

@@ -1,7 +1,7 @@
-"""Records to smoothed SI signals at the estimator's ticks, every channel through the same kernel, delays removed.
+"""Converts records to smoothed SI signals at the estimator's ticks, all channels with the same kernel, delays removed.
 
-Samples keep their device ticks until the last moment: their times are taken from the timebase anew at every step, so a
-better clock solution moves all of them together and no seam is left in a window.
+Samples are stored with their device ticks; their times are computed from the timebase at every step, so that a new
+clock solution shifts all samples of a window consistently.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The simulated runner: every worker's step, in a fixed order, under a virtual clock. Deterministic to the byte."""
+"""Simulated runner: steps of all workers in a fixed order on a virtual clock; deterministic to the byte."""
 
 from collections.abc import Callable, Iterable
 from math import ceil, gcd
@@ -12,7 +12,7 @@ RECORDING_STEPS = 10  # the recorder runs every so many
 
 
 class VirtualClock:
-    """Time that somebody sets."""
+    """A clock whose time is set by the runner."""
 
     def __init__(self, now_ns: int) -> None:
         self.now_ns = now_ns
@@ -23,7 +23,7 @@ class VirtualClock:
 
 
 def step_ns(periods_ns: Iterable[int]) -> int:
-    """The longest step that no period is put off by: an IMU read sample by sample loses some where it is."""
+    """The longest step that divides all poll periods, so that no poll is late."""
     common = gcd(*(period for period in periods_ns if period > STEP_NS)) or STEP_NS
     return common // ceil(common / STEP_NS)
 

@@ -1,4 +1,4 @@
-"""The state of an object tree of ours as data: a JSON tree and plain arrays, that no reader can be made to run.
+"""Serialises the estimator's object tree as data (JSON and arrays), without executable content.
 
 Only values are written: numbers, text, arrays, containers, and the attributes of instances of our own numerical
 classes. What a new object of the same kind has anyway and cannot be written as values (the vehicle's file, its

@@ -1,9 +1,9 @@
-"""The processes of a real flight: acquisition, estimation, recording. Each runs its worker's step until told to stop.
+"""Processes of a real flight (acquisition, estimation, recording); each runs its worker's step until stopped.
 
-Only the acquisition process is hurried: a thread for each bus, blocked in I/O or asleep till its next poll, and nothing
-else in that process but a thread that waits to be told.
+Only the acquisition process has real-time priority: one thread per bus, blocked in I/O or asleep until its next poll,
+and a thread that waits for the stop command.
 
-Any of them may be killed and started again: it finds in the rings, or in the log, how far the one before it had come.
+A restarted process finds the progress of its predecessor in the rings or in the log.
 """
 
 import contextlib

@@ -1,9 +1,9 @@
-"""Zero of the accelerometer, taken in flight while the vehicle coasts at rest.
+"""Estimates the accelerometer's offset in flight while the vehicle coasts at rest.
 
-In free fall an accelerometer at rest near the centre of mass reads its own offset (datasheet: up to 50 mg) and next to
-nothing else. Unremoved, that offset works on the payload's first moment like a field of gravity would, and it varies
-with the joint angle as the inertia torque of a sweep does. What coasting leaves (spin, nutation) stays as a small
-constant, for which the rows have nuisance columns.
+In free fall an accelerometer at rest near the centre of mass reads almost only its offset (datasheet: up to 50 mg).
+Uncorrected, the offset acts on the payload's first moment like gravity, with a dependence on the joint angle similar to
+the inertia torque of a sweep. The remaining specific force while coasting (spin, nutation) is a small constant, for
+which the rows have nuisance columns.
 """
 
 import numpy as np
@@ -17,8 +17,8 @@ class Zeroing:
     """Mean specific force over the resting phases; fixed when one of them ends and enough has been seen.
 
     Attributes:
-        offset_m_s2: (3,) what is subtracted; None while it is not known, and nothing can be said of the base's motion.
-        ticks: how many went into it.
+        offset_m_s2: (3,) offset subtracted; None while unknown, when the base's motion is unknown too.
+        ticks: number of ticks averaged.
     """
 
     def __init__(self, settings: config.Zero | None) -> None:
@@ -32,8 +32,8 @@ class Zeroing:
 
         Args:
             specific_force: (n, 3), sensor axes.
-            codes: (n,) phase of each tick, -1 where none is known.
-            usable: (n,) whether the tick may be learned from.
+            codes: (n,) phase of each tick, -1 if unknown.
+            usable: (n,) whether the tick may be used.
         """
         out = np.full_like(specific_force, np.nan)
         for tick, code in enumerate(codes):

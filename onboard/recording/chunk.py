@@ -1,4 +1,4 @@
-"""Rows to the records of a chunk, whole batches at a time."""
+"""Packs rows into the records of a chunk, a batch at a time."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ class PackedRows(NamedTuple):
 class PackedChannel:
     """One channel of a log: its definitions as records, and how its rows become message records.
 
-    Padding bytes are zeroed: what happened to lie in them must not make two logs of one flight differ.
+    Padding bytes are zeroed, so that two logs of one flight are identical.
     """
 
     def __init__(self, schema: mcap_format.Schema, channel: mcap_format.Channel, dtype: np.dtype[np.void]) -> None:
@@ -48,7 +48,7 @@ class PackedChannel:
 
     @property
     def record_bytes(self) -> int:
-        """Of one message record."""
+        """Size of one message record."""
         return BODY_AT + self.dtype.itemsize
 
     def require(self, rows: Rows) -> None:
@@ -60,7 +60,7 @@ class PackedChannel:
             )
 
     def pack(self, rows: Rows) -> PackedRows:
-        """Message records of ``rows`` (n,), which fit the channel and lie contiguous."""
+        """Message records of contiguous ``rows`` (n,) of the channel's dtype."""
         count, item = len(rows), self.dtype.itemsize
         log_times = rows["host_ns"].astype(np.uint64)
         records = np.empty((count, BODY_AT + item), np.uint8)
@@ -75,7 +75,7 @@ class PackedChannel:
 
 
 def _padding(dtype: np.dtype[np.void]) -> list[tuple[int, int]]:
-    """First byte and byte after the last of every stretch of a row that no field uses."""
+    """Ranges of padding bytes in a row: first byte and byte after the last."""
     assert dtype.fields is not None
     used = sorted((offset, offset + field.itemsize) for field, offset, *_ in dtype.fields.values())
     starts = [0, *(end for _, end in used)]
@@ -91,7 +91,7 @@ class SealedChunk(NamedTuple):
 
 
 class ChunkBuilder:
-    """Collects records until a chunk is full. Definitions are kept apart: they go to the chunk's head.
+    """Collects records until a chunk is full. Definitions are collected separately for the chunk's head.
 
     Args:
         limit: bytes of records in a chunk. A single row that is larger gets a chunk of its own.
@@ -114,7 +114,7 @@ class ChunkBuilder:
         return not self._definitions
 
     def define(self, channel: PackedChannel) -> bool:
-        """Add the definitions of ``channel``; False when there is no room for them."""
+        """Add the definitions of ``channel``; False if there is no room."""
         missing = self._missing(channel)
         size = sum(map(len, missing.values()))
         if self._definitions and self._room < size:
@@ -123,7 +123,7 @@ class ChunkBuilder:
         return True
 
     def add(self, channel: PackedChannel, rows: PackedRows) -> int:
-        """Take as many of ``rows`` as there is room for, from the first on; returns how many.
+        """Add as many of ``rows`` as there is room for, from the first on; returns the number.
 
         A chunk without messages takes at least one.
         """
@@ -155,7 +155,7 @@ class ChunkBuilder:
         self._definition_bytes += size
 
     def seal(self) -> SealedChunk:
-        """The chunk as it stands; the builder is empty afterwards."""
+        """Return the chunk and empty the builder."""
         records = b"".join([*self._definitions.values(), *(run.records.data for _, run, _ in self._runs)])
         times = np.concatenate([run.log_times for _, run, _ in self._runs]) if self._runs else np.zeros(1, np.uint64)
         indexes = {number: self._index(number) for number in sorted({number for number, *_ in self._runs})}

@@ -1,4 +1,4 @@
-"""The records of a chunk to rows, one run of messages at a time."""
+"""Decodes the records of a chunk to rows, one run of messages at a time."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from onboard.recording.errors import LogFormatError, SchemaError
 from onboard.recording.schema import CDR_HEADER, dtype_from_ros2msg, units_from_ros2msg
 
 _HEAD = mcap_format.RECORD_HEAD
-_KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: alike for all messages of a run
+_KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: equal for all messages of a run
 
 
 _FEW = 16
@@ -30,7 +30,7 @@ class KnownChannel(NamedTuple):
 
 
 class MessageRun(NamedTuple):
-    """Consecutive messages of one channel: their records (n, record size), still in the chunk's own memory."""
+    """Consecutive messages of one channel: a view of their records (n, record size) in the chunk."""
 
     channel: KnownChannel
     records: NDArray[np.uint8]
@@ -44,7 +44,7 @@ def rows_of(runs: list[MessageRun]) -> Rows:
 
 
 def _run_length(records: bytes, at: int, size: int) -> int:
-    """How many messages of ``size`` bytes begin alike, from the one at ``at`` on; looks ever further ahead."""
+    """Number of messages of ``size`` bytes with the same key from ``at`` on (exponential search)."""
     key, end, done = records[at : at + _KEY_BYTES], len(records) - size, 1
     here = at + size
     while here <= end and done < _FEW and records.startswith(key, here):
@@ -62,10 +62,10 @@ def _run_length(records: bytes, at: int, size: int) -> int:
 
 
 class Decoder:
-    """Knows the channels of a log so far, and takes chunks apart.
+    """Decodes chunks and collects the channels of a log.
 
     Args:
-        channels: those of the segments before, with which this one's must agree.
+        channels: channels of earlier segments, which must agree.
 
     Attributes:
         channels: by name, in the order they were met.
@@ -80,7 +80,7 @@ class Decoder:
         self._seen: set[bytes] = set()
 
     def runs(self, records: bytes) -> list[MessageRun]:
-        """The messages of a chunk in the order they stand; learns the definitions on the way.
+        """The messages of a chunk in order; adds new definitions.
 
         Raises:
             LogFormatError: the records contradict each other or the definitions.

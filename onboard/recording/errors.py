@@ -1,12 +1,12 @@
-"""Every error this room raises on purpose. What the disk refuses stays the OSError it was."""
+"""Error tree of logs. Errors of the disk remain OSError."""
 
 
 class RecordingError(Exception):
-    """Base of them all. The message is a sentence that ends with the remedy."""
+    """Base of all recording errors. The message ends with the remedy."""
 
 
 class SchemaError(RecordingError, ValueError):
-    """A dtype that ``ros2msg`` cannot say, or a schema text that no dtype can be rebuilt from."""
+    """A dtype that ``ros2msg`` cannot express, or a schema text that gives no dtype."""
 
 
 class ChannelError(RecordingError, ValueError):
@@ -14,8 +14,8 @@ class ChannelError(RecordingError, ValueError):
 
 
 class LogFormatError(RecordingError, ValueError):
-    """Bytes that are not what a log of ours holds at that place."""
+    """Bytes that violate the log format."""
 
 
 class ChecksumError(LogFormatError):
-    """A record that is whole, by its lengths, and altered, by its CRC: what follows it stands where it should."""
+    """A record with consistent lengths and a wrong CRC: the record after it can still be found."""

@@ -1,10 +1,10 @@
-"""MCAP records as bytes (mcap.dev/spec), write and read side by side; no file, no state.
+"""Packs and parses MCAP records (mcap.dev/spec); no file, no state.
 
 A record is an opcode byte, a u64 length and that many bytes of body, all little-endian. The packers return whole
-records, by the ``mcap`` package's record classes but for the three that every chunk has: they would take 130 us a chunk
-of 150 messages there, where all of a chunk takes 70 us here, because NumPy packs a message index at once. The parsers
-take a body and are ours: those of the package check neither lengths nor the CRC of an attachment. Anything but
-``LogFormatError`` out of a parser is our bug.
+records, by the ``mcap`` package's record classes except for the three of every chunk, which would take 130 us per chunk
+of 150 messages there against 70 us here, where NumPy packs a message index at once. The parsers take a body and are our
+own, because those of the package check neither lengths nor the CRC of an attachment. They raise nothing but
+``LogFormatError``.
 """
 
 import struct
@@ -214,7 +214,7 @@ class Chunk(NamedTuple):
 
     @staticmethod
     def plausible(head: bytes, length: int) -> bool:
-        """Whether ``head``, the first bytes of a body of ``length``, can be a chunk's; saves reading what cannot."""
+        """Whether ``head``, the first bytes of a body of ``length``, can be a chunk's; avoids reading other data."""
         if len(head) < CHUNK_HEAD_BYTES:
             return False
         _, _, size, _, compression, stored = struct.unpack_from("<QQQIIQ", head)
@@ -245,7 +245,7 @@ def pack_message_index(channel: int, log_times: NDArray[np.uint64], offsets: NDA
 
 
 class MessageIndex(NamedTuple):
-    """Message index record, of which only the channel is kept: whoever reads from the front needs no index."""
+    """Message index record; only the channel is kept, because sequential reading needs no index."""
 
     channel: int
 
@@ -267,7 +267,7 @@ def pack_chunk_index(chunk: Chunk, offset: int, length: int, indexes: Mapping[in
 
 
 def pack_end(data_end_offset: int, data_crc: int, groups: Mapping[int, bytes]) -> bytes:
-    """Everything from the data end record to the last magic.
+    """All records from the data end record to the last magic.
 
     Args:
         data_end_offset: where in the file the data end record will stand.

@@ -1,4 +1,4 @@
-"""Reads a log from the front, a chunk at a time, in constant memory; what is damaged is skipped and named."""
+"""Reads a log sequentially, chunk by chunk, in constant memory; damage is skipped and reported."""
 
 from collections.abc import Collection, Generator, Iterator, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ EXIT_DAMAGED = 3
 
 
 class _Survey(NamedTuple):
-    """What a whole pass over a log has found."""
+    """Result of a pass over a log."""
 
     channels: dict[str, KnownChannel]
     attachments: dict[str, Attachment]
@@ -42,7 +42,7 @@ class LogReader:
         segments: the files, in the order they are read.
 
     Raises:
-        LogFormatError: a file is not a log of ours, or nothing at all of it can be read.
+        LogFormatError: a file is not a heft log, or no part of it can be read.
         OSError: it cannot be opened.
     """
 
@@ -59,7 +59,7 @@ class LogReader:
             self._require_ours(segment)
 
     def _require_ours(self, segment: Path) -> None:
-        """One sign is enough: our name in the header, or a chunk as only we write them."""
+        """Accept a file with heft's name in the header, or with a chunk in heft's layout."""
         writer = ""
         for record in Scan(segment).records():
             if isinstance(record, Damage):
@@ -75,53 +75,53 @@ class LogReader:
 
     @property
     def position(self) -> int:
-        """Bytes of the log that the present pass has come through."""
+        """Bytes of the log read in the current pass."""
         return self._before + self._scan.position
 
     @property
     def channels(self) -> dict[str, np.dtype[np.void]]:
-        """Every channel that a readable part of the log defines, and the dtype of its rows; as registered."""
+        """Channels defined in the readable part of the log, with their dtypes, in order of registration."""
         return {name: channel.dtype for name, channel in self._survey().channels.items()}
 
     @property
     def units(self) -> dict[str, dict[str, str]]:
-        """Channel to field to unit, where the definitions name one."""
+        """Channel to field to unit, from the definitions."""
         return {name: channel.units for name, channel in self._survey().channels.items()}
 
     @property
     def attachments(self) -> dict[str, Attachment]:
-        """The files that travel with the log, by name; the last of a name."""
+        """Attached files by name; the last one of a name."""
         return self._survey().attachments
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """The maps of strings in the log, by name; the last of a name."""
+        """Metadata by name; the last one of a name."""
         return self._survey().metadata
 
     @property
     def damage(self) -> tuple[Damage, ...]:
-        """What could not be read, in the order of the file; empty for a whole log."""
+        """Unreadable parts, in the order of the file; empty for an intact log."""
         return tuple(self._survey().damage)
 
     @property
     def truncated(self) -> bool:
-        """Whether the log was never closed, or the end of a segment is gone."""
+        """Whether the log was not closed, or the end of a segment is missing."""
         return self._survey().truncated
 
     @property
     def complete(self) -> bool:
-        """Whether every byte is there and as it was written."""
+        """Whether the log is closed and undamaged."""
         return not self.damage
 
     @property
     def exit_code(self) -> int:
-        """What a command that read the log returns: 0, or 3 when it is truncated or damaged."""
+        """Exit code of a command that read the log: 0, or 3 if it is truncated or damaged."""
         return EXIT_COMPLETE if self.complete else EXIT_DAMAGED
 
     def batches(
         self, channels: Collection[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Batch]:
-        """The rows of the log: one batch a channel a chunk, in the order of the file.
+        """The rows of the log: one batch per channel and chunk, in the order of the file.
 
         Args:
             channels: only these.
@@ -130,7 +130,7 @@ class LogReader:
 
         Raises:
             ChannelError: the log has no such channel.
-            OSError: the medium refused.
+            OSError: the log cannot be read.
         """
         if channels is not None:
             self._require(channels)
@@ -141,7 +141,7 @@ class LogReader:
 
         Raises:
             ChannelError: the log has no such channel.
-            OSError: the medium refused.
+            OSError: the log cannot be read.
         """
         joined = bytearray().join(batch.rows.tobytes() for batch in self.batches([channel]))
         return np.frombuffer(joined, self.channels[channel])
@@ -162,7 +162,7 @@ class LogReader:
                     yield Batch(name, rows)
 
     def _chunks(self) -> Iterator[list[MessageRun]]:
-        """One pass: the runs of each chunk; what else is found is kept when the end is reached."""
+        """One pass: yields the runs of each chunk; stores the other results at the end."""
         found = _Survey({}, {}, {}, [], False)
         self._before = 0
         for number, segment in enumerate(self.segments):
@@ -173,12 +173,12 @@ class LogReader:
         self._found = found
 
     def _segment(self, segment: Path, found: _Survey, *, last: bool) -> Generator[list[MessageRun], None, _Survey]:
-        """One pass over a segment; returns ``found`` and what is found in it.
+        """One pass over a segment; returns ``found`` extended by its results.
 
         Args:
             segment: the file.
-            found: in the segments before.
-            last: it may be one that was opened ahead and never used, which is no damage.
+            found: results of earlier segments.
+            last: last segment, which may have been opened in advance and never used (not a damage).
         """
         self._scan = scan = Scan(segment)
         decoder = Decoder(found.channels)

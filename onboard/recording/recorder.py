@@ -1,11 +1,10 @@
-"""The recording worker: rings to log, a step at a time.
+"""Recording worker: copies rows from rings to the log, step by step.
 
-The rings are its buffer. While the disk refuses, nothing is drained, and only what a ring can hold no longer is given
-up, the oldest first; every row given up or overrun is told by a ``GAP`` row with its cause as soon as writing works
-again. While the disk is nearly full only events and gaps are recorded, and the same holds for all other channels.
-Acquisition notices none of it.
+The rings are its buffer. While the disk fails, rings are not drained; only rows that no longer fit are dropped, oldest
+first, and recorded in a ``GAP`` row with the cause when writing works again. While the disk is nearly full only events
+and gaps are recorded and other rows are dropped in the same way. Acquisition is not affected.
 
-The recorder speaks on two channels of its own, so that its sequence numbers meet nobody else's.
+The recorder writes its events and gaps to two channels of its own, so that sequence numbers do not collide.
 """
 
 import errno
@@ -23,17 +22,17 @@ from onboard.recording.space import SpaceGuard
 EVENT_CHANNEL = "recorder_event"
 REFUSED, FULL = "disk_refused", "disk_full"
 _SOURCE = "recorder"
-_KEPT = 0.75  # of a ring, while it is not drained: the rest is for what comes before the next step
+_KEPT = 0.75  # fill level kept while a ring is not drained: the rest takes rows until the next step
 _TELL_NS = _LOOK_NS = 1_000_000_000
 _FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Log(Protocol):
-    """What the recorder needs of a log: ``LogWriter`` and ``SegmentedLog`` are such."""
+    """Interface of a log as used by the recorder; implemented by ``LogWriter`` and ``SegmentedLog``."""
 
     @property
     def failing(self) -> bool:
-        """The disk has refused, and no ``sync`` has succeeded since."""
+        """Whether a write failed and no ``sync`` has succeeded since."""
 
     @property
     def ended(self) -> bool:
@@ -43,20 +42,20 @@ class Log(Protocol):
         """Make a channel known."""
 
     def write(self, channel: str, rows: Rows) -> None:
-        """Accept rows (n,) of a channel. OSError: the disk refused, the rows are kept."""
+        """Accept rows (n,) of a channel. OSError: the write failed, the rows are kept."""
 
     def sync(self, now_ns: int) -> bool:
-        """When it is due, bring everything to the medium."""
+        """Sync all data to the medium, if due."""
 
     def close(self) -> None:
         """End the log."""
 
     def abandon(self) -> None:
-        """Give the file back as it is."""
+        """Close the file without a summary."""
 
 
 class StepReport(NamedTuple):
-    """What a step did: rows accepted, rows that are lost to the log, and whether the disk refuses."""
+    """Result of a step: rows accepted, rows lost, and whether the disk fails."""
 
     rows: int
     lost: int
@@ -67,11 +66,11 @@ class Recorder:
     """Drains rings into a log. No method raises for a disk error: it becomes an event and ``StepReport.failing``.
 
     Args:
-        writer: the log; it stays the caller's to attach configuration to.
+        writer: the log; the caller may attach files to it.
         rings: drained in this order, each into the channel of its own name.
         units: channel to field to unit, for the definitions in the log.
-        recorded: how far each channel is in the log, which another recorder began.
-        space: looks after the disk's free space.
+        recorded: last recorded row of each channel in a log begun by another recorder.
+        space: monitors the disk's free space.
         said: told each event of the recorder's own, which go into the log without a ring.
 
     Raises:
@@ -104,7 +103,7 @@ class Recorder:
         writer.register(EVENT_CHANNEL, records.EVENT)
 
     def step(self, now_ns: int) -> StepReport:
-        """Record what the rings hold."""
+        """Record the rows in the rings."""
         self._look(now_ns)
         if self._writer.failing:
             self._sync(now_ns)
@@ -114,10 +113,10 @@ class Recorder:
         return report._replace(failing=self._writer.failing)
 
     def close(self, now_ns: int) -> StepReport:
-        """Record what the rings still hold and close the log.
+        """Record the remaining rows of the rings and close the log.
 
         Returns:
-            ``failing`` when the disk refused: call it again, or ``abandon`` the writer.
+            ``failing`` if the disk failed: call it again, or ``abandon`` the writer.
         """
         report = StepReport(0, 0, False) if self._writer.ended else self.step(now_ns)
         try:
@@ -131,13 +130,13 @@ class Recorder:
         return report._replace(failing=False)
 
     def abandon(self) -> None:
-        """Give up a log that the disk refuses to end; what it did not take is still in the rings."""
+        """Give up closing a log on a failing disk; rows not written remain in the rings."""
         self._writer.abandon()
         if self._space is not None:
             self._space.close()
 
     def say(self, now_ns: int, severity: Severity, code: str, text: str) -> None:
-        """Put an event of the recorder's own into the log."""
+        """Write an event of the recorder to the log."""
         told = records.event(now_ns, severity, code, _SOURCE, text)
         self._own(EVENT_CHANNEL, told)
         self._said(told.rows)
@@ -164,7 +163,7 @@ class Recorder:
         return StepReport(taken, lost, self._writer.failing)
 
     def _give_up_the_rest(self, now_ns: int) -> None:
-        """At the end of a flight with the disk nearly full: what the rings hold will not be recorded."""
+        """Drop the rows in the rings, at the end of a flight with the disk nearly full."""
         for source in self._sources:
             if not self._room and not _essential(source):
                 source.drop(0, FULL)
@@ -180,7 +179,7 @@ class Recorder:
             source.unplaced = 0
 
     def _own(self, channel: str, batch: Batch) -> None:
-        """Write a row on a channel of our own."""
+        """Write a row to a channel of the recorder."""
         batch.rows["sequence"] = self._sequence[channel]
         self._sequence[channel] += 1
         self._write(int(batch.rows["host_ns"][0]), channel, batch.rows)
@@ -211,7 +210,7 @@ class Recorder:
             self._look(now_ns, refused=True)
 
     def _look(self, now_ns: int, *, refused: bool = False) -> None:
-        """Ask how much room the disk has, once a second and when it says that it is full."""
+        """Check the disk's free space, once a second and after a write failed for lack of space."""
         if self._space is None or not (refused or now_ns - self._look_ns >= _LOOK_NS):
             return
         self._look_ns = now_ns
@@ -233,5 +232,5 @@ class Recorder:
 
 
 def _essential(source: RingSource) -> bool:
-    """Events and gaps are small, and are recorded to the last."""
+    """Whether the channel is one of events or gaps, which are recorded even on a nearly full disk."""
     return source.ring.dtype in (records.EVENT, records.GAP)

@@ -1,7 +1,7 @@
-"""What can be read of a log, in a new and whole one, and an account of what cannot.
+"""Copies the readable part of a damaged log into a new, intact one, and reports the rest.
 
-Every chunk that proves itself by its CRC is taken; damage between them is skipped. Numbers that are missing and that no
-gap record of the flight names are told by gap records of the recovered log's own, so that it adds up again.
+Every chunk with a right CRC is copied; damage between them is skipped. Missing sequence numbers without a gap record of
+the flight get a gap record in the recovered log.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,14 +25,14 @@ EXIT_LOSSLESS, EXIT_NOTHING, EXIT_LOSSY = 0, 1, 3
 
 
 class Gap(NamedTuple):
-    """Sequence numbers ``first`` to ``last`` (included) of a channel that the log does not hold."""
+    """Sequence numbers ``first`` to ``last`` (included) of a channel that are not in the log."""
 
     channel: str
     first: int
     last: int
     duration_ns: int  # host time from the row before to the row after
-    cause: str  # as the flight told it; LOST: it told nothing, so the log has lost them
-    host_ns: int  # when it was told; of the row after it where it was not
+    cause: str  # cause recorded in flight; LOST: lost with the damaged part of the log
+    host_ns: int  # time of the gap record; without one, of the row after the gap
 
     def __str__(self) -> str:
         numbers = f"{self.first}" if self.first == self.last else f"{self.first} to {self.last}"
@@ -40,7 +40,7 @@ class Gap(NamedTuple):
 
 
 class Recovery(NamedTuple):
-    """What was recovered. ``problem``: why nothing was."""
+    """Result of a recovery. ``problem``: reason if nothing was recovered."""
 
     rows: dict[str, int]
     gaps: tuple[Gap, ...]
@@ -49,14 +49,14 @@ class Recovery(NamedTuple):
 
     @property
     def exit_code(self) -> int:
-        """0: all that the flight recorded is there; 3: some of it is lost; 1: nothing could be read."""
+        """0: lossless; 3: some rows are lost; 1: nothing could be read."""
         if self.problem or (self.damage and not any(self.rows.values())):
             return EXIT_NOTHING
         return EXIT_LOSSY if self.damage or any(gap.cause == LOST for gap in self.gaps) else EXIT_LOSSLESS
 
 
 class _Jump(NamedTuple):
-    """Numbers that the rows of a channel skip, and the host times on both sides."""
+    """Sequence numbers skipped by the rows of a channel, and the host times on both sides."""
 
     first: int
     last: int
@@ -65,7 +65,7 @@ class _Jump(NamedTuple):
 
 
 class _Track:
-    """Follows a channel's numbers; ``next`` is the one that its first row should have."""
+    """Tracks a channel's sequence numbers; ``next`` is the expected number of its first row."""
 
     def __init__(self, expected: int) -> None:
         self._next = expected
@@ -86,15 +86,15 @@ class _Track:
 def recover(
     log: Path | Sequence[Path], output: Path, progress: Callable[[int, int], None] = lambda done, size: None
 ) -> Recovery:
-    """Write all that can be read of ``log`` to a new file ``output``, in constant memory.
+    """Write the readable part of ``log`` to a new file ``output``, in constant memory.
 
     Args:
-        log: as ``LogReader`` takes it.
-        output: the file to create; with nothing to recover it is not made.
-        progress: told bytes read and bytes in all.
+        log: as for ``LogReader``.
+        output: the file to create; not created if there is nothing to recover.
+        progress: called with bytes read and total bytes.
 
     Raises:
-        FileExistsError: ``output`` is there already.
+        FileExistsError: ``output`` exists.
         OSError: the log cannot be read, or the output not written.
     """
     try:
@@ -133,7 +133,7 @@ def recover(
 
 
 def _after(mark: str | None) -> int:
-    """The number after the one that metadata ``recorded`` gives."""
+    """Sequence number after the one in metadata ``recorded``."""
     return 0 if mark is None else int(mark.split()[0]) + 1
 
 
@@ -144,7 +144,7 @@ def _told(rows: Rows) -> Iterator[Gap]:
 
 
 def _untold(channel: str, jumps: list[_Jump], told: list[Gap]) -> Iterator[Gap]:
-    """What of ``jumps`` no gap in ``told`` names."""
+    """The parts of ``jumps`` that no gap in ``told`` covers."""
     named = sorted((gap.first, gap.last) for gap in told if gap.channel == channel)
     for jump in jumps:
         following = jump.first

@@ -1,7 +1,7 @@
-"""From the front of a file to its end, whatever is in between: whole records, and the damage between them.
+"""Scans a file sequentially for intact records and the damage between them.
 
-The scan needs no summary and trusts no length it cannot check. After a record that makes no sense it looks for the
-next one that proves itself: a chunk or attachment by its CRC, metadata by its lengths, the end by the footer.
+The scan needs no summary and checks every length. After an invalid record it searches for the next valid one: a chunk
+or attachment by its CRC, metadata by its lengths, the end by the footer.
 """
 
 import zlib
@@ -32,7 +32,7 @@ _PARSERS: tuple[tuple[int, Callable[[bytes], Content]], ...] = (
 
 
 class Damage(NamedTuple):
-    """Bytes ``start`` to ``end`` (not included) of a file are lost or not to be trusted, and why."""
+    """Bytes ``start`` to ``end`` (not included) of a file that are missing or damaged, with the reason."""
 
     start: int
     end: int
@@ -45,7 +45,7 @@ class Damage(NamedTuple):
 
 
 class Found(NamedTuple):
-    """A whole record, and its place in the file."""
+    """An intact record and its place in the file."""
 
     start: int
     end: int
@@ -53,7 +53,7 @@ class Found(NamedTuple):
 
 
 class Scan:
-    """One pass over a file. ``position`` says how far it has come, ``truncated`` whether the log was never closed.
+    """One pass over a file. ``position``: bytes read; ``truncated``: the log was not closed.
 
     Args:
         path: file to read.
@@ -67,7 +67,7 @@ class Scan:
         self.size = path.stat().st_size
         self.position = 0
         self._ended = False
-        self._crc: int | None = 0  # of everything so far; None once a byte was left out
+        self._crc: int | None = 0  # of all bytes so far; None after a skipped byte
         with path.open("rb") as file:
             file.seek(max(0, self.size - mcap_format.FOOTER_BYTES))
             self._footer = mcap_format.Footer.at_end_of(file.read())
@@ -77,8 +77,8 @@ class Scan:
         """Records and damage in the order of the file.
 
         Raises:
-            LogFormatError: it does not begin like a log, and nothing in it proves to be of one.
-            OSError: the medium refused.
+            LogFormatError: no MCAP magic at its start and no valid record in it.
+            OSError: the file cannot be read.
         """
         with self._path.open("rb", buffering=1 << 18) as file:
             magic = self._read(file, len(MAGIC))
@@ -130,7 +130,7 @@ class Scan:
         return Damage(start, self.size, f"the log ends {where}: it was not closed")
 
     def _end(self, file: BinaryIO, start: int, crc: int | None) -> Iterator[Damage]:
-        """Check the data section's CRC, and the summary, which is the rest of the file."""
+        """Check the data section's CRC and the summary, the rest of the file."""
         self._ended = True
         stored = int.from_bytes(self._read(file, 4), "little")
         if crc is not None and stored != crc:
@@ -144,7 +144,7 @@ class Scan:
             yield Damage(summary, self.size, "the summary is damaged or incomplete")
 
     def _lost(self, file: BinaryIO, start: int, reason: str) -> Damage:
-        """Go on at the next record that proves itself."""
+        """Continue at the next valid record."""
         found = self._find(file, start + 1)
         self._crc = None
         if found is None:
@@ -155,7 +155,7 @@ class Scan:
         return Damage(start, found, reason)
 
     def _find(self, file: BinaryIO, start: int) -> int | None:
-        """Offset of the first record at or after ``start`` that proves itself."""
+        """Offset of the first valid record at or after ``start``."""
         overlap = _HEAD.size - 1
         for base in range(start, self.size, _WINDOW):
             file.seek(base)

@@ -1,10 +1,10 @@
-"""dtype <-> ``ros2msg`` text: what makes a log describe itself.
+"""Converts dtypes to ``ros2msg`` text and back: the self-description of a log.
 
-A row of an ``align=True`` little-endian dtype has the layout that CDR (OMG DDS-XTypes 1.3, section 7.4.1, plain CDR
-version 1) gives the same fields: natural alignment counted from the end of the 4-byte encapsulation header. So the
-message is the header and the row's own bytes. Trailing padding stays; CDR readers ignore it.
+A row of an ``align=True`` little-endian dtype has the CDR layout (OMG DDS-XTypes 1.3, section 7.4.1, plain CDR version
+1) of the same fields: natural alignment counted from the end of the 4-byte encapsulation header. So the message is the
+header and the row's own bytes. Trailing padding stays; CDR readers ignore it.
 
-What ``ros2msg`` cannot say rides in the comment after a field, and the dtype is rebuilt from the text alone::
+What ``ros2msg`` cannot express is in the comment after a field, and the dtype is rebuilt from the text alone::
 
     uint64 sequence
     int16[3] accel_raw
@@ -47,7 +47,7 @@ _FIELD = re.compile(
 
 
 def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) -> str:
-    """The message definition of ``dtype``; ``units`` (field name to unit) go into the comments, where ROS 2 keeps them.
+    """The message definition of ``dtype``; ``units`` (field name to unit) go into the comments.
 
     Raises:
         SchemaError: a field that ROS 2 cannot name or hold, a byte order or layout that is not ours, or a unit of a

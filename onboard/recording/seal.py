@@ -1,6 +1,6 @@
-"""Ends a log whose writer died: what is torn at its end is cut off, and the summary is made that the writer could not.
+"""Completes a log whose writer died: removes a partial record at its end and writes the summary.
 
-Nothing that can be read is touched. A log that is damaged anywhere else is left as it is, for ``recover``.
+Readable data are not changed. A log damaged elsewhere is left unchanged, for ``recover``.
 """
 
 import os
@@ -20,14 +20,14 @@ from onboard.recording.summary import SummarySection
 
 
 class Sealed(NamedTuple):
-    """How it went: whether there were messages, and whether the log is whole now."""
+    """Result: whether there were messages, and whether the log is intact now."""
 
     used: bool
     whole: bool
 
 
 class _Placed(NamedTuple):
-    """A chunk, where it stands, and the place of each channel's message index behind it."""
+    """A chunk, its place, and the places of the message indexes after it."""
 
     found: Found
     chunk: Chunk
@@ -36,7 +36,7 @@ class _Placed(NamedTuple):
 
 
 class _Survey:
-    """What a pass over the log has found."""
+    """Result of a pass over the log."""
 
     def __init__(self) -> None:
         self.summary = SummarySection()
@@ -69,7 +69,7 @@ class _Survey:
             self._last = None
 
     def finish(self) -> tuple[int, bytes]:
-        """Where the log is to be cut off, and the last chunk's message index, which may have been torn, anew."""
+        """Offset at which to truncate the log, and the rebuilt message index of the last chunk."""
         self.summary.define(self._decoder.definitions)
         if self._last is None:
             return self.end, b""
@@ -101,7 +101,7 @@ def _message_indexes(chunk: Chunk) -> dict[int, bytes]:
 
 
 def seal(path: Path) -> Sealed:
-    """Make a whole log of the file at ``path``, which nobody is writing, if its end is all that is amiss.
+    """Complete the log at ``path`` (without a writer) if only its end is missing.
 
     Raises:
         OSError: the medium refused.
@@ -118,7 +118,7 @@ def seal(path: Path) -> Sealed:
     except LogFormatError as error:
         damage.append(Damage(0, scan.size, str(error)))
     used = any(survey.summary.counts.values())
-    ends = survey.end, survey.end + mcap_format.DATA_END_BYTES  # the summary may be what is torn
+    ends = survey.end, survey.end + mcap_format.DATA_END_BYTES  # the summary may be the partial record
     torn = len(damage) == 1 and scan.truncated and damage[0].end == scan.size and damage[0].start in ends
     if damage and not torn:
         return Sealed(used, whole=False)

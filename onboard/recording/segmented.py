@@ -1,8 +1,8 @@
-"""A flight's log in segments: the next is open before it is needed, and each carries all that a flight's log must say.
+"""Writes a flight's log in segments, each a complete log; the next one is opened in advance.
 
-A segment that is full is ended, with its summary, after the last row of it is on the medium; rows go to the next one
-meanwhile. Metadata ``recorded`` at a segment's head says how far each channel had come, so that a recorder that takes
-over a log of any length has one segment to read.
+A full segment is closed with its summary after its last row is on the medium; meanwhile rows go to the next one.
+Metadata ``recorded`` at a segment's head gives the last recorded row of each channel, so that a recorder that takes
+over a log of any length reads one segment only.
 """
 
 import contextlib
@@ -31,22 +31,22 @@ _OPEN_AGAIN_NS = 1_000_000_000
 
 
 class ChannelProgress(NamedTuple):
-    """How far a channel has come: sequence and host time of its newest row that is in the log, or told as missing."""
+    """Sequence and host time of a channel's newest row that is in the log or in a gap record."""
 
     sequence: int
     host_ns: int
 
 
 class Preamble(NamedTuple):
-    """What every segment begins with."""
+    """Common content of every segment's head."""
 
-    flight: str  # tells this flight from every other
+    flight: str  # unique id of the flight
     attachments: tuple[Attachment, ...] = ()
     metadata: Mapping[str, Mapping[str, str]] = {}
 
 
 class Limits(NamedTuple):
-    """When a segment is full."""
+    """Size limits of a segment."""
 
     span_ns: int = 60_000_000_000
     size: int = 64 << 20
@@ -56,19 +56,19 @@ LIMITS = Limits()
 
 
 class SegmentedLog:
-    """Writes one flight. Takes the calls of a ``LogWriter``, with the same meaning.
+    """Log of one flight; same methods as ``LogWriter``.
 
     Args:
-        log: as ``onboard.recording.segments`` reads it.
-        preamble: what every segment begins with.
-        limits: when a segment is full.
+        log: path as for ``onboard.recording.segments``.
+        preamble: common content of every segment's head.
+        limits: size limits of a segment.
         sync_interval_ns: least time between two fsyncs, on the clock given to ``sync``.
         open_sink: opens a segment.
         number: of the first segment to write.
-        recorded: how far each channel is in the segments before.
+        recorded: last recorded row of each channel in earlier segments.
 
     Raises:
-        FileExistsError: there is such a log already.
+        FileExistsError: the log exists.
         OSError: it cannot be created.
     """
 
@@ -106,7 +106,7 @@ class SegmentedLog:
         sync_interval_ns: int = SYNC_INTERVAL_NS,
         open_sink: Callable[[Path], Sink] = FileSink,
     ) -> Self:
-        """Go on with a log whose writer died; with none there it is a new one. Segments that were left open are ended.
+        """Continue a log whose writer died, or begin a new one; open segments are closed.
 
         Raises:
             FileExistsError: the log is another flight's.
@@ -124,7 +124,7 @@ class SegmentedLog:
                     found.remove(path)
         number = number_of(found[-1]) + 1 if found else 0
         if (torn := segment_path(log, number)).exists() and torn.stat().st_size <= HEADER_BYTES:
-            torn.unlink()  # opened ahead, and nothing written yet that says whose it is
+            torn.unlink()  # opened in advance, before its metadata was written
         recorded = _recorded(found)
         return cls(
             log,
@@ -138,7 +138,7 @@ class SegmentedLog:
 
     @property
     def path(self) -> Path:
-        """The segment that rows go to."""
+        """The current segment."""
         return segment_path(self._log, self._number)
 
     @property
@@ -216,15 +216,15 @@ class SegmentedLog:
         return writer
 
     def _open_ahead(self, now_ns: int) -> None:
-        """Open the next segment and bring its head to the medium; where the disk refuses, try again later."""
+        """Open the next segment and sync its head; retried later if the disk fails."""
         if now_ns < self._open_again_ns:
             return
         self._open_again_ns = now_ns + _OPEN_AGAIN_NS
-        with contextlib.suppress(OSError):  # the present segment takes more than it should meanwhile
+        with contextlib.suppress(OSError):  # meanwhile the current segment grows beyond its limit
             self._next = self._open(self._number + 1)
 
     def _change(self, now_ns: int) -> None:
-        """Rows go to the next segment from here on. Everything so far is on the medium."""
+        """Switch to the next segment; all earlier rows are on the medium."""
         if self._next is None or self._ending is not None:
             return
         self._ending, self._writer, self._next = self._writer, self._next, None
@@ -246,7 +246,7 @@ class SegmentedLog:
 
 
 def note(recorded: dict[str, ChannelProgress], channel: str, rows: Rows) -> None:
-    """Bring ``recorded`` up to date with ``rows`` (n,) of ``channel``; what a gap of ours tells counts too."""
+    """Update ``recorded`` with ``rows`` (n,) of ``channel`` and with gap records of the recorder."""
     if not len(rows):
         return
     recorded[channel] = ChannelProgress(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
@@ -258,7 +258,7 @@ def note(recorded: dict[str, ChannelProgress], channel: str, rows: Rows) -> None
 
 
 def _recorded(found: list[Path]) -> dict[str, ChannelProgress]:
-    """How far each channel is at the end of segments ``found``: the last that says how far it was at its head tells."""
+    """Last recorded row of each channel at the end of segments ``found``."""
     rows: dict[str, ChannelProgress] = {}
     for segment in reversed(found):
         log = LogReader([segment])

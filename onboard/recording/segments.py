@@ -1,8 +1,8 @@
-"""A flight's log on disk: one file, or numbered segments of it.
+"""Finds the files of a flight's log: one file, or numbered segments.
 
-``x.mcap`` goes on in ``x_001.mcap``, ``x_002.mcap`` beside it; a log named without the suffix is a directory:
-``x/x_000.mcap``, ``x/x_001.mcap``. Every segment is a whole MCAP file that can be read alone. Metadata ``segment`` says
-which flight it belongs to, so that a neighbour of a like name is never taken for a part.
+``x.mcap`` continues in ``x_001.mcap``, ``x_002.mcap`` beside it; a log named without the suffix is a directory:
+``x/x_000.mcap``, ``x/x_001.mcap``. Every segment is a complete MCAP file. Metadata ``segment`` has the flight's id, so
+that a file of a similar name is not taken for a segment.
 """
 
 import glob
@@ -21,14 +21,14 @@ _NUMBERED = re.compile(r"(?P<stem>.+)_(?P<number>\d{3,})")
 
 
 class Head(NamedTuple):
-    """What the head of a file says, before its first messages."""
+    """Metadata at the head of a file, before its first messages."""
 
     library: str
-    segment: dict[str, str]  # metadata of that name; empty in a log that was never meant to have segments
+    segment: dict[str, str]  # metadata of that name; empty in a log without segments
 
     @property
     def flight(self) -> str:
-        """Which flight it belongs to; empty when it does not say."""
+        """Id of its flight; empty if not given."""
         return self.segment.get("flight", "")
 
 
@@ -36,14 +36,14 @@ EMPTY = Head("", {})
 
 
 def segment_path(log: Path, number: int) -> Path:
-    """Where segment ``number`` of ``log`` lies."""
+    """Path of segment ``number`` of ``log``."""
     if log.suffix != SUFFIX:
         return log / f"{log.name}_{number:03d}{SUFFIX}"
     return log.with_stem(f"{log.stem}_{number:03d}") if number else log
 
 
 def number_of(segment: Path) -> int:
-    """The number in a segment's name; 0 for ``x.mcap``."""
+    """Number in a segment's name; 0 for ``x.mcap``."""
     numbered = _NUMBERED.fullmatch(segment.stem)
     return int(numbered["number"]) if numbered else 0
 
@@ -76,13 +76,13 @@ def _flight_or_none(path: Path) -> str:
 
 
 def segments(log: Path) -> tuple[Path, ...]:
-    """The segments that are there of ``log``, in order.
+    """The existing segments of ``log``, in order.
 
     Args:
         log: a flight directory, a segment in one, or a file, which is given with those that continue it.
 
     Raises:
-        FileNotFoundError: there is nothing of that name.
+        FileNotFoundError: no such log.
         LogFormatError: a directory that is not one flight.
         OSError: it cannot be read.
     """

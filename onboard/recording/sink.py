@@ -1,4 +1,4 @@
-"""Where a log's bytes go. The writer names every offset, so a write that failed half-way is simply made again."""
+"""Output of a log's bytes. The writer gives every offset, so a partly failed write can be repeated."""
 
 import contextlib
 import errno
@@ -9,7 +9,7 @@ from typing import Protocol
 
 
 class Sink(Protocol):
-    """A file, as far as the writer is concerned. Raises OSError with the kernel's errno."""
+    """Output file of the writer. Raises OSError with the kernel's errno."""
 
     def write_at(self, offset: int, data: bytes) -> None:
         """Put ``data`` at ``offset``; all of it, or OSError."""
@@ -18,14 +18,14 @@ class Sink(Protocol):
         """Everything written is on the medium when this returns."""
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
 
 
 def sync_directory(path: Path) -> None:
-    """Bring the entries of directory ``path`` to the medium.
+    """Sync the entries of directory ``path`` to the medium.
 
     Raises:
-        OSError: the kernel refused.
+        OSError: the sync failed.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -35,7 +35,7 @@ def sync_directory(path: Path) -> None:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether somebody is writing the file at ``path``.
+    """Whether a process is writing the file at ``path``.
 
     Raises:
         OSError: it cannot be opened.
@@ -55,7 +55,7 @@ class FileSink:
 
     Args:
         path: file to create; its directory must exist.
-        durable: False makes ``sync`` do nothing, for runs on a virtual clock that no power cut can meet.
+        durable: False makes ``sync`` do nothing, for simulated flights.
         overwrite: replace an existing file.
 
     Raises:

@@ -1,4 +1,4 @@
-"""One ring as the recorder sees it: what of it is in the log, and which sequence numbers will never be."""
+"""Reads one ring for the recorder and accounts for recorded and lost sequence numbers."""
 
 from typing import NamedTuple, Protocol
 
@@ -11,7 +11,7 @@ OVERRUN = "ring_overrun"
 
 
 class Ring(Protocol):
-    """What the recorder needs of a reading end of a ring."""
+    """Interface of a ring reader as used by the recorder."""
 
     name: str
     dtype: np.dtype[np.void]
@@ -29,39 +29,39 @@ class Ring(Protocol):
 
 
 class Missing(NamedTuple):
-    """Sequence numbers that the log will never hold; ``first`` to ``last``, both included."""
+    """Sequence numbers lost to the log: ``first`` to ``last``, both included."""
 
     first: int
     last: int
     from_ns: int  # host time of the row before
-    to_ns: int  # and of the row after; of the last that is missing, while there is none after
+    to_ns: int  # of the row after; of the last missing one while there is none
     cause: str
 
 
 class RingSource:
-    """Takes the rows of a ring, or drops them, and accounts for each.
+    """Reads or drops the rows of a ring and accounts for each.
 
     Args:
         ring: its reading end.
-        recorded: how far the log has it; None when it has nothing.
+        recorded: last recorded row; None if there is none.
     """
 
     def __init__(self, ring: Ring, recorded: ChannelProgress | None = None) -> None:
         self.ring, self.name = ring, ring.name
-        self.missing: list[Missing] = []  # to be told
-        self.unplaced = 0  # rows lost that no jump of the numbers shows
+        self.missing: list[Missing] = []  # not yet in a gap record
+        self.unplaced = 0  # lost rows without a jump of the sequence numbers
         self._last = recorded
-        self._waiting = 0  # lost rows of which no later row has come yet
+        self._waiting = 0  # lost rows without a later row so far
         self._rejoining = recorded is not None and not ring.seek_after(recorded.sequence)
 
     def take(self) -> tuple[Rows, int]:
-        """Rows to record, and how many the ring had lost meanwhile."""
+        """Rows to record, and the number lost by the ring."""
         rows, lost = self.ring.read()
         self._account(rows, lost)
         return rows, lost
 
     def drop(self, keep: int, cause: str) -> int:
-        """Give up the oldest rows until at most ``keep`` wait in the ring; how many, those it had lost included."""
+        """Drop the oldest rows until at most ``keep`` remain; returns the number, including those lost by the ring."""
         excess = self.ring.backlog - keep
         if excess <= 0:
             return 0
@@ -85,7 +85,7 @@ class RingSource:
         self.missing.append(missing)
 
     def _account(self, rows: Rows, lost: int) -> None:
-        """Place ``lost`` rows: they lie before ``rows`` or among them, where the sequence numbers jump."""
+        """Locate ``lost`` rows at jumps of the sequence numbers before or among ``rows``."""
         self._waiting += lost
         if not len(rows):
             return
@@ -94,7 +94,7 @@ class RingSource:
         if self.missing and self.missing[-1].last + 1 == sequence[0]:
             self.missing[-1] = self.missing[-1]._replace(to_ns=first_ns)
         last = self._last or ChannelProgress(-1, first_ns)
-        if self._rejoining:  # what lies between the log and the ring is lost, however many the ring has counted
+        if self._rejoining:  # all rows between the log and the ring are lost, whatever the ring has counted
             self._waiting, self._rejoining = max(0, int(sequence[0]) - last.sequence - 1), False
         if self._waiting:
             before = np.concatenate([[last.sequence], sequence[:-1]])
@@ -103,7 +103,7 @@ class RingSource:
                 first, end = int(before[jump]) + 1, int(sequence[jump])
                 self._miss(Missing(first, end - 1, int(before_ns[jump]), int(host_ns[jump]), OVERRUN))
                 self._waiting -= end - first
-                if self._waiting <= 0:  # further jumps are losses that the device's own worker has told
+                if self._waiting <= 0:  # further jumps are losses already reported by the device
                     break
             self.unplaced += max(0, self._waiting)
             self._waiting = 0

@@ -1,11 +1,10 @@
-"""Room on the disk: what may be removed to make some, and what is kept back for events.
+"""Free disk space: removal of earlier flights, and a reserve for events.
 
-Only segments of earlier flights are ever removed, the oldest first, and only while less than ``min_free`` is free: logs
-that were imported, merged or flown in a simulator are not segments of a flight, the present flight is not an earlier
-one, and files of others are none of ours. What is removed is told by an event.
+Only segments of earlier flights are removed, oldest first, and only while less than ``min_free`` is free; imported,
+merged or simulated logs, the current flight and other files are never removed. Each removal is an event.
 
-A ballast file keeps ``reserve`` bytes back. When all else is full it is given up, and from then on only events and gaps
-are recorded until there is room again.
+A ballast file reserves ``reserve`` bytes. It is deleted when the disk is otherwise full; from then on only events and
+gaps are recorded until there is space again.
 """
 
 import contextlib
@@ -20,36 +19,36 @@ from onboard.recording.segments import SUFFIX, read_head, segments
 from onboard.recording.sink import is_locked
 
 BALLAST_SUFFIX = ".heft-reserve"
-MARGIN = 4_000_000  # free space at which the ballast is given up: some seconds of any vehicle, and a segment's head
+MARGIN = 4_000_000  # free space at which the ballast is deleted: some seconds of recording and a segment's head
 
 
 class Room(NamedTuple):
-    """What a look at the disk gave."""
+    """Result of a check of the disk."""
 
     for_all: bool  # False: for events and gaps only
     removed: tuple[Path, ...] = ()
 
 
 def free_bytes(directory: Path) -> int:
-    """Bytes free to us where ``directory`` is.
+    """Bytes available to this user on the file system of ``directory``.
 
     Raises:
-        OSError: it cannot be asked.
+        OSError: the file system cannot be queried.
     """
     disk = os.statvfs(directory)
     return disk.f_bavail * disk.f_frsize
 
 
 class SpaceGuard:
-    """Keeps room for one flight.
+    """Maintains free space for one flight.
 
     Args:
         flights: directory in which flights lie.
-        log: the present one, never touched.
-        flight: its id, as its segments say it.
-        min_free: bytes that are to be free; earlier flights make way for them. 0 removes nothing.
-        reserve: bytes kept back for events. 0 keeps none.
-        free: asks the disk.
+        log: log of the current flight, never removed.
+        flight: its id.
+        min_free: bytes to keep free by removing earlier flights; 0 removes nothing.
+        reserve: bytes reserved for events; 0: none.
+        free: returns the free bytes.
     """
 
     def __init__(
@@ -66,19 +65,19 @@ class SpaceGuard:
         self._min_free, self._reserve, self._free = min_free, reserve, free
         self._ballast = log.with_name(f"{log.name}{BALLAST_SUFFIX}")
         self._descriptor: int | None = None  # of the ballast: locked while it is held
-        self._kept: set[Path] = set()  # files that may not go
+        self._kept: set[Path] = set()  # files not to be removed
         for stale in flights.glob(f"*{BALLAST_SUFFIX}"):
             if not is_locked(stale):
                 stale.unlink()
 
     def look(self, *, refused: bool = False) -> Room:
-        """Ask the disk, and make room if there is too little.
+        """Check the free space, and remove earlier flights if there is too little.
 
         Args:
-            refused: the disk has just said that it is full.
+            refused: a write has just failed for lack of space.
 
         Raises:
-            OSError: the disk cannot be asked.
+            OSError: the file system cannot be queried.
         """
         removed = self._remove_oldest() if self._min_free else ()
         free = self._free(self._flights)
@@ -90,14 +89,14 @@ class SpaceGuard:
         return Room(self._descriptor is not None or enough, removed)
 
     def close(self) -> None:
-        """Give the ballast up."""
+        """Delete the ballast."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
             self._ballast.unlink(missing_ok=True)
 
     def _hold(self) -> None:
-        """Fill the ballast; where the disk refuses there is none, and what is free must do."""
+        """Create the ballast; without one if the disk fails."""
         if not self._reserve:
             return
         with contextlib.suppress(OSError):
@@ -128,7 +127,7 @@ class SpaceGuard:
                 try:
                     files += segments(directory)
                 except LogFormatError:
-                    continue  # no flight
+                    continue  # not a flight
         flight_of = {path: _flight(path) for path in files if path not in self._kept}
         self._kept |= {path for path, flight in flight_of.items() if flight in ("", self._flight)}
         flying = {flight for path, flight in flight_of.items() if is_locked(path)}

@@ -1,4 +1,4 @@
-"""What a log's end tells of the rest: collected while it is written, or from a log whose writer died."""
+"""Builds the summary section of a log, while it is written or from a log whose writer died."""
 
 from mcap.opcode import Opcode
 from mcap.records import Statistics
@@ -8,7 +8,7 @@ from onboard.recording.mcap_format import Attachment, Chunk, Metadata
 
 
 class SummarySection:
-    """The summary section in the making. Definitions are kept as packed records, in the order they came."""
+    """Collects the summary section. Definitions are kept as packed records, in order."""
 
     def __init__(self) -> None:
         self.counts: dict[int, int] = {}  # messages by channel number

@@ -1,11 +1,11 @@
-"""The thin MCAP writer: batches of rows in, chunks of at most 16 KiB out, definitions at the head of every chunk.
+"""MCAP writer: batches of rows in, chunks of at most 16 KiB out, definitions at the head of every chunk.
 
-Nothing is lost by a disk that refuses: every byte stays in memory until an ``fsync`` after it has returned, and is
-written again when that fails (a failed ``fsync`` leaves Linux pages clean and unwritten). The caller bounds the
-backlog by not handing over more while it grows.
+A disk error loses no data: every byte stays in memory until a later ``fsync`` succeeds, and is written again if that
+fails (a failed ``fsync`` leaves Linux pages clean and unwritten). The caller bounds the backlog by writing no more
+while it grows.
 
-Batches are small (a bus read is a few rows) and packing has a price a batch, so rows wait, a few chunks' worth of them
-at most and never past a ``sync``, and each channel's are packed together. Within a channel their order is kept.
+Batches are small (a bus read is a few rows) and packing has a cost per batch, so up to a few chunks of rows are staged
+(until the next ``sync``) and packed per channel. The order within a channel is kept.
 
 The same calls give the same bytes: no clock is read, padding is zeroed.
 """
@@ -32,15 +32,14 @@ _HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, LIBRARY).p
 HEADER_BYTES = len(_HEADER)
 SYNC_INTERVAL_NS = 150_000_000  # with steps of up to 50 ms nothing un-synced is ever older than 200 ms
 _NAME_BYTES = GAP["channel"].itemsize
-_MAX_UNSYNCED_BYTES = 4 << 20  # kept in memory; beyond it an fsync comes early
-_STAGED_CHUNKS = 4  # rows that wait to be packed, in chunks
+_MAX_UNSYNCED_BYTES = 4 << 20  # limit in memory; beyond it an fsync is made early
+_STAGED_CHUNKS = 4  # rows staged for packing, in chunks
 
 
 class LogWriter:
     """Writes one log.
 
-    ``OSError`` out of any method means that the disk refused, and nothing more: what was handed over is kept and goes
-    out with the next call that succeeds.
+    ``OSError`` from any method means a disk error only: the data are kept and written by the next call that succeeds.
 
     Args:
         sink: an empty file.
@@ -56,7 +55,7 @@ class LogWriter:
         self._channels: dict[str, PackedChannel] = {}
         self._schemas: dict[tuple[str, str], mcap_format.Schema] = {}
         self._blocks: list[bytes] = []  # since the last fsync
-        self._written = 0  # blocks of these that the sink has taken
+        self._written = 0  # blocks of these written to the sink
         self._synced_offset = self._offset = self._end = 0
         self._data_crc = 0
         self._last_sync_ns: int | None = None
@@ -90,24 +89,24 @@ class LogWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Bytes that the sink has taken."""
+        """Bytes written to the sink."""
         return self._offset
 
     @property
     def backlog_bytes(self) -> int:
-        """Bytes of whole chunks that the sink has not taken: more than 0 only while the disk refuses."""
+        """Bytes of complete chunks not yet written: above 0 only while the disk fails."""
         return self._end - self._offset
 
     @property
     def ended(self) -> bool:
-        """The summary is made, nothing more can be written; ``close`` was called."""
+        """Whether the log is closed: the summary is made and nothing more can be written."""
         return self._ended
 
     @property
     def failing(self) -> bool:
-        """The disk has refused, and no ``sync`` or ``flush`` has succeeded since.
+        """Whether a write failed and no ``sync`` or ``flush`` has succeeded since.
 
-        Meanwhile ``write`` keeps what it is given without trying the disk again; ``sync`` tries whenever it is due.
+        Meanwhile ``write`` keeps rows without trying the disk; ``sync`` retries whenever it is due.
         """
         return self._failing
 
@@ -119,7 +118,7 @@ class LogWriter:
         schema: str | None = None,
         units: Mapping[str, str] | None = None,
     ) -> None:
-        """Make ``channel`` known; at any time before its first rows. Doing it again changes nothing.
+        """Register ``channel``, at any time before its first rows. A repeated call has no effect.
 
         Args:
             channel: topic.
@@ -128,7 +127,7 @@ class LogWriter:
             units: field name to unit, written beside the fields of the message definition.
 
         Raises:
-            SchemaError: ROS 2 cannot say this dtype.
+            SchemaError: ROS 2 messages cannot express this dtype.
             ChannelError: the channel is registered with another dtype, or its name is too long.
         """
         known = self._channels.get(channel)
@@ -165,7 +164,7 @@ class LogWriter:
 
         Raises:
             ChannelError: no such channel, or rows of another dtype.
-            OSError: the disk refused; the rows are kept.
+            OSError: the write failed; the rows are kept.
         """
         self._refuse_after_end()
         known = self._channels.get(channel)
@@ -195,26 +194,26 @@ class LogWriter:
         self._staged, self._staged_bytes = {}, 0
 
     def sync(self, now_ns: int) -> bool:
-        """When it is due, write the chunk in the making and whatever the sink refused before, and ``fsync``.
+        """If due, write the current chunk and all pending data, and ``fsync``.
 
         Returns:
             Whether everything accepted so far was synced by this call.
 
         Raises:
-            OSError: the disk refused; everything not synced is kept and written again.
+            OSError: the write failed; everything not synced is kept and written again.
         """
         due = self._last_sync_ns is None or now_ns - self._last_sync_ns >= self._sync_interval_ns
         if not due or not (self._blocks or self._staged or self._chunk.has_messages or self._failing):
             return False
-        self._last_sync_ns = now_ns  # before the attempt: a disk that refuses is not asked in every step
+        self._last_sync_ns = now_ns  # before the attempt: a failing disk is not retried in every step
         self.flush()
         return True
 
     def flush(self) -> None:
-        """Write the chunk in the making and whatever the sink refused before, and ``fsync``, due or not.
+        """Write the current chunk and all pending data, and ``fsync``, regardless of the interval.
 
         Raises:
-            OSError: the disk refused; everything not synced is kept and written again.
+            OSError: the write failed; everything not synced is kept and written again.
         """
         self._seal_messages()
         self._drain()
@@ -222,10 +221,10 @@ class LogWriter:
         self._failing = False
 
     def attach(self, name: str, media_type: str, data: bytes, log_time_ns: int = 0) -> None:
-        """Put a file into the log, after what has been written so far.
+        """Attach a file to the log, after the data written so far.
 
         Raises:
-            OSError: the disk refused; it is kept.
+            OSError: the write failed; it is kept.
         """
         self._refuse_after_end()
         attachment = mcap_format.Attachment(name, media_type, data, log_time_ns)
@@ -236,10 +235,10 @@ class LogWriter:
         self._drain_unless_failing()
 
     def add_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Put a named map of strings into the log, after what has been written so far.
+        """Add a named map of strings to the log, after the data written so far.
 
         Raises:
-            OSError: the disk refused; it is kept.
+            OSError: the write failed; it is kept.
         """
         self._refuse_after_end()
         metadata = mcap_format.Metadata(name, dict(items))
@@ -250,10 +249,10 @@ class LogWriter:
         self._drain_unless_failing()
 
     def close(self) -> None:
-        """Write what is left and the summary, sync, give the file back. Doing it again does nothing.
+        """Write the remaining data and the summary, sync, close the file. A repeated call has no effect.
 
         Raises:
-            OSError: the disk refused; everything is kept, and the writer may be closed again, or abandoned.
+            OSError: the write failed; everything is kept, and the writer may be closed again or abandoned.
         """
         if self._closed:
             return
@@ -268,7 +267,7 @@ class LogWriter:
         self.abandon()
 
     def abandon(self) -> None:
-        """Give the file back as it is, without a summary. Doing it again does nothing."""
+        """Close the file without a summary. A repeated call has no effect."""
         if not self._closed:
             self._ended = self._closed = True
             self._sink.close()
@@ -286,7 +285,7 @@ class LogWriter:
             raise RecordingError("the log is closed; open a new one")
 
     def _seal_messages(self) -> None:
-        """Everything accepted so far is in sealed chunks when this returns."""
+        """Put all accepted rows into sealed chunks."""
         self._pack_staged()
         if self._chunk.has_messages:
             self._seal()
