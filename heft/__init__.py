@@ -4,8 +4,8 @@
 
     log = heft.open("flight.mcap")
     log["imu_base"].to_pandas()      # SI, vectors in the URDF's frame, indexed by sample time
-    log.estimates.to_pandas()        # what was said on board
-    heft.identify("flight.mcap")     # the estimator that flies, on the ground
+    log.estimates.to_pandas()        # onboard estimates
+    heft.identify("flight.mcap")     # the onboard estimator, offline
 
 Re-exports of ``onboard.offline.api``; nothing is defined here.
 """

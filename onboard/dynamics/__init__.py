@@ -1,6 +1,5 @@
-"""Rigid-body model of the vehicle and the measurement rows it gives, ``y = Y chi``, linear in the inertial parameters.
+"""Rigid-body model of the vehicle: URDF, inertial parameters, kinematics, motion of free and air-bearing bases.
 
-The rules of the room: SI units, float64; every frame and every axis is named; gravity is zero and the base's measured
-specific force stands in its place, so that the attitude never matters. Imports ``onboard.estimation`` and nothing else
-of ours.
+SI units, float64; every frame and axis is named. Gravity is zero and the base's measured specific force takes its
+place, so that the attitude is not needed. Imports ``onboard.estimation`` only.
 """

@@ -1,4 +1,4 @@
-"""The motion of a base on an air bearing predicted from parameters, joints, drag and the velocity at the start.
+"""Predicts the motion of a base on an air bearing from parameters, joints, drag and the velocity at the start.
 
 Three of the base's six accelerations are free, ``a = (f_x, f_y, dw)`` in base axes, f the specific force along the
 table:
@@ -6,9 +6,9 @@ table:
     M(q) a + h(q, dq, ddq, w) = d(v, w)
 
 M and h are linear in the standard parameters, h is quadratic in the yaw rate w; d is the pucks' drag. Velocity is not
-measured by anything: it is a state, and starts as a parameter. Along the table ``dv/dt = f + g_t - w x v``, with
-gravity's share g_t of a table that is not level. A puck at p slips with ``u = v + w x p`` and pulls with
-``-(Fv + Fc / |u|) u``, |u| rounded where it is small.
+measured: it is a state whose initial value is a parameter. Along the table ``dv/dt = f + g_t - w x v``, g_t the
+component of gravity along a tilted table. A puck at p slips with ``u = v + w x p`` and exerts ``-(Fv + Fc / |u|) u``,
+|u| rounded near zero. (Base wrench rows 3.5 of Limparis for the three free directions; drag model derived here.)
 """
 
 from math import cos, sin, sqrt
@@ -23,8 +23,8 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
-ROUNDING_m_s = 2e-3  # slip within which Coulomb's drag grows: no puck turns round at once
-_FASTEST = 1e3  # m/s, rad/s, rad; no vehicle of any parameters worth a look goes beyond
+ROUNDING_m_s = 2e-3  # slip below which Coulomb drag is rounded to zero
+_FASTEST = 1e3  # m/s, rad/s, rad; beyond it the integration is stopped
 PLANAR = [0, 1, 5]  # of force and moment, and of twist
 
 
@@ -37,7 +37,7 @@ class PlanarColumns(NamedTuple):
 
 
 class PlanarDrag(NamedTuple):
-    """Of each puck."""
+    """Drag of each puck."""
 
     place: FloatArray  # (k, 2) base axes, m
     viscous: FloatArray  # (k,) Fv, N s/m
@@ -52,7 +52,7 @@ class PlanarPrediction(NamedTuple):
 
 
 def planar_columns(vehicle: VehicleModel, signals: FlightSignals) -> PlanarColumns:
-    """The columns of a run's joint motion; a spline gives the joints half-way between ticks.
+    """Wrench columns (Limparis 2.132) of a run's joint motion, at ticks and half-way between (joints by a spline).
 
     Raises:
         SignalError: joint signals of another vehicle.
@@ -80,7 +80,7 @@ def predict_planar(
     tilt: FloatArray,
     free: tuple[int, ...],
 ) -> PlanarPrediction:
-    """Predicts the base's motion.
+    """Predicts the base's motion by the equations at the head of this module.
 
     Args:
         columns: of the run.
@@ -145,7 +145,7 @@ def _accelerations(
 def _slopes(
     state: FloatArray, A: FloatArray, D: FloatArray, yaw: FloatArray, tilt: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Of ``d state / dt`` in the state, (m, 4, 4), and in the parameters, (m, 4, p)."""
+    """Derivatives of ``d state / dt`` by the state, (m, 4, 4), and by the parameters, (m, 4, p)."""
     m, (vx, vy, w) = len(state), state[:, :3].T
     c, s = np.cos(yaw), np.sin(yaw)
     F = np.zeros((m, 4, 4))
@@ -164,7 +164,7 @@ def _slopes(
 
 
 def _with_midpoints(states: FloatArray, rates: FloatArray, h: float) -> FloatArray:
-    """Half-way between ticks as well, by cubics, (2n - 1, 4)."""
+    """States at ticks and, by cubic interpolation, half-way between, (2n - 1, 4)."""
     out = np.repeat(states, 2, axis=0)[:-1]
     out[1::2] = 0.5 * (states[1:] + states[:-1]) + h / 8.0 * (rates[:-1] - rates[1:])
     return out
@@ -173,9 +173,9 @@ def _with_midpoints(states: FloatArray, rates: FloatArray, h: float) -> FloatArr
 def _integrate(
     inverse: FloatArray, k: FloatArray, start: FloatArray, drag: PlanarDrag, tilt: FloatArray, h: float
 ) -> FloatArray:
-    """State at every tick, (n, 4), NaN from where it runs away; Runge and Kutta's fourth order.
+    """State at every tick, (n, 4), NaN once it diverges; fourth-order Runge-Kutta.
 
-    In plain numbers: on four of them an array is slower.
+    Python floats, which are faster than arrays of four.
     """
     grid = np.concatenate([inverse.reshape(-1, 9), k.reshape(-1, 9)], axis=1).tolist()
     pucks = [(*place, fv, fc) for place, fv, fc in zip(*(part.tolist() for part in drag), strict=True)]
@@ -214,7 +214,7 @@ def _integrate(
 
 
 def _sensitivities(F: FloatArray, B: FloatArray, h: float) -> FloatArray:
-    """Integrates ``dS/dt = F S + B`` by Runge and Kutta's fourth order; (n, 4, p)."""
+    """Integrates ``dS/dt = F S + B`` by fourth-order Runge-Kutta; (n, 4, p)."""
     S = np.zeros((len(F) // 2 + 1, 4, B.shape[2]))
     S[0, :3, :3] = np.eye(3)
     for i in range(len(S) - 1):

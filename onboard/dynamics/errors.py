@@ -1,8 +1,8 @@
-"""Every error the model raises on purpose."""
+"""Error tree of the vehicle model."""
 
 
 class ModelError(Exception):
-    """Base of them all. The message is a sentence that ends with the remedy."""
+    """Base of all model errors. The message ends with the remedy."""
 
 
 class UrdfError(ModelError, ValueError):

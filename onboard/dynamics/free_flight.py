@@ -1,13 +1,13 @@
-"""The motion of a free-floating base predicted from parameters, joints and one unknown: the momentum at the start.
+"""Predicts the motion of a free-floating base from parameters, joints and the initial angular momentum.
 
-No external wrench acts, so the linear momentum can be taken for zero (free fall shows no common velocity), and the
-angular momentum is constant in space. In base axes it turns: ``d eta / dt = eta x w``, with the base's twist from
+No external wrench acts, so the linear momentum can be set to zero (a common velocity has no effect in free fall), and
+the angular momentum is constant in inertial axes. In base axes ``d eta / dt = eta x w``, with the base's twist from
 
     C(q) [v; w] + mu(q, dq) = [0; eta]
 
 (C: spatial inertia of the whole vehicle, mu: momentum of the moving joints; Limparis 2.84-2.93 with the initial
-momentum P_0 of 3.6-3.8). The specific force and angular acceleration follow from the wrench that is zero. Attitude
-does not occur. Unlike the rows of a least squares, nothing here is made of noisy base motion: noise biases nothing.
+momentum P_0 of 3.6-3.8). The specific force and angular acceleration follow from the zero wrench. The attitude is not
+needed. Unlike regression rows, the prediction contains no measured base motion, so its noise causes no bias.
 """
 
 from typing import NamedTuple
@@ -47,7 +47,7 @@ class BasePrediction(NamedTuple):
 def predict_base(
     links: tuple[LinkMotion, ...], period_s: float, chi: FloatArray, momentum: FloatArray, free: tuple[int, ...]
 ) -> BasePrediction:
-    """Predicts the base's motion on an even grid of ticks.
+    """Predicts the base's motion on an even grid of ticks (Limparis 2.84-2.93, 3.6-3.8).
 
     Args:
         links: motion of the links relative to the base.
@@ -67,7 +67,7 @@ def predict_base(
     inverse = np.asarray(np.linalg.inv(composite_of(bodies)), np.float64)
     mu = relative_momentum(bodies)
     from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
-    eta = _turn_momentum(from_eta[:, 3:], turned(inverse[:, 3:], mu), momentum, period_s)
+    eta = _integrate_momentum(from_eta[:, 3:], turned(inverse[:, 3:], mu), momentum, period_s)
     twist = turned(from_eta, eta) - turned(inverse, mu)
     v, w = twist[:, None, :3], twist[:, None, 3:]  # (n, 1, 3)
 
@@ -78,7 +78,7 @@ def predict_base(
     H = momentum_columns(doubted, v, w).swapaxes(1, 2).reshape(n, 6, -1)
     W = wrench_columns(doubted, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
     at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
-    d_eta = _turn_sensitivity(w[:, 0], eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, period_s)
+    d_eta = _integrate_sensitivity(w[:, 0], eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, period_s)
     d_rate = from_eta[:, 3:] @ d_eta
     d_rate[:, :, 3:] += at_fixed_eta
     d_wrench = slope @ d_rate
@@ -88,7 +88,7 @@ def predict_base(
 
 
 def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rate and specific force at a place fixed in the base, in axes of its own.
+    """Rate and specific force of a sensor fixed in the base, in its own axes.
 
     ``f_So = f_Bo + dw x p + w x (w x p)``: the acceleration of a point of a rigid body.
 
@@ -111,7 +111,7 @@ def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> t
 
 
 def _midpoints(x: FloatArray) -> FloatArray:
-    """Values half-way between ticks by cubics through four, (n - 1, ...)."""
+    """Values half-way between ticks, by cubics through four points, (n - 1, ...)."""
     ends = np.concatenate(
         [x[:1] * 4 - x[1:2] * 6 + x[2:3] * 4 - x[3:4], x, x[-1:] * 4 - x[-2:-1] * 6 + x[-3:-2] * 4 - x[-4:-3]]
     )
@@ -119,12 +119,12 @@ def _midpoints(x: FloatArray) -> FloatArray:
     return middle
 
 
-def _turn_momentum(J: FloatArray, k: FloatArray, start: FloatArray, h: float) -> FloatArray:
-    """Integrates ``d eta / dt = eta x (J eta - k)`` over the grid by Runge and Kutta's fourth order, (n, 3)."""
+def _integrate_momentum(J: FloatArray, k: FloatArray, start: FloatArray, h: float) -> FloatArray:
+    """Integrates ``d eta / dt = eta x (J eta - k)`` over the grid by fourth-order Runge-Kutta, (n, 3)."""
     middle_J, middle_k = _midpoints(J), _midpoints(k)
     eta = np.empty((len(J), 3))
     x, y, z = eta[0] = start
-    # Plain numbers: on three of them an array is slower than Python.
+    # Python floats are faster than arrays of three.
     stages = list(zip(J.reshape(-1, 9).tolist(), k.tolist(), strict=True))
     middles = list(zip(middle_J.reshape(-1, 9).tolist(), middle_k.tolist(), strict=True))
     for i, middle in enumerate(middles):
@@ -147,7 +147,7 @@ def _momentum_rate(x: float, y: float, z: float, J: list[float], k: list[float])
     return y * w - z * v, z * u - x * w, x * v - y * u
 
 
-def _turn_sensitivity(w: FloatArray, eta: FloatArray, J: FloatArray, forcing: FloatArray, h: float) -> FloatArray:
+def _integrate_sensitivity(w: FloatArray, eta: FloatArray, J: FloatArray, forcing: FloatArray, h: float) -> FloatArray:
     """Integrates ``dS/dt = A S + [0 forcing]``, A = eta x J - w x, from ``S = [1 0]``; (n, 3, 3 + c)."""
     A = hat(eta) @ J - hat(w)
     middle, one = _midpoints(A), np.eye(3)

@@ -1,6 +1,6 @@
-"""Bodies put together and taken apart: inertial parameters moved between frames, a known carrier subtracted.
+"""Inertial parameters of composite bodies: change of frame, sum, and subtraction of a known carrier.
 
-Inertial parameters of rigidly joined bodies simply add once they are written about one origin and in one set of axes.
+Inertial parameters of rigidly joined bodies add when written about one origin in one set of axes.
 """
 
 from typing import NamedTuple
@@ -35,19 +35,19 @@ def elements(tensor: FloatArray) -> FloatArray:
 
 
 def parallel_axis(mass_kg: float, offset_m: FloatArray) -> FloatArray:
-    """Inertia of a point mass at ``offset_m``, (3,), about the origin, (3, 3): ``m (r.r 1 - r r')``."""
+    """Parallel-axis term: inertia of a point mass at ``offset_m``, (3,), about the origin, (3, 3): ``m (r.r 1 - r r')``."""
     return np.asarray(mass_kg * (offset_m @ offset_m * np.eye(3) - np.outer(offset_m, offset_m)), np.float64)
 
 
 def take_away(total: RigidBody, carrier: RigidBody) -> RigidBody:
-    """What is left of a body when a part of it, rigidly joined, is taken away; both in the same frame.
+    """Body minus a rigidly joined part, both in the same frame (first moments and inertias about the origin subtract).
 
     Args:
-        total: the whole.
-        carrier: the part that is known.
+        total: the whole body.
+        carrier: the known part.
 
     Raises:
-        SignalError: a carrier that is not lighter than the whole.
+        SignalError: the carrier is not lighter than the whole.
     """
     mass = total.mass_kg - carrier.mass_kg
     if not mass > 0.0:
@@ -61,15 +61,15 @@ def take_away(total: RigidBody, carrier: RigidBody) -> RigidBody:
 
 
 def principal_moments(body: RigidBody) -> FloatArray:
-    """Principal moments of inertia, (3,), ascending, kg m^2."""
+    """Principal moments of inertia (eigenvalues of the tensor), (3,), ascending, kg m^2."""
     return np.asarray(np.linalg.eigvalsh(body.inertia_kg_m2), np.float64)
 
 
 def composite_functional(vehicle: VehicleModel) -> FloatArray:
     """The whole vehicle's ten parameters about the base frame, joints at zero, as functionals of the links', (10, P).
 
-    Each link's pseudo-inertia ``[[Sigma, h], [h', m]]`` (4, 4) moves with its pose T as ``T P T'``, linear in the
-    parameters.
+    Each link's pseudo-inertia ``[[Sigma, h], [h', m]]`` (4, 4) transforms with its pose T as ``T P T'``, linear in the
+    parameters (Wensing, Kim and Slotine 2018).
     """
     model = vehicle.model
     data = model.createData()
@@ -85,7 +85,10 @@ def composite_functional(vehicle: VehicleModel) -> FloatArray:
 
 
 def pseudo_inertia(chi: FloatArray) -> FloatArray:
-    """Pseudo-inertia ``[[Sigma, h], [h', m]]``, (4, 4), of ten standard parameters; positive for real bodies."""
+    """Pseudo-inertia ``[[Sigma, h], [h', m]]``, (4, 4), of ten standard parameters.
+
+    Positive definite for physical bodies (Wensing, Kim and Slotine 2018).
+    """
     inertia = symmetric(chi[4:])
     P = np.empty((4, 4))
     P[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
@@ -95,6 +98,6 @@ def pseudo_inertia(chi: FloatArray) -> FloatArray:
 
 
 def parameters_of(P: FloatArray) -> FloatArray:
-    """The ten standard parameters of a pseudo-inertia, (4, 4)."""
+    """The ten standard parameters of a pseudo-inertia, (4, 4): the inverse of :func:`pseudo_inertia`."""
     inertia = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
     return np.concatenate([[P[3, 3]], P[:3, 3], elements(inertia)])

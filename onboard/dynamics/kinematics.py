@@ -1,10 +1,10 @@
-"""A floating vehicle's mechanics for many ticks at once: where its links are, what momentum and wrench they need.
+"""Kinematics, momentum and wrench of a floating vehicle's links, vectorised over ticks.
 
 All vectors are in base axes; moments and momenta are about the base frame's origin. Twists are (linear, angular) of the
 base frame; wrenches (force, moment). Everything is linear in the standard parameters: ``momentum = H(v) chi`` and
 ``wrench = W(v, a) chi``, with the composite spatial inertia the part of them that multiplies the base's own twist or
-acceleration. Pinocchio's kinematics say the same one tick at a time; the prediction of a whole flight needs them at
-10,000 ticks for every guess.
+acceleration. Pinocchio computes the same one tick at a time; predicting a whole flight needs 10,000 ticks per initial
+guess. Recursion over the chain and Newton-Euler equations: Featherstone, Rigid Body Dynamics Algorithms (2008).
 """
 
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 _NOWHERE = pin.SE3.Identity()
-_HAT = np.zeros((3, 9))  # of a vector's elements, where each stands in its cross-product matrix
+_HAT = np.zeros((3, 9))  # maps a vector's elements to its cross-product matrix
 _HAT[[0, 0, 1, 1, 2, 2], [7, 5, 2, 6, 3, 1]] = 1.0, -1.0, 1.0, -1.0, 1.0, -1.0
-_TENSOR = np.zeros((3, 18))  # and in a product with a symmetric tensor, by the columns of XX XY YY XZ YZ ZZ
+_TENSOR = np.zeros((3, 18))  # maps a vector to its product with a symmetric tensor, by columns of XX XY YY XZ YZ ZZ
 _TENSOR[[0, 1, 2, 0, 1, 2, 0, 1, 2], [0, 1, 3, 7, 8, 10, 15, 16, 17]] = 1.0
 _SYMMETRIC = np.array([4, 5, 7, 5, 6, 8, 7, 8, 9])  # XX XY YY XZ YZ ZZ of standard parameters as a tensor
 
 
 class LinkMotion(NamedTuple):
-    """One link frame relative to the base, in base axes; or several, their axis after that of the ticks."""
+    """Motion of one link frame relative to the base, base axes; or of several, (n, links, ...)."""
 
     R: FloatArray  # (n, 3, 3) link axes in base axes
     p: FloatArray  # (n, 3) origin
@@ -37,7 +37,7 @@ class LinkMotion(NamedTuple):
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product along the last axis; NumPy's own takes three times as long."""
+    """Cross product along the last axis; three times as fast as NumPy's."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     u, v, w = b[..., 0], b[..., 1], b[..., 2]
     first = y * w - z * v
@@ -68,11 +68,11 @@ def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: Floa
 def frame_motions(
     vehicle: VehicleModel, names: Sequence[str], q: FloatArray, dq: FloatArray, ddq: FloatArray
 ) -> tuple[LinkMotion, ...]:
-    """Motion of frames anywhere on the vehicle.
+    """Motion of frames on the vehicle, by recursion over the joints (Rodrigues' formula; Featherstone 2008).
 
     Args:
         vehicle: the model.
-        names: of links or frames.
+        names: names of links or frames.
         q: joint positions, (n, joints).
         dq: joint rates, (n, joints).
         ddq: joint accelerations, (n, joints).
@@ -110,7 +110,7 @@ def frame_motions(
 
 
 def _fixed(parent: LinkMotion, placement: pin.SE3) -> LinkMotion:
-    """A frame that stands still in its parent."""
+    """Motion of a frame fixed in its parent."""
     if placement == _NOWHERE:
         return parent
     arm = turned(parent.R, np.asarray(placement.translation))
@@ -126,12 +126,12 @@ def _fixed(parent: LinkMotion, placement: pin.SE3) -> LinkMotion:
 
 
 def first_ticks(links: Sequence[LinkMotion], ticks: int) -> tuple[LinkMotion, ...]:
-    """The first so many ticks of some links' motion."""
+    """The first ``ticks`` ticks of some links' motion."""
     return tuple(LinkMotion(*(part[:ticks] for part in link)) for link in links)
 
 
 def stacked(links: Sequence[LinkMotion]) -> LinkMotion:
-    """Several links in one, (n, links, ...): the arithmetic of all of them in one call."""
+    """Motions of several links stacked, (n, links, ...), for vectorised arithmetic."""
     return LinkMotion(*(np.stack(parts, axis=1) for parts in zip(*links, strict=True)))
 
 
@@ -143,6 +143,8 @@ def _inertia_columns(x: FloatArray) -> FloatArray:
 
 def momentum_columns(link: LinkMotion, v: FloatArray, w: FloatArray) -> FloatArray:
     """Momentum (linear, angular about the base's origin) of one link as columns of its ten parameters, (n, 6, 10).
+
+    ``l = m v_Lo + w_L x h``, ``k_Lo = I w_L + h x v_Lo``, moved to the base's origin; h: first moment.
 
     Args:
         link: its motion relative to the base.
@@ -164,6 +166,8 @@ def momentum_columns(link: LinkMotion, v: FloatArray, w: FloatArray) -> FloatArr
 
 def wrench_columns(link: LinkMotion, w: FloatArray, f: FloatArray, dw: FloatArray) -> FloatArray:
     """Wrench on one link, about the base's origin, as columns of its ten parameters, (n, 6, 10).
+
+    Newton-Euler, linear in the parameters (Atkeson, An and Hollerbach 1986; Limparis 2.132).
 
     Args:
         link: its motion relative to the base.
@@ -198,7 +202,7 @@ class Bodies(NamedTuple):
 
 
 def bodies_of(links: LinkMotion, chi: FloatArray) -> Bodies:
-    """Links that are :func:`stacked`, with their standard parameters, (10 x links,)."""
+    """:func:`stacked` links with their standard parameters, (10 x links,), rotated to base axes."""
     own, R = chi.reshape(-1, 10), links.R
     tensor = own[:, _SYMMETRIC].reshape(-1, 3, 3)
     first = turned(R, own[:, 1:4])
@@ -206,7 +210,7 @@ def bodies_of(links: LinkMotion, chi: FloatArray) -> Bodies:
 
 
 def relative_momentum(bodies: Bodies) -> FloatArray:
-    """Momentum that the links have when the base is at rest, (n, 6)."""
+    """Momentum of the links with the base at rest, (n, 6): ``mu`` of :mod:`onboard.dynamics.free_flight`."""
     links, m, h = bodies.motion, bodies.mass, bodies.first
     linear = m * links.v + cross(links.w, h)
     angular = cross(h, links.v) + turned(bodies.inertia, links.w) + cross(links.p, linear)
@@ -216,7 +220,7 @@ def relative_momentum(bodies: Bodies) -> FloatArray:
 def wrench_and_slope(bodies: Bodies, w: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Wrench on all links while the base only turns, (n, 6), and its derivative with respect to w, (n, 6, 3).
 
-    The base's specific force and angular acceleration add to the wrench what does not depend on w.
+    Newton-Euler without the terms of the base's specific force and angular acceleration, which do not depend on w.
 
     Args:
         bodies: the links.
@@ -242,7 +246,7 @@ def wrench_and_slope(bodies: Bodies, w: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArray:
-    """Spatial inertia of the whole vehicle about the base's origin, (n, 6, 6): its momentum per twist of the base.
+    """Composite spatial inertia of the vehicle about the base's origin, (n, 6, 6) (Featherstone 2008).
 
     Args:
         links: motions, in the order of the columns.

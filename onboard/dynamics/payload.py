@@ -1,8 +1,8 @@
-"""What was grasped, as people say it: mass, centre of mass, inertia about it; with covariance, and always possible.
+"""Payload as mass, centre of mass and inertia about it, with covariance; physically possible bodies.
 
-The ten standard parameters of a body that can exist form a cone (its pseudo-inertia is positive definite). In the
-log-Cholesky parameters of Rucker and Wensing every vector of ten numbers is such a body, so an estimator that works on
-them cannot leave the cone.
+The ten standard parameters of physical bodies form a cone (positive definite pseudo-inertia). In the log-Cholesky
+parameters of Rucker and Wensing (2022) every vector of ten numbers is such a body, so an estimator that uses them
+cannot leave the cone.
 """
 
 from typing import NamedTuple
@@ -22,20 +22,20 @@ _WORTH_A_STEP = 1e-6
 
 
 class BodyEstimate(NamedTuple):
-    """A body and how sure of it: ten numbers m, c (3), and I about the centre of mass (XX XY YY XZ YZ ZZ)."""
+    """A body and its covariance: m, c (3), and I about the centre of mass (XX XY YY XZ YZ ZZ)."""
 
     body: RigidBody
     covariance: FloatArray  # (10, 10) of mass, centre of mass, inertia, in this order
 
 
 def standard_of(body: RigidBody) -> FloatArray:
-    """Standard parameters about the frame's origin, (10,)."""
+    """Standard parameters about the frame's origin, (10,): ``h = m c``, ``I_O = I_C + m (c.c 1 - c c')``."""
     inertia = body.inertia_kg_m2 + parallel_axis(body.mass_kg, body.centre_of_mass_m)
     return np.concatenate([[body.mass_kg], body.mass_kg * body.centre_of_mass_m, elements(inertia)])
 
 
 def body_of(chi: FloatArray) -> RigidBody:
-    """The body of ten standard parameters.
+    """The body of ten standard parameters: ``c = h / m``, ``I_C = I_O - (h.h 1 - h h') / m``.
 
     Raises:
         SignalError: a mass that is not positive.
@@ -47,7 +47,7 @@ def body_of(chi: FloatArray) -> RigidBody:
 
 
 def body_jacobian(chi: FloatArray) -> FloatArray:
-    """Derivative of mass, centre of mass and inertia about it with respect to the standard parameters, (10, 10)."""
+    """Derivative of (m, c, I_C) by the standard parameters, (10, 10): that of the equations of :func:`body_of`."""
     m, h = chi[0], chi[1:4]
     D = np.eye(10)
     D[1:4, 0] = -h / m**2
@@ -61,13 +61,13 @@ def body_jacobian(chi: FloatArray) -> FloatArray:
 
 
 def body_estimate(chi: FloatArray, covariance: FloatArray) -> BodyEstimate:
-    """Mass, centre of mass and inertia with their covariance, from standard parameters with theirs."""
+    """Mass, centre of mass and inertia with covariance ``J P J'`` (first order), of standard parameters with theirs."""
     D = body_jacobian(chi)
     return BodyEstimate(body_of(chi), D @ covariance @ D.T)
 
 
 def standard_covariance(chi: FloatArray, mass_relative: float, centre_m: float, inertia_relative: float) -> FloatArray:
-    """Covariance of standard parameters, (10, 10), of a part that was weighed, balanced and swung.
+    """Covariance of standard parameters, (10, 10), of a part with known errors of mass, centre of mass and inertia.
 
     Args:
         chi: its standard parameters, (10,).
@@ -82,12 +82,12 @@ def standard_covariance(chi: FloatArray, mass_relative: float, centre_m: float, 
 
 
 def log_cholesky(body: RigidBody) -> FloatArray:
-    """Log-Cholesky parameters, (10,): ``[alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3]``.
+    """Log-Cholesky parameters (Rucker and Wensing 2022), (10,): ``[alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3]``.
 
     The pseudo-inertia is ``e^{2 alpha} U U'`` with U upper triangular, its diagonal ``e^d`` and 1.
 
     Raises:
-        SignalError: a body that cannot exist.
+        SignalError: a physically impossible body.
     """
     try:
         U = np.linalg.cholesky(pseudo_inertia(standard_of(body))[::-1, ::-1])[::-1, ::-1]  # upper: P = U U'
@@ -99,18 +99,18 @@ def log_cholesky(body: RigidBody) -> FloatArray:
 
 
 def from_log_cholesky(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Standard parameters (10,) and their derivative (10, 10) with respect to log-Cholesky parameters."""
+    """Standard parameters (10,) and their derivative (10, 10) by the log-Cholesky ones (Rucker and Wensing 2022)."""
     parameters = pin.LogCholeskyParameters(theta)
     return np.asarray(parameters.toDynamicParameters()), np.asarray(parameters.calculateJacobian())
 
 
 def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
-    """The likeliest body that can exist.
+    """The most likely physically possible body.
 
-    Where the estimate itself can exist, it is that. Else it lies just inside the border of what can: the minimum of
-    half the squared distance in the metric of the covariance, less a tenth of the logarithm of the pseudo-inertia's
-    determinant. That is a convex problem (the pseudo-inertia is linear in the standard parameters), and the logarithm
-    costs a tenth of a sigma.
+    A possible estimate is returned unchanged. Else the result lies just inside the cone: it minimises half the squared
+        distance in the metric of the covariance minus a tenth of the log-determinant of the pseudo-inertia, a convex
+        problem, as the pseudo-inertia is linear in the standard parameters (cone: Wensing, Kim and Slotine 2018;
+        barrier derived here). The barrier costs about a tenth of a sigma.
 
     Args:
         chi: estimate of the standard parameters, (10,).
@@ -125,7 +125,7 @@ def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
         return body
     start = standard_of(_nearby(body))
     sigma = np.sqrt(np.diag(covariance))
-    sigma = np.maximum(sigma, _CERTAIN * np.abs(start).max())  # what is taken for exact may give way by nothing much
+    sigma = np.maximum(sigma, _CERTAIN * np.abs(start).max())  # exact parameters get a very small sigma
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
     L = sigma[:, None] * vectors * np.sqrt(np.maximum(values, _CERTAIN))
     P0, basis = pseudo_inertia(chi), np.array([pseudo_inertia(column) for column in L.T])  # (10, 4, 4)
@@ -136,7 +136,7 @@ def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
         return float(0.5 * z @ z - barrier * np.linalg.slogdet(P)[1]) if inside else np.inf
 
     z = np.linalg.solve(L, start - chi)
-    barrier = max(_BARRIER, float(z @ z))  # first into the middle, then as far out as it goes
+    barrier = max(_BARRIER, float(z @ z))  # first towards the middle, then towards the border
     for _ in range(_NEWTON_STEPS):
         turned = np.linalg.inv(P0 + np.tensordot(z, basis, 1)) @ basis  # (10, 4, 4)
         gradient = z - barrier * np.trace(turned, axis1=1, axis2=2)
@@ -156,7 +156,7 @@ def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
 
 
 def _nearby(body: RigidBody) -> RigidBody:
-    """One that can exist: no thinner than a centimetre in any direction."""
+    """A physically possible start: at least a centimetre thick in every direction."""
     second = 0.5 * np.trace(body.inertia_kg_m2) * np.eye(3) - body.inertia_kg_m2  # of mass about its centre
     values, vectors = np.linalg.eigh(second)
     second = vectors * np.maximum(values, 1e-4 * body.mass_kg) @ vectors.T

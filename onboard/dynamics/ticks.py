@@ -1,4 +1,4 @@
-"""One flight on an even grid of ticks, as the estimators of whole flights take it in."""
+"""Signals of a flight on an even grid of ticks, input of the batch estimators."""
 
 from typing import NamedTuple
 

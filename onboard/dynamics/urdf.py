@@ -1,4 +1,4 @@
-"""A URDF with other inertials: what was identified, for every program that reads one."""
+"""Writes identified inertial parameters into a URDF."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -23,7 +23,7 @@ class _Link(NamedTuple):
 
 
 def with_bodies(urdf: str, bodies: Mapping[str, RigidBody]) -> str:
-    """The URDF with the inertials of some links replaced, every other character as it was.
+    """The URDF with the inertials of some links replaced and all other text unchanged.
 
     Args:
         urdf: text of a URDF file.
@@ -53,7 +53,7 @@ def with_bodies(urdf: str, bodies: Mapping[str, RigidBody]) -> str:
 
 
 def _links(data: bytes) -> dict[str, _Link]:
-    """Where the links' start tags and their inertials lie."""
+    """Byte ranges of the links' start tags and inertials."""
     found: dict[str, _Link] = {}
     path: list[tuple[str, int]] = []
     parser = expat.ParserCreate()

@@ -1,11 +1,11 @@
-"""URDF to Pinocchio model, with every link's parameters kept apart.
+"""Vehicle model: URDF to Pinocchio, with separate parameters for every link.
 
 Pinocchio merges the inertia of links on fixed joints into the moving body before them. A payload on a fixed joint must
-stay its own unknown, so the standard parameters are kept *per link*: each link has its frame, its motion, its own
-6 x 10 body regressor, and its own ten columns.
+keep its own parameters, so the standard parameters are kept *per link*: each link has its frame, its motion, its own 6
+x 10 body regressor, and its own ten columns.
 
-Order of the ten, everywhere in this room: ``M, MX, MY, MZ, XX, XY, YY, XZ, YZ, ZZ`` (Pinocchio's): mass, first
-moments, and elements of the inertia tensor about the *link frame's origin*, in the link frame's axes.
+Order of the ten parameters: ``M, MX, MY, MZ, XX, XY, YY, XZ, YZ, ZZ`` (Pinocchio's; Limparis 2.112 has another): mass,
+first moments, and elements of the inertia tensor about the *link frame's origin*, in the link frame's axes.
 """
 
 import xml.etree.ElementTree as ET
@@ -25,7 +25,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 class BaseKind(StrEnum):
-    """What is known of the base's motion and of the wrench on it."""
+    """Kind of base: knowledge of its motion and of the wrench on it."""
 
     FREE = "free"  # motion measured, wrench zero
     PLANAR = "planar"  # on a level bed: x, y and yaw move, their wrench is zero but for drag
@@ -35,11 +35,11 @@ class BaseKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class VehicleSpec:
-    """How the URDF is to be read."""
+    """Interpretation of the URDF."""
 
     base: BaseKind
     base_link: str  # the URDF's root
-    payload_link: str | None = None  # the link that is held only some of the time
+    payload_link: str | None = None  # link held only part of the time
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)  # of a fixed or planar base, its axes
 
 
@@ -190,7 +190,7 @@ class VehicleModel:
         return np.array(found.placement.rotation), np.array(found.placement.translation)
 
     def distal_links(self, frame: str) -> tuple[int, ...]:
-        """Indices into :attr:`links` of all that hangs beyond a frame: what a cut there would let go."""
+        """Indices into :attr:`links` of the links beyond a cut at a frame."""
         cut = self.frame_id(frame)
         beyond = []
         for index, link in enumerate(self.links):
@@ -202,7 +202,7 @@ class VehicleModel:
         return tuple(beyond)
 
     def centre_of_mass_is_fixed(self) -> bool:
-        """Whether the vehicle's centre of mass stays put in the base: each joint turns what is balanced about it."""
+        """Whether the vehicle's centre of mass is fixed in the base: every joint turns a balanced body."""
         for joint in self.joints:
             moment, reach = np.zeros(3), 0.0
             o_M_joint = self._neutral.oMf[self.frame_id(joint.name)]
@@ -227,8 +227,8 @@ class VehicleModel:
         """Prior standard deviations of the standard parameters, (10 x links,).
 
         A link's relative sigma is applied to its mass, to mass x k for the first moments, and to half the trace of its
-        inertia for every element of it, k being the link's radius of gyration about its frame. What is zero by symmetry
-        in a drawing is thus not taken for certain.
+        inertia for every element of it, k being the link's radius of gyration about its frame. Elements that are zero
+        by symmetry in the drawing thus have a sigma too.
 
         Args:
             relative: relative standard deviation by link name; every link must be there.

@@ -1,1 +1,1 @@
-"""The estimator that flew, run on logs (``heft replay``, ``heft identify``)."""
+"""Runs the onboard estimator on logs (``heft replay``, ``heft identify``)."""

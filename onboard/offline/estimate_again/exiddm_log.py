@@ -1,8 +1,8 @@
 """``heft identify --method exiddm``: a free-flyer's log by maximum likelihood.
 
-The log goes through the estimator that flies, which finds when something was captured and let go and makes the ticks;
-the ticks of the longest time that one payload was held are then fitted as a whole
-(:mod:`onboard.offline.estimate_again.likelihood_log`), the momentum of each half found anew.
+The onboard estimator processes the log, detects capture and release and makes the ticks; the longest interval with one
+payload is then fitted in one batch (:mod:`onboard.offline.estimate_again.likelihood_log`), with the momentum of each
+held-out half re-estimated.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ from onboard.regressor.signals import Signals
 
 
 class _Recorder(ExiddmIdentifier):
-    """The identifier that flies; it keeps its ticks."""
+    """The onboard identifier, which also keeps its ticks."""
 
     def __init__(self, online: ExiddmIdentifier, joints: int) -> None:
         super().__init__(online.exiddm)
@@ -39,7 +39,7 @@ class _Recorder(ExiddmIdentifier):
 
 
 def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
-    """What a log of a free-flyer says of the payload that it held the longest.
+    """Estimate of the payload that a free-flyer held the longest.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.

@@ -1,6 +1,6 @@
-"""A log through the flight's estimator, as in flight: steps of the vehicle's ``step_ms`` in the log's own time.
+"""Feeds a log to the flight's estimator in steps of the vehicle's ``step_ms`` of the log's time.
 
-Memory is constant in the length of the log, and it is of no account in which order the channels lie in the file.
+Memory is constant in the length of the log; the order of the channels in the file does not matter.
 """
 
 from collections.abc import Iterator
@@ -14,10 +14,10 @@ from onboard.recording.reader import LogReader
 
 
 def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
-    """That a log has every channel of a vehicle's devices, with rows of the right kind.
+    """Check that a log has every channel of a vehicle's devices, with rows of the right kind.
 
     Raises:
-        ChannelError: it has not.
+        ChannelError: a channel is missing or of another kind.
     """
     wanted = vehicle.channels
     missing = [name for name in wanted if name not in log.channels]
@@ -31,7 +31,7 @@ def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
 
 
 def feed(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
-    """What the estimator answers, step by step; the last step waits for nothing, as at the end of a flight.
+    """Outputs of the estimator, step by step; the last step has no lag, as at the end of a flight.
 
     Args:
         estimator: of the vehicle that the log was flown with.

@@ -1,4 +1,4 @@
-"""What ``heft identify`` says of one log: answers with intervals, what they rest on, and what they are good for."""
+"""Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
 
 import math
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from onboard.offline.estimate_again.throws import Throw, plain
 
 
 class Answer(NamedTuple):
-    """One name's value; numbers are NaN where the data do not support it."""
+    """One quantity; numbers are NaN if the data do not determine it."""
 
     name: str
     unit: str
@@ -27,13 +27,13 @@ class Answer(NamedTuple):
     bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values, None for what is no number."""
+        """Plain values, None for NaN."""
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
 
 
 @dataclass(frozen=True)
 class Identified:
-    """One log's answer."""
+    """Result for one log."""
 
     log: Path
     method: str
@@ -51,7 +51,7 @@ class Identified:
 
     @property
     def supported(self) -> bool:
-        """Whether the log answers what the vehicle was flown for: its load, or at least one quantity."""
+        """Whether the load or at least one requested quantity is determined."""
         if self.throw is not None:
             return self.throw.body is not None
         asked = [answer for answer in self.answers if answer.unit] or self.answers
@@ -59,7 +59,7 @@ class Identified:
 
     @property
     def usable(self) -> bool:
-        """Whether it answers, and nothing speaks against the answer."""
+        """Whether it is supported and the verdict is not ``do not use``."""
         return self.supported and self.verdict.level is not Level.DO_NOT_USE
 
     def as_json(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""``heft identify``: recorded flights through the estimator that flies, and its last word on each.
+"""``heft identify``: runs the onboard estimator on recorded flights and reports its final estimates.
 
-For any vehicle these are the last quantities with their intervals, as the onboard QUANTITY channel carries them. For a
-free body (``[free_body]`` in the vehicle file) the load is told from them, and loads of known truth are summed up.
+For any vehicle these are the last quantities with their intervals, as in the onboard QUANTITY channel. For a free body
+(``[free_body]`` in the vehicle file) the load is computed from them, with a summary of loads of known truth.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ from onboard.recording.reader import LogReader
 
 @dataclass(frozen=True)
 class Identification:
-    """All logs' answers, and what they say together."""
+    """Results of all logs and their summary."""
 
     vehicle: config.Vehicle
     logs: tuple[Identified, ...]
@@ -45,22 +45,22 @@ class Identification:
 
     @property
     def supported(self) -> bool:
-        """Whether every log answers."""
+        """Whether every log gives an estimate."""
         return all(log.supported for log in self.logs)
 
     @property
     def usable(self) -> bool:
-        """Whether every log answers, and nothing speaks against any answer."""
+        """Whether every log gives a usable estimate."""
         return all(log.usable for log in self.logs)
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What could not be read, with the log it is from."""
+        """Damaged parts, with their log."""
         return tuple(f"{log.log}: {one}" for log in self.logs for one in log.damage)
 
     @property
     def summaries(self) -> list[LoadSummary]:
-        """By load, where the truth is known."""
+        """Summary by load, for loads with known truth."""
         return throws.summaries([log.throw for log in self.logs if log.throw is not None])
 
     def as_json(self) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
     """The same vehicle with another estimator.
 
     Raises:
-        ConfigError: its file has not what that needs.
+        ConfigError: its file lacks settings for it.
     """
     settings = vehicle.file.estimation.model_copy(update={"method": method})
     other = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
@@ -90,17 +90,17 @@ def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
 def identify(
     vehicle: config.Vehicle, logs: Sequence[Path], progress: Callable[[int], None] | None = None
 ) -> Identification:
-    """Every log through an estimator of its own; throws that calibrate once more through one for all of their kind.
+    """Identify every log separately, and calibration throws also together by role.
 
     Args:
-        vehicle: that flew.
+        vehicle: the vehicle flown.
         logs: its logs.
-        progress: is told how many logs are done.
+        progress: called with the number of logs done.
 
     Raises:
-        LogFormatError: a file that is no log.
+        LogFormatError: a file is not a log.
         ChannelError: a log of another vehicle.
-        LoadError: a log of a free body that no load, or more than one, goes by.
+        LoadError: a log of a free body that matches no load or several.
         ConfigError: the vehicle file does not fit its URDF.
     """
     readers = [LogReader(log) for log in logs]
@@ -142,7 +142,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     answers = _answers(last, who)
     thrown = throws.throw(vehicle, load, who, estimate) if load else None
     names = _asked_names(vehicle, who)
-    if thrown is not None:  # few independent blocks of time make an interval wide, and it says so
+    if thrown is not None:  # few independent blocks of time give a wide interval, which is valid
         told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
     else:
         told = {answer.name: answer.supported for answer in answers}
@@ -168,13 +168,13 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
 
 
 def _no_payload(who: Identifier, estimate: Estimate) -> str:
-    """Why rows that can tell a payload tell none; empty where they do."""
+    """Reason why rows that could determine a payload do not; empty if they do."""
     payload = estimate.quantities[len(who.quantities) :]
     return "" if any(one.supported for one in payload) or not payload else payload[0].note
 
 
 def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
-    """Of the base parameters that the data determine, those that differ from nothing."""
+    """Determined base parameters that differ significantly from zero (Pham and Gautier 1991)."""
     told = np.flatnonzero(estimate.supported)
     if not told.size:
         return ()
@@ -184,7 +184,7 @@ def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
 
 
 def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
-    """What a vehicle was flown for: its quantities; where it has none, the payload's base parameters, or else all."""
+    """Requested names: the quantities; without any, the payload's base parameters, or else all."""
     if who.quantity_names:
         return list(who.quantity_names)
     names = [name for name in who.base.names if name not in vehicle.file.estimation.nuisance]
@@ -211,10 +211,10 @@ def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
 
 
 def urdf(vehicle: config.Vehicle, found: Identified) -> str:
-    """The vehicle's URDF with the bodies that a log has shown.
+    """The vehicle's URDF with the bodies identified from a log.
 
     Raises:
-        ValueError: the verdict is not to use them, or there is none.
+        ValueError: the verdict is ``do not use``, or no link is determined.
     """
     if found.verdict.level is Level.DO_NOT_USE:
         raise ValueError(f"{found.log}: {found.verdict.text}; no URDF is made of it")

@@ -1,4 +1,4 @@
-"""What ``heft identify`` shows in a terminal; 80 columns are enough."""
+"""Terminal output of ``heft identify``, 80 columns."""
 
 from collections.abc import Iterator, Sequence
 
@@ -19,7 +19,7 @@ _STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE:
 
 
 def render(found: Identification) -> RenderableType:
-    """What people see."""
+    """The result as tables."""
     if not any(log.throw for log in found.logs):
         return Group(*(part for log in found.logs for part in _one(log)))
     parts: list[RenderableType] = []
@@ -57,7 +57,7 @@ def _table(title: str, *headings: str) -> Table:
 
 
 def _one(log: Identified) -> list[RenderableType]:
-    """A log's answers, and below them what they rest on."""
+    """Estimates of a log, and below them the evidence."""
     answers = _table("", "", "unit", "value", "95 % interval", "bound")
     for answer in log.answers:
         if answer.supported:
@@ -69,7 +69,7 @@ def _one(log: Identified) -> list[RenderableType]:
     notes.add_row("verdict", _verdict(log.verdict))
     notes.add_row("method", log.method)
     if any(answer.supported for answer in log.answers):
-        notes.add_row("bound", "the least sigma that this motion allows (Cramér-Rao)")
+        notes.add_row("bound", "smallest sigma possible with this motion (Cramér-Rao)")
     for name, text in _notes(log):
         notes.add_row(name, text)
     head = Text(str(log.log), style="bold")
@@ -95,7 +95,7 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
     for one in log.links:
         if one.body is not None:
             said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
-            moved = "; the likeliest that can exist: the estimate is no body" if one.away else ""
+            moved = "; most likely possible body: the estimate is physically impossible" if one.away else ""
             yield one.link, said + moved
     left_out = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in log.refused.items())
     yield "rows", f"{log.rows_used} used; left out: {left_out or 'none'}"
@@ -108,7 +108,7 @@ def _numbers(values: NDArray[np.float64]) -> str:
 def _throws(logs: Sequence[Identified]) -> Table:
     """One load's throws."""
     stems = [log.log.stem for log in logs]
-    heads = {stem[: stem.rfind("_") + 1] for stem in stems}  # all alike: said by the title already
+    heads = {stem[: stem.rfind("_") + 1] for stem in stems}  # common prefix, already in the title
     shared = len(heads.pop()) if len(heads) == 1 else 0
     load = next(log.throw.load for log in logs if log.throw)
     title = f"{load.name}, {1e3 * load.mass_kg:g} g: principal moments ± 95 %, kg mm²"

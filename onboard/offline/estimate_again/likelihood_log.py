@@ -1,7 +1,7 @@
-"""A log's longest time with one payload, fitted as a whole by maximum likelihood and judged.
+"""Maximum likelihood fit of a log's longest interval with one payload, with its verdict.
 
-What is the same for every kind of base: which ticks are fitted, the fit, the halves held out, the answers. The payload
-of each half of the ticks predicts the other half (:func:`onboard.identification.exiddm.batch.held_out`).
+Common to all kinds of base: choice of ticks, fit, held-out halves, estimates. The payload of each half of the ticks
+predicts the other half (:func:`onboard.identification.exiddm.batch.held_out`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,21 +34,21 @@ LEVEL = 0.95
 
 
 class Kept(NamedTuple):
-    """What the estimator that flies made of a log."""
+    """Output of the onboard estimator for a log."""
 
     log: LogReader
     payload: str  # its link
     ticks: Ticks  # the longest time that one payload was held
     period_s: float  # between ticks
     refused: Mapping[str, int]  # rows by reason
-    idle: Mapping[str, int]  # rows by another reason for which none is fitted
+    idle: Mapping[str, int]  # rows not fitted for another reason
 
 
 class Judged(NamedTuple):
-    """What a kind of base says of a fit beside the payload."""
+    """Result specific to a kind of base, besides the payload."""
 
     answers: tuple[Answer, ...] = ()
-    reason: str = ""  # why the fit is not to be used; empty if it is
+    reason: str = ""  # reason for refusing the fit; empty if none
 
 
 Build = Callable[[Ticks, bool], Exiddm]  # the estimator of ticks; whether their first is the first of all
@@ -56,7 +56,7 @@ Judge = Callable[[PayloadFit, float], Judged]  # what else a fit says, its varia
 
 
 def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
-    """Answers and verdict of a log.
+    """Estimates and verdict of a log.
 
     Args:
         kept: its ticks.
@@ -77,8 +77,8 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         exiddm = build(ticks, True)
         found = exiddm.fit()
     except (EstimationError, ModelError) as error:
-        return no_answer(Evidence(used, refused, nothing, None, failure=f"the fit gave up: {error}"))
-    wider = max(1.0, found.misfit)  # what the model leaves is not less than the noise
+        return no_answer(Evidence(used, refused, nothing, None, failure=f"the fit failed: {error}"))
+    wider = max(1.0, found.misfit)  # the residual is not below the noise
     judged = judge(found, wider)
     halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
     if not judged.reason and middle * kept.period_s >= SHORTEST_S:
@@ -145,7 +145,7 @@ def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, 
 
 
 def body_answers(names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float) -> tuple[Answer, ...]:
-    """Each is supported when it is known to a fifth of the body's own size."""
+    """Each is supported if its sigma is at most a fifth of the body's own scale."""
     values = np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
     bound = np.sqrt(np.diag(covariance))
     sigma = bound * np.sqrt(wider)
@@ -169,7 +169,7 @@ def _size(body: RigidBody) -> FloatArray:
 
 
 def body_seen(payload: BodyEstimate) -> Observability:
-    """The payload's ten numbers against its own size, as if that had been the prior."""
+    """Observability of the payload's ten numbers, with its own scale as prior."""
     size = _size(payload.body)
     values, vectors = np.linalg.eigh(payload.covariance / np.outer(size, size))
     gain = 1.0 / np.maximum(values[::-1], np.finfo(np.float64).tiny) - 1.0  # ascending

@@ -1,4 +1,4 @@
-"""``heft identify --parameters``: the base parameters of a vehicle's rows, written with its lengths."""
+"""``heft identify --parameters``: the base parameters of a vehicle's rows in symbols."""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
 
 
 class Parameters(NamedTuple):
-    """What a vehicle's rows can ever tell."""
+    """Base parameters of a vehicle's rows."""
 
     vehicle: config.Vehicle
     rows: tuple[str, ...]
@@ -43,7 +43,7 @@ def parameters(vehicle: config.Vehicle) -> Parameters:
         ConfigError: the vehicle file does not fit its URDF.
         ModelError: a vehicle without any row.
     """
-    if vehicle.file.estimation.method == EXIDDM:  # it needs no rows; these show what there is to know
+    if vehicle.file.estimation.method == EXIDDM:  # it uses no rows; the zero wrench gives its identifiable parameters
         drawn = build_model(vehicle)
         model = RowModel(drawn, [*base_force_rows(drawn), *base_moment_rows(drawn)])
         base = base_parameters(model, np.random.default_rng(NAMING_SEED))
@@ -55,7 +55,7 @@ def parameters(vehicle: config.Vehicle) -> Parameters:
 
 
 def render(found: Parameters) -> RenderableType:
-    """What people see."""
+    """The base parameters as text."""
     written, name = found.written, found.vehicle.file.vehicle.name
     links = ", ".join(f"{tag} {link}" if tag != link else link for tag, link in written.links.items())
     alone = ", ".join(name for name, text in zip(written.names, written.sums, strict=True) if name == text)

@@ -1,8 +1,8 @@
 """``heft identify`` of a run on an air-bearing table: payload and drag of each puck by maximum likelihood.
 
-The log goes through the estimator that flies, which makes the ticks; the longest time that the payload was held, in the
-phases to identify in, is then fitted as a whole (:mod:`onboard.offline.estimate_again.likelihood_log`). Payload and
-drag of each half predict the other half, velocity and tilt at its first tick found anew.
+The onboard estimator makes the ticks; the longest interval with the payload in the identification phases is then fitted
+in one batch (:mod:`onboard.offline.estimate_again.likelihood_log`). Payload and drag of each half predict the other
+half, with velocity and tilt at its first tick re-estimated.
 """
 
 import numpy as np
@@ -25,11 +25,11 @@ from onboard.offline.estimate_again.likelihood_log import LEVEL, Judged, Kept, i
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
-_UNDERWAY_m_s = 0.5  # what the velocity may be at any other time than at the start
+_UNDERWAY_m_s = 0.5  # sigma of the velocity at any time but the start
 
 
 class _Recorder(TableRun):
-    """What flies; it keeps its ticks, without joints where there is nothing to identify."""
+    """The onboard part; also keeps its ticks, without joints outside identification phases."""
 
     def __init__(self, payload: str, joints: int) -> None:
         super().__init__(payload)
@@ -55,7 +55,7 @@ class _Recorder(TableRun):
 
 
 def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
-    """What a log of a run on the table says of payload and drag.
+    """Estimate of payload and drag from a run on the table.
 
     Raises:
         ConfigError: no [planar] in the vehicle file, or the file does not fit the URDF or the devices.
@@ -94,7 +94,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
 
 
 def _drags(found: PayloadFit, pucks: dict[str, DragPrior], wider: float) -> Judged:
-    """Drag of each puck; supported when the data make it five times better known than it was."""
+    """Drag of each puck; supported if its sigma is at most a fifth of the prior's."""
     drag = drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])
     sigma = wider**0.5 * drag.sigma

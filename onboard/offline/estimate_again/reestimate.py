@@ -1,7 +1,7 @@
-"""``heft replay --with``: the same flight estimated with other settings, beside what was said on board.
+"""``heft replay --with``: estimates a flight with other settings and compares with the onboard estimates.
 
-The new settings are a TOML file with only the keys that change; they are put over the vehicle file that the log
-carries. The estimator is fed in the very steps it made in flight, so whatever differs comes from the settings.
+The new settings are a TOML file with only the keys that change; they override the vehicle file in the log. The
+estimator makes the same steps as in flight, so that every difference is due to the settings.
 """
 
 import json
@@ -38,12 +38,12 @@ class Difference(NamedTuple):
 
 
 class Reestimate(NamedTuple):
-    """Settings that differ, what was said on board, and what the estimator says now."""
+    """Changed settings, onboard estimates, and new estimates."""
 
     changes: tuple[Difference, ...]
     flown: LogOverview
     now: LogOverview
-    short: str  # what of the inputs the log does not hold
+    short: str  # inputs missing in the log
     damage: tuple[object, ...]
 
     def as_json(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
     text = "".join(f"{key} = {_inline(value)}\n" for key, value in tree.items())
     try:
         return config.parse(text, flown.path)
-    except config.ConfigError as error:  # its lines are those of a file that nobody has
+    except config.ConfigError as error:  # its line numbers are of the merged file
         message = re.sub(rf"{re.escape(str(flown.path))}(:\d+)?", str(settings), str(error))
         raise config.ConfigError(message) from error
 

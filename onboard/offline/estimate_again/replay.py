@@ -1,7 +1,7 @@
-"""Estimate again from a log and compare with what was said in flight, bit for bit.
+"""Recomputes the estimates from a log and compares them with those of the flight, bit for bit.
 
-The TICK records say what each step of the onboard estimator consumed; the same code is fed the same rows in the same
-steps. Whatever the scheduling was on board, the answers are the same to the last bit, or something is wrong.
+The TICK records name the rows consumed by each step of the onboard estimator; the same code gets the same rows in the
+same steps. The outputs must be identical to the last bit, for any scheduling on board.
 """
 
 import tempfile
@@ -22,11 +22,11 @@ from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
 
 SEQUENCED = np.dtype([("sequence", "<u8"), ("host_ns", "<i8")])
-_UNANSWERED = 2  # last steps of a flight that was cut off, whose TICK came into the log and whose answers did not
+_UNANSWERED = 2  # last steps of an interrupted flight with a TICK in the log but no outputs
 
 
 class Replay(NamedTuple):
-    """What a replay found."""
+    """Result of a replay."""
 
     identical: bool
     summary: str
@@ -35,7 +35,7 @@ class Replay(NamedTuple):
 
 
 class Pass:
-    """One pass over a log: rows of several channels, each kept from when it is come across until it is asked for."""
+    """One pass over a log: rows of several channels, buffered until requested."""
 
     def __init__(self, log: LogReader, channels: Iterable[str]) -> None:
         known = [name for name in channels if name in log.channels]
@@ -43,7 +43,7 @@ class Pass:
         self._batches: Iterator[Batch] = log.batches(known)
 
     def read_on(self) -> bool:
-        """Come across one batch more; False at the end of the log."""
+        """Read one more batch; False at the end of the log."""
         batch = next(self._batches, None)
         if batch is not None:
             waiting = self._waiting[batch.channel]
@@ -74,7 +74,7 @@ class Pass:
                 return
 
     def waiting(self, name: str) -> Rows:
-        """What has been come across of one channel and not been taken; it is now."""
+        """Take the buffered rows of one channel."""
         rows = self._waiting.get(name)
         if rows is None:
             return np.empty(0, SEQUENCED)
@@ -83,7 +83,7 @@ class Pass:
 
 
 class _Said:
-    """What was said on one channel beside what is said again, row by row."""
+    """Comparison of recorded and recomputed rows of one channel."""
 
     def __init__(self, dtype: np.dtype[np.void]) -> None:
         self.recorded = self.same = 0
@@ -93,16 +93,16 @@ class _Said:
 
     @property
     def replayed(self) -> int:
-        """Rows said again."""
+        """Number of recomputed rows."""
         return self.same + len(self._again)
 
     @property
     def unsaid(self) -> Rows:
-        """Rows that only the replay said, so far."""
+        """Recomputed rows without a recorded one so far."""
         return self._again[len(self._said) :]
 
     def add(self, said: Rows, again: Sequence[Rows] = ()) -> None:
-        """Compare more of both; after the first difference they are only counted."""
+        """Compare further rows; after the first difference they are only counted."""
         self.recorded += len(said)
         self._said = np.concatenate([self._said, said]) if len(self._said) else said
         self._again = np.concatenate([self._again, *again])
@@ -119,11 +119,11 @@ class _Said:
         self._said, self._again = self._said[count:], self._again[count:]
 
     def forget(self, known: int) -> None:
-        """Of what was said again, only ``known`` rows in all had come out before their estimator died."""
+        """Only the first ``known`` recomputed rows had been published before the estimator died."""
         self._again = self._again[: max(0, known - self.same)]
 
     def end(self, answered_ns: int) -> None:
-        """The flight ended, or was cut off, before the answers to its last steps came out: these need not be there."""
+        """End of the flight: outputs of its last steps may be missing in the log."""
         if len(self._again) and (self.unsaid["host_ns"] > answered_ns).all():
             self._again = self._again[: len(self._said)]
         self.differs |= len(self._said) + len(self._again) > 0
@@ -155,12 +155,12 @@ class EstimatorStep(NamedTuple):
     now_ns: int
     batches: dict[str, Rows]
     lag_ns: int | None
-    fresh: bool  # another estimator began with it
-    short: str  # what of it the log does not hold; empty where it holds all
+    fresh: bool  # a new estimator began with it
+    short: str  # missing inputs; empty if complete
 
 
 def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
-    """The steps that the estimator of a flight made, as the TICK records tell them.
+    """The steps of the estimator in a flight, from the TICK records.
 
     Args:
         rows: a pass over the flight's log, with these channels and ``tick``.
@@ -192,7 +192,7 @@ def _replay(log: LogReader, vehicle: config.Vehicle, tell: Callable[[], None]) -
     for step in steps(rows, estimator.inputs):
         tell()
         times_ns.append(step.now_ns)
-        if step.fresh:  # in place of one that died, whose last answers may not have come out
+        if step.fresh:  # replaces one that died, whose last outputs may be missing
             said = {name: int((log.read(name)["host_ns"] < step.now_ns).sum()) for name in outputs}
             for name, channel in channels.items():
                 channel.forget(said[name])

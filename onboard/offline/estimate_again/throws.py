@@ -1,8 +1,8 @@
-"""Logs of a free body: which load flew in each, what it came out as beside what it is known to be, and calibration.
+"""Logs of a free body: load of each log, its estimate and truth, and calibration.
 
-The vehicle file says what may be on board (``[[free_body.load]]``, told by the log's name) and what the carrier itself
-is (``[free_body.carrier]``). Where throws of the carrier alone and of the proof body are among the logs, those same
-numbers are found anew from them, in the form that the vehicle file takes.
+The vehicle file has the loads (``[[free_body.load]]``, matched by the log's name) and the carrier
+(``[free_body.carrier]``). With throws of the carrier alone and of the proof body among the logs, these numbers are
+re-estimated and printed as tables of the vehicle file.
 """
 
 import math
@@ -32,11 +32,11 @@ from onboard.identification.rows.standard import LinkEstimate, whole_estimate
 
 
 class LoadError(ValueError):
-    """Nobody can tell what flew in a log."""
+    """The load of a log is undefined or ambiguous."""
 
 
 def plain(value: float) -> float | None:
-    """None for what is no number."""
+    """None for NaN."""
     return value if math.isfinite(value) else None
 
 
@@ -45,7 +45,7 @@ class Throw:
     """One log's load."""
 
     load: config.Load
-    body: RigidBody | None  # in base axes; None where the data do not support it
+    body: RigidBody | None  # in base axes; None if not determined
     principal: PrincipalMoments | None
     whole: LinkEstimate | None = None  # carrier and load, the rotors locked
 
@@ -114,7 +114,7 @@ class LoadSummary(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """What the throws of the carrier and of the proof body say."""
+    """Calibration from throws of the carrier and of the proof body."""
 
     rotor: RotorCalibration
     carrier: KnownBody
@@ -195,7 +195,7 @@ def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier, es
     """
     section = vehicle.file.free_body
     assert section is not None
-    # Few independent blocks of time make an interval wide, and it says so; what the prior would say is no answer.
+    # Few independent blocks of time give a wide but valid interval; the prior alone is not an estimate.
     told = {q.name for q in estimate.quantities if q.shrinkage <= SUPPORTED_SHRINKAGE} if estimate else set()
     if not set(FREE_BODY) <= told:
         return Throw(load, None, None)

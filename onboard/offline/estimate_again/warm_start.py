@@ -1,13 +1,13 @@
-"""What a flight had learned, for the next one to go on from: ``heft fly --continue LOG``, ``heft identify --from LOG``.
+"""Warm start from the last estimate of an earlier flight: ``heft fly --continue``, ``heft identify --from``.
 
 A computer that is restarted, or loses its power, loses the rings and the estimator in them; the log is on the medium up
 to the last 0.2 s. Its last estimate goes into the vehicle file of the next flight, which that flight's log carries, so
-it replays by itself. It is taken over as it was said: the information of the earlier rows is made less until no
-interval is narrower than it was in the log; what is common to all rows (a load cell's scale) is kept apart from the
-rest, so that it does not average out from flight to flight. A free-flyer's payload (method "exiddm") is taken over with
-its sigmas three times as wide, because errors of the other links and of the IMU are the same in both flights.
+it replays by itself. The information of the earlier rows is reduced until no interval is narrower than in the log;
+common errors (a load cell's scale) are kept separate, so that they do not average out from flight to flight. The sigmas
+of a free-flyer's payload (method "exiddm") are tripled, because errors of the other links and of the IMU are common to
+both flights.
 
-The payload has to be the same. If it is another one, fly without it.
+The payload must be the same; otherwise fly without a warm start.
 """
 
 from collections import deque
