@@ -35,7 +35,7 @@ def elements(tensor: FloatArray) -> FloatArray:
 
 
 def parallel_axis(mass_kg: float, offset_m: FloatArray) -> FloatArray:
-    """Parallel-axis term: inertia of a point mass at ``offset_m``, (3,), about the origin, (3, 3): ``m (r.r 1 - r r')``."""
+    """Parallel axes: inertia of a point mass at ``offset_m``, (3,), (3, 3): ``m (r.r 1 - r r')``."""
     return np.asarray(mass_kg * (offset_m @ offset_m * np.eye(3) - np.outer(offset_m, offset_m)), np.float64)
 
 
