@@ -1,4 +1,4 @@
-"""vehicle.toml to frozen objects. Units stand in the keys; a key nobody knows is refused with its line and a remedy."""
+"""Reads vehicle.toml into frozen objects. Units are in the keys; unknown keys are refused with line and remedy."""
 
 from onboard.config.errors import ConfigError
 from onboard.config.estimation import Phases, Zero

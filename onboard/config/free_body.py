@@ -1,4 +1,4 @@
-"""``[free_body]``: a free vehicle known as one rigid body, and what it may carry."""
+"""``[free_body]``: a free vehicle identified as one rigid body, and its possible loads."""
 
 from typing import Literal
 
@@ -21,7 +21,7 @@ class Carrier(Section):
 
 
 class Load(Section):
-    """What a free body carries in some of its logs, weighed.
+    """A weighed load of a free body, in some of its logs.
 
     ``role``: "carrier" is the device alone (``mass_kg`` is the carrier's), "proof" a body known beforehand, its
     ``truth_kg_m2`` about the base axes x, y, z through its own centre of mass; these two calibrate. ``truth_kg_m2``
@@ -38,7 +38,7 @@ class Load(Section):
 
 
 class FreeBody(Section):
-    """A free vehicle with balanced rotors, to be known as one rigid body: its own part in it, and what it may carry.
+    """A free vehicle with balanced rotors, identified as one rigid body: its carrier and its possible loads.
 
     ``rotor_sigma``: relative, of the rotors' inertia in the URDF; all inertias scale with it.
     """

@@ -1,4 +1,4 @@
-"""``[planar]``: a run on an air-bearing table, and the pucks that the base floats on."""
+"""``[planar]``: an air-bearing table and the base's pucks."""
 
 from pydantic import Field, model_validator
 
@@ -6,9 +6,9 @@ from onboard.section import NotNegative, Positive, Section
 
 
 class Puck(Section):
-    """A puck, at the origin of a frame that is fixed in the base, and how much it may drag, 1 sigma about none.
+    """A puck at the origin of a frame fixed in the base, with the sigmas of its drag coefficients about zero.
 
-    ``viscous``: of the drag in proportion to the slip; ``coulomb``: of the drag that is the same at any slip.
+    ``viscous``: drag proportional to the slip; ``coulomb``: drag independent of the slip.
     """
 
     frame: str
@@ -17,7 +17,7 @@ class Puck(Section):
 
 
 class Planar(Section):
-    """What is not known of a run, 1 sigma.
+    """Sigmas of the unknowns of a run.
 
     ``tilt``: gravity along the table, by axis; a milliradian is 0.01 m/s^2. ``velocity`` (by axis) and ``rate`` (yaw)
     of the base where the run begins.

@@ -1,4 +1,4 @@
-"""A base for each type of bus: which URLs it has, how it is opened, what of its devices must go together.
+"""Base class of devices per type of bus: URLs, opening, rules for devices on one bus.
 
 ``onboard.devices.canopen`` has that of CAN. A serial port comes and goes with its adapter, so its device opens it, and
 reports when it cannot.
@@ -24,7 +24,7 @@ from onboard.timebase.specs import ChannelClock, PolledChannel
 OpenSerial = Callable[[], SerialPort]
 PollPeriod = Annotated[Positive, Field(description="How often the port is read.")]
 SamplePeriod = Annotated[
-    Positive, Field(description="Time between two questions; shorter than the link allows: back to back.")
+    Positive, Field(description="Time between two requests; shorter than the link allows: back to back.")
 ]
 
 
@@ -80,9 +80,9 @@ class SerialLineDevice(BusDevice):
 
 
 class PolledLoadCellDevice(SerialLineDevice, LoadCellDevice):
-    """A load cell that is asked for each sample; ``sample_period_ms`` shorter than the link allows: back to back."""
+    """A load cell polled for each sample; ``sample_period_ms`` shorter than the link allows: back to back."""
 
-    about_clock = "The middle between question and answer, by the host's clock; half their distance is its uncertainty."
+    about_clock = "The middle between request and answer, by the host's clock; half their distance is its uncertainty."
     sample_period_ms: SamplePeriod
     timeout_ms: Positive
 

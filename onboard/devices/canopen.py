@@ -85,8 +85,8 @@ class CanopenSyncDevice(CanDevice):
 class CanopenNodeDevice(CanDevice):
     """A CANopen node, or a channel of one.
 
-    ``supervision = "guarding"``: where the node makes no heartbeat it is asked every ``guard_time_ms`` whether it
-    lives, and is lost after ``life_time_factor`` questions without an answer.
+    ``supervision = "guarding"``: a node without heartbeat is polled every ``guard_time_ms``, and is lost after
+    ``life_time_factor`` requests without an answer.
     """
 
     is_profile: ClassVar[bool] = True  # it sets its node up, so that there is one of them on a node

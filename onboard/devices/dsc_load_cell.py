@@ -12,7 +12,7 @@ ANSWER_BYTES = 8  # at the least: a sign, six characters and CR
 
 
 class DscLoadCellDevice(PolledLoadCellDevice):
-    """Mantracourt DSC digitiser; ``unit`` is what its system calibration makes of it."""
+    """Mantracourt DSC digitiser; ``unit`` is that of its system calibration."""
 
     about_clock = "As a `modbus_load_cell`."
     driver_configs = (DscLoadCellConfig,)

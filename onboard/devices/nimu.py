@@ -17,11 +17,11 @@ from onboard.timebase.specs import ChannelClock, FreeChannel
 class NimuDevice(SerialLineDevice, ImuDevice):
     """Memsense nIMU. ``gyro_delay_ms`` and ``accel_delay_ms`` are those of its own filters.
 
-    ``latency_ms``: from the sample to the first bit of its packet, as measured; half a sample period, give or take all
-    of it, where not given.
+    ``latency_ms``: measured time from the sample to the first bit of its packet; default: half a sample period, with
+        that as its sigma.
     """
 
-    about_clock = "Its packet timer, fitted to arrival: it has no sync input. Its times are late by what the line is."
+    about_clock = "Its packet timer, fitted to arrival: it has no sync input. Its times include the delay of the line."
     records = IMU
     driver_configs = (NimuConfig,)
     kind: Literal["nimu"]
@@ -32,7 +32,7 @@ class NimuDevice(SerialLineDevice, ImuDevice):
         NotNegative | None,
         Field(description="From sample to first bit of its packet, as measured; half a sample period where not given."),
     ] = None
-    latency_sigma_ms: Annotated[NotNegative, Field(description="How well that is known.")] = 0.0
+    latency_sigma_ms: Annotated[NotNegative, Field(description="Standard deviation of `latency_ms`.")] = 0.0
     accel_range_g: float = NimuConfig.accel_range_g
     gyro_range_deg_s: float = NimuConfig.gyro_range_deg_s
     accel_scale_g: float = NimuConfig.accel_scale_g

@@ -1,4 +1,4 @@
-"""``[[device.NAME.channel]]`` of a node frame device: what each channel of the node is to the estimator."""
+"""``[[device.NAME.channel]]`` of a node frame device: role of each channel of the node."""
 
 from typing import Annotated, Literal, get_args
 

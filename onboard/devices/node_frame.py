@@ -1,4 +1,4 @@
-"""A node of one's own making that speaks the node frame, on a serial line."""
+"""Custom sensor node with the node frame, on a serial line."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,7 @@ IMU_PARTS = tuple((role, axis) for role in ("gyro", "accel") for axis in "xyz")
 
 
 class NodeFrameDevice(SerialLineDevice):
-    """A node of one's own making (``docs/node_frame.md``), its channels in the order of its descriptor.
+    """Custom sensor node (``docs/node_frame.md``), its channels in the order of its descriptor.
 
     ``frame``: of the URDF, for its gyro and accel channels. ``tick_hz``: nominal rate of its clock. ``rate_hz``: of its
     data frames.

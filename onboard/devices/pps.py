@@ -1,4 +1,4 @@
-"""Pulses of somebody else's clock."""
+"""Pulses of an external clock."""
 
 from typing import Literal
 
@@ -10,10 +10,10 @@ from onboard.timebase.specs import SyncLine
 
 
 class PpsDevice(PulseDevice):
-    """Pulses of somebody else's clock, every ``period_ms``, without a code."""
+    """Pulses of an external clock, every ``period_ms``, without a code."""
 
     about_role = "clock of all, where there is no `sync_pulse`"
-    about_clock = "It is the kernel's; edges are told apart by arrival, for they carry no code. SYNC needs the code."
+    about_clock = "The kernel's; edges are identified by arrival, as they carry no code. SYNC needs the code."
     kind: Literal["pps"]
     period_ms: Positive = 1000.0
 

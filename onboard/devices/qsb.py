@@ -33,7 +33,7 @@ class QsbDevice(SerialLineDevice, JointDevice):
     driver_configs = (QsbConfig,)
     kind: Literal["qsb"]
     counts_per_revolution: Annotated[
-        int, Field(description="Counts in a turn of the joint, gear included; negative: it counts the other way.")
+        int, Field(description="Counts per joint revolution, gear included; negative: reversed direction.")
     ]
     counting: Literal[1, 2, 4] = 4
     count_down: bool = QsbConfig.count_down

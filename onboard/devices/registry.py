@@ -5,8 +5,8 @@ A package that is installed beside heft names its kinds in its ``pyproject.toml`
     [project.entry-points."heft.devices"]
     wind_vane = "vanes.device:WindVaneDevice"
 
-What cannot be used of another package is kept in ``BROKEN`` with the reason: a vehicle that has such a device is
-refused with it, and every other one flies.
+Unusable kinds of other packages are kept in ``BROKEN`` with the reason: a vehicle with such a device is refused with
+it; others are not affected.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""The sync line as it comes in."""
+"""The sync line input."""
 
 from typing import Literal
 
@@ -16,7 +16,7 @@ class SyncPulseDevice(PulseDevice):
     """The sync pulse line; intervals between pulses are whole numbers of ``sync_period_ms``, by the published code."""
 
     about_role = "clock of all"
-    about_clock = "It is the kernel's, CLOCK_MONOTONIC; all others are fitted to it."
+    about_clock = "The kernel's, CLOCK_MONOTONIC; all others are fitted to it."
     driver_configs = (SyncPulseConfig,)
     kind: Literal["sync_pulse"]
     sync_period_ms: Positive

@@ -1,5 +1,5 @@
-"""Inertial parameters from measured motion: by rows (``rows/``), and by predicting the IMU (``exiddm/``).
+"""Identification of inertial parameters: by regression rows (``rows/``) and by IMU prediction (``exiddm/``).
 
-What both share stands here: the interface of an online identifier, quantities, the verdict, observability. Stands on
-``onboard.regressor`` and what that stands on.
+Common to both: the interface of an online identifier, quantities, the verdict, observability. Uses
+``onboard.regressor`` and the packages below it.
 """

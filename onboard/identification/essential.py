@@ -1,9 +1,9 @@
-"""Essential parameters: those that the data tell from nothing.
+"""Essential parameters: base parameters significantly different from zero.
 
-A base parameter that is small beside its own sigma says nothing, and while it stays in the model it widens the
-intervals of the others. Pham and Gautier (1991) leave out the one that is known worst, estimate again, and go on until
-all that stay are known well. Here "well" is the test of one parameter against zero at 95 %, so that the number of
-parameters that stay does not depend on how well the best of them is known.
+A base parameter that is small compared with its sigma has no information and widens the intervals of the others. Pham
+and Gautier (1991) remove the one with the largest relative sigma, estimate again, and repeat until all remaining ones
+are significant. Here the criterion is a test of each parameter against zero at 95 %, so that the result does not depend
+on the precision of the best-known parameter.
 """
 
 from typing import NamedTuple
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray
 
-SIGNIFICANT = 1.96  # a parameter stays that is so many of its sigmas from zero
+SIGNIFICANT = 1.96  # sigmas from zero at which a parameter is kept
 
 
 class Essential(NamedTuple):
-    """What stays, and what it is estimated at without the rest."""
+    """Essential parameters and their estimate without the others."""
 
     kept: NDArray[np.bool_]  # (p,)
     order: tuple[int, ...]  # those left out, the worst known first
@@ -26,14 +26,14 @@ class Essential(NamedTuple):
 
 
 def essential(mean: FloatArray, covariance: FloatArray, held: NDArray[np.bool_] | None = None) -> Essential:
-    """Leaves out one parameter after the other, the one with the largest relative sigma first.
+    """Removes parameters one by one, largest relative sigma first (Pham and Gautier 1991).
 
-    Leaving one out is estimating again with it known to be zero, which for Gaussian estimates needs no row of the data.
+    Removing one is conditioning the Gaussian estimate on its being zero, which needs no data rows.
 
     Args:
         mean: estimate of the base parameters, (p,).
         covariance: its covariance, (p, p).
-        held: (p,) parameters that stay whatever comes: the offset of a sensor, say.
+        held: (p,) parameters that are always kept, such as a sensor's offset.
     """
     x, C = mean.astype(np.float64), covariance.astype(np.float64)
     kept = np.ones(x.size, np.bool_)

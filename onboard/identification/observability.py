@@ -1,4 +1,4 @@
-"""Which combinations of base parameters a motion has shown, and which not, in words."""
+"""Observability: combinations of base parameters determined by a motion, and the others in words."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,12 +9,12 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.rls import Observability
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 
-_SHOWN = 0.3  # of a direction's largest share; smaller shares are not written
+_SHOWN = 0.3  # fraction of a direction's largest share below which shares are not written
 _GAIN = 1.0 / SUPPORTED_SHRINKAGE**2 - 1.0  # information over the prior's at which a direction counts as determined
 
 
 class ObservedDirections(NamedTuple):
-    """What the rows have added to the prior."""
+    """Directions determined by the rows relative to the prior."""
 
     determined: int  # directions
     of: int
@@ -22,8 +22,8 @@ class ObservedDirections(NamedTuple):
     undetermined: tuple[str, ...]  # the other directions, the least determined first; shares in units of the prior
 
 
-def subspace(seen: Observability, names: Sequence[str]) -> ObservedDirections:
-    """Cuts the directions in two: those that the rows tell five times better than the prior did, and the others.
+def observed_directions(seen: Observability, names: Sequence[str]) -> ObservedDirections:
+    """Divides the directions into determined ones (sigma at most a fifth of the prior's) and others.
 
     Args:
         seen: of the estimator after its rows.

@@ -1,12 +1,13 @@
-"""Structural base parameters: the combinations of standard parameters that a vehicle's rows can ever tell apart.
+"""Structural base parameters: the identifiable combinations of standard parameters of a vehicle's rows.
 
-Recursive least squares runs on these, not on the standard parameters: the columns are independent for general motion,
-so what is left undetermined in flight is a lack of excitation and nothing else; the matrices are small; and no prior
-hides a rank that was never there. A Gaussian prior on the standard parameters maps to the base parameters exactly.
+Recursive least squares uses these instead of the standard parameters: the columns are independent for general motion,
+so a direction undetermined in flight means a lack of excitation; the matrices are small; and no prior hides a
+structural rank deficiency. A Gaussian prior on the standard parameters maps to the base parameters exactly.
 
-Method: QR with column pivoting on rows sampled over random motion gives the rank (Gautier; Limparis 2.123-2.128). The
-independent columns are then taken in an order people write parameters in (rotational inertia and first moments near
-the base first; ``YY``, ``MZ`` and ``M`` are regrouped), and the others are expressed through them.
+Method: QR with column pivoting on rows sampled over random motion gives the rank (Gautier 1991; Limparis 2.123-2.128).
+The independent columns are then chosen in the customary order (rotational inertia and first moments near the base
+first; ``YY``, ``MZ`` and ``M`` are regrouped, as by Gautier and Khalil 1990), and the others are expressed through
+them.
 """
 
 from collections.abc import Mapping
@@ -24,12 +25,12 @@ from onboard.regressor.rows import BaseMotion, RowModel
 Vector3 = tuple[float, float, float]
 
 _KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "scale", "Ia", "Fv", "Fc", "zero")
-_TOLERANCE = 1e-9  # of a column's norm
+_TOLERANCE = 1e-9  # relative to a column's norm
 
 
 @dataclass(frozen=True, slots=True)
 class SampledMotion:
-    """Which of the base's motions may occur at all; a zero takes one out, and with it what only it could show."""
+    """Base motions that may occur; a zero removes one, and with it the parameters that only it excites."""
 
     rate_rad_s: float | Vector3 = 1.0
     acceleration_rad_s2: float | Vector3 = 1.0
@@ -38,7 +39,7 @@ class SampledMotion:
 
     @classmethod
     def of(cls, kind: BaseKind, gravity_m_s2: Vector3 = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)) -> "SampledMotion":
-        """General motion of a base of this kind; a fixed and a planar one stand in gravity, in base axes."""
+        """General motion of a base of this kind; a fixed and a planar one are in gravity, given in base axes."""
         x, y, z = gravity_m_s2
         if kind is BaseKind.FIXED:
             return cls(0.0, 0.0, 0.0, (-x, -y, -z))
@@ -49,10 +50,10 @@ class SampledMotion:
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """From standard to base parameters: ``beta = grouping @ chi`` and ``Y chi = Y[:, independent] @ beta``.
+    """Map from standard to base parameters: ``beta = grouping @ chi``, ``Y chi = Y[:, independent] @ beta`` (2.128).
 
     Attributes:
-        names: of the base parameters; ``_R`` at the end marks a regrouped one.
+        names: names of the base parameters; the suffix ``_R`` marks a regrouped one.
         independent: (p,) their columns in the standard regressor.
         grouping: (p, P).
         standard_names: (P,).
@@ -64,15 +65,15 @@ class BaseParameters:
     standard_names: tuple[str, ...]
 
     def reduce(self, Y: FloatArray) -> FloatArray:
-        """The base regressor, (..., p), from the standard one, (..., P)."""
+        """The base regressor ``Y[:, independent]``, (..., p), from the standard one, (..., P)."""
         return Y[..., self.independent]
 
     def value(self, chi: FloatArray) -> FloatArray:
-        """Base parameters, (p,), of standard ones, (P,)."""
+        """Base parameters ``grouping @ chi``, (p,), of standard ones, (P,)."""
         return np.asarray(self.grouping @ chi, np.float64)
 
     def covariance(self, sigma: FloatArray) -> FloatArray:
-        """Covariance of the base parameters, (p, p), for independent standard parameters of these sigmas, (P,)."""
+        """Covariance ``G diag(sigma^2) G'`` of the base parameters, (p, p), for independent standard ones, sigma."""
         half = self.grouping * sigma
         return np.asarray(half @ half.T, np.float64)
 
@@ -80,20 +81,20 @@ class BaseParameters:
         """A linear functional of the standard parameters, (..., P), as weights on the base parameters, (..., p).
 
         Raises:
-            SignalError: the functional is not a combination of base parameters: no motion can ever tell it.
+            SignalError: the functional is not a combination of base parameters, so no motion can determine it.
         """
         wanted = np.atleast_2d(functional)
         found = lstsq(self.grouping.T, wanted.T)[0].T
         error = np.abs(found @ self.grouping - wanted).max()
         if error > 1e-6 * max(np.abs(wanted).max(), 1e-300):
-            raise SignalError("this quantity is no combination of base parameters; these rows can never determine it")
+            raise SignalError("this quantity is not a combination of base parameters; these rows cannot determine it")
         return np.asarray(found.reshape((*functional.shape[:-1], len(self.names))), np.float64)
 
 
 def sampled_rows(
     model: RowModel, rng: np.random.Generator, ticks: int, motion: SampledMotion, released: bool
 ) -> FloatArray:
-    """Rows of random motion, (ticks x rows, P); every other tick without the payload if ``released``."""
+    """Rows of random motion (Limparis 2.123), (ticks x rows, P), every other tick ``released`` from the payload."""
     vehicle = model.vehicle
     low = np.array([max(joint.low, -np.pi) for joint in vehicle.joints])
     high = np.array([min(joint.high, np.pi) for joint in vehicle.joints])
@@ -118,18 +119,18 @@ def base_parameters(
     ticks: int = 0,
     known: NDArray[np.bool_] | None = None,
 ) -> BaseParameters:
-    """Finds the base parameters of a row model.
+    """Finds the base parameters of a row model (Gautier 1991; Limparis 2.123-2.128).
 
     Args:
         model: the rows.
-        rng: seeded, so that the names do not depend on luck.
-        motion: which base motions may occur; all that the base kind allows, where not given.
-        released: whether the payload is also flown without; so if there is a payload link, where not given.
-        ticks: how many ticks to sample; five for each column where zero.
-        known: (P,) columns whose parameters are taken for exact: they are in no base parameter.
+        rng: seeded, so that the names are reproducible.
+        motion: base motions that may occur; default: all that the base kind allows.
+        released: whether there are also rows without the payload; default: if there is a payload link.
+        ticks: number of sampled ticks; 0: five per column.
+        known: (P,) columns with exactly known parameters, left out of the base parameters.
 
     Raises:
-        SignalError: rows that depend on no parameter at all.
+        SignalError: the rows depend on no parameter.
     """
     vehicle = model.vehicle
     allowed = SampledMotion.of(vehicle.spec.base, vehicle.spec.gravity_m_s2) if motion is None else motion
@@ -138,7 +139,7 @@ def base_parameters(
     if known is not None:
         W[:, known] = 0.0
     norms = np.sqrt(np.einsum("ij,ij->j", W, W))
-    norms[norms < _TOLERANCE * norms.max()] = 0.0  # rounding, where there should be nothing
+    norms[norms < _TOLERANCE * norms.max()] = 0.0  # columns that are zero but for rounding
     if not (norms > 0.0).any():
         raise SignalError("no parameter moves these rows; check the frames they are measured at")
     scaled = W / np.where(norms > 0.0, norms, 1.0)
@@ -156,7 +157,7 @@ def base_parameters(
 
 
 def grouping_of(W: FloatArray, independent: NDArray[np.intp]) -> FloatArray:
-    """The map from standard to base parameters, (p, P), of which the columns ``independent`` are the base.
+    """The map from standard to base parameters, (p, P), for given independent columns (Limparis 2.127, 2.128).
 
     Args:
         W: rows of general motion, (r, P).
@@ -174,7 +175,7 @@ def grouping_of(W: FloatArray, independent: NDArray[np.intp]) -> FloatArray:
 
 
 def _preference(names: tuple[str, ...]) -> list[int]:
-    """Columns in the order they are wanted as independent ones."""
+    """Columns in order of preference as independent ones."""
     kinds = [name.split("_", 1)[0] for name in names]
     first = [column for column, kind in enumerate(kinds) if kind in _KEPT_FIRST]
     # Within a link, in the order of _KEPT_FIRST; links stay in their order.
@@ -192,7 +193,7 @@ def _choose(scaled: FloatArray, rank: int, order: list[int]) -> NDArray[np.intp]
         if len(chosen) == rank:
             break
         v = scaled[:, column].copy()
-        for _ in range(2):  # twice is enough
+        for _ in range(2):  # reorthogonalisation: twice is enough
             v -= basis @ (basis.T @ v)
         length = np.sqrt(v @ v)
         if length > 1e-7:

@@ -1,12 +1,12 @@
-"""The links' columns of every row, from one call of Pinocchio a tick.
+"""Columns of the links' parameters for all rows, from one Pinocchio call per tick (Limparis 2.115, 2.132).
 
 Pinocchio's joint torque regressor is linear in the ten parameters of each *joint's* body, about the joint's frame. Its
 row of a joint's velocity is that joint's torque row, and its first six rows are the wrench on each body about the
 base's origin, in base axes. A link is a part of its joint's body, so its columns are those of the body times a constant
 matrix; and the wrench through any cut is the sum over the links beyond, moved to the cut's frame.
 
-Only what is wanted of the columns is multiplied out: a :class:`Fold` is made of a matrix ``mix`` once and stands for
-``Y @ mix`` from then on. What is known can so be left out of the rows, or added up into one column.
+Only requested combinations of columns are computed: a :class:`Fold`, made once of a matrix ``mix``, represents ``Y @
+mix``. Known parameters can thus be left out of the rows or summed into one column.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 
 
 class Projected(Protocol):
-    """What a row is, as far as the links' columns go; :class:`onboard.regressor.rows.WrenchRow` is one."""
+    """Row as seen by the links' columns; implemented by :class:`onboard.regressor.rows.WrenchRow`."""
 
     @property
     def frame(self) -> str:
@@ -32,7 +32,7 @@ class Projected(Protocol):
 
     @property
     def projection(self) -> tuple[float, float, float, float, float, float]:
-        """Of the wrench (force, moment) at that frame, in its axes."""
+        """Projection of the wrench (force, moment) at that frame, in its axes."""
         ...
 
     @property
@@ -56,12 +56,12 @@ class _Cut(NamedTuple):
 
 
 def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """The same places as a slice, where they follow one another: a view instead of a copy."""
+    """Consecutive indices as a slice, for a view instead of a copy."""
     return slice(int(index[0]), int(index[-1]) + 1) if (np.diff(index) == 1).all() else index
 
 
 class Fold(NamedTuple):
-    """Columns ``Y[:, links] @ mix``, ready to be made: one matrix a cut, with the payload held and without."""
+    """Prepared combination ``Y[:, links] @ mix``: one matrix per cut, with and without the payload."""
 
     held: tuple[FloatArray, ...]  # (10 x bodies, c) each
     released: tuple[FloatArray, ...]
@@ -69,7 +69,7 @@ class Fold(NamedTuple):
 
 
 def body_parameters(vehicle: VehicleModel) -> FloatArray:
-    """Parameters of the joints' bodies, about the joints' frames, of those of the links, (10 x bodies, 10 x links)."""
+    """Map from link parameters to those of the joints' bodies, about the joints' frames, (10 x bodies, 10 x links)."""
     model = vehicle.model
     out = np.zeros((10 * (model.njoints - 1), 10 * len(vehicle.links)))
     for link, name in enumerate(vehicle.links):
@@ -85,7 +85,7 @@ class WrenchColumns:
 
     Args:
         vehicle: the model.
-        rows: what is projected where.
+        rows: the rows' cuts and projections.
 
     Raises:
         UnknownFrameError: a row at a frame the URDF does not have.
@@ -129,7 +129,7 @@ class WrenchColumns:
         return _Cut(index, _as_slice(np.array(mine)), places, projection, fixed, coasting, columns)
 
     def fold(self, mix: FloatArray) -> Fold:
-        """Combinations of the columns, to be made again and again.
+        """Prepare a combination of the columns for repeated evaluation.
 
         Args:
             mix: (10 x links, c).
@@ -142,7 +142,7 @@ class WrenchColumns:
         return Fold(held, released, mix.shape[1])
 
     def make(self, fold: Fold, held: BoolArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """The columns of ``fold`` at n ticks, (n, rows, c).
+        """The columns of ``fold`` at n ticks, (n, rows, c) (Limparis 2.132).
 
         Args:
             fold: which.

@@ -1,9 +1,9 @@
-"""Measurement rows of a free base: the wrench on the whole vehicle is zero.
+"""Measurement rows of a free base: the wrench on the whole vehicle is zero (Limparis 3.5).
 
 With the other links known, ``W_payload chi_payload = -W_known chi_known``.
 
-The regressor is made of base motion: measured (plain least squares, biased by its noise) or predicted (instrumental
-variables). One batch of ticks at a time.
+The regressor is made of base motion, measured (plain least squares, biased by its noise) or predicted (instrumental
+variables).
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ _ROUNDS = 5
 
 
 class BaseSignals(NamedTuple):
-    """The base's motion, each (n, 3), base axes and origin; NaN where it is not known."""
+    """Motion of the base frame, base axes, each (n, 3); NaN where unknown."""
 
     rate: FloatArray
     acceleration: FloatArray
@@ -30,13 +30,13 @@ class BaseSignals(NamedTuple):
 
 
 def measured_base(vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, width_s: float) -> BaseSignals:
-    """The base's motion from its IMU through the smoothing kernel.
+    """The base's motion from its smoothed IMU (:func:`onboard.regressor.rows.base_motion`).
 
     Args:
-        vehicle: gives the IMU's place.
+        vehicle: has the IMU's pose.
         imu_frame: the IMU's frame.
         signals: the flight.
-        width_s: of the kernel; every signal goes through the same one.
+        width_s: width of the kernel, common to all signals.
     """
     R, p = vehicle.pose_in_base(imu_frame)
     known = np.isfinite(np.concatenate([signals.rate, signals.specific_force], axis=1)).all(axis=1)
@@ -50,7 +50,7 @@ def measured_base(vehicle: VehicleModel, imu_frame: str, signals: FlightSignals,
 def zero_wrench_rows(
     vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, base: BaseSignals
 ) -> tuple[FloatArray, FloatArray]:
-    """Rows ``y = Y chi_payload``: Y (n, 6, 10) and y (n, 6), force then moment about the base's origin."""
+    """Rows ``W_payload chi_payload = -W_known chi_known``: Y (n, 6, 10), y (n, 6); wrench about the base's origin."""
     links = link_motions(vehicle, q, dq, ddq)
     columns = vehicle.payload_columns()
     Y, y = np.empty((len(q), 6, 10)), np.zeros((len(q), 6))
@@ -66,13 +66,13 @@ def zero_wrench_rows(
 def rough_payload(
     vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, width_s: float, sigma: FloatArray
 ) -> RigidBody:
-    """The payload of a plain least squares, with the accelerometer's zero beside it: a start, biased by noise.
+    """Payload by plain least squares with the accelerometer's offset: an initial guess, biased by noise.
 
     Args:
         vehicle: with a payload link.
         imu_frame: the IMU's frame.
         signals: the flight.
-        width_s: of the kernel that smooths the base's motion.
+        width_s: width of the kernel that smooths the base's motion.
         sigma: prior standard deviations of the payload's standard parameters about none, (10,).
 
     Raises:
@@ -84,7 +84,7 @@ def rough_payload(
     moved = BaseSignals(*(part[whole] for part in base))
     links, chi, zero = link_motions(vehicle, q, dq, ddq), vehicle.chi.copy(), np.zeros(3)
     mean, covariance, noise = np.zeros(10), np.eye(10), 1.0
-    for _ in range(_ROUNDS):  # of Gauss and Newton: the zero acts on all masses, the payload's among them
+    for _ in range(_ROUNDS):  # Gauss-Newton: the offset acts on all masses, including the payload's
         Y, y = zero_wrench_rows(vehicle, q, dq, ddq, moved._replace(specific_force=moved.specific_force - zero))
         chi[vehicle.payload_columns()] = mean
         rows = np.concatenate([Y, -composite_inertia(links, chi)[:, :, :3]], axis=2).reshape(-1, 13)

@@ -7,7 +7,7 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
-from onboard.identification.observability import subspace
+from onboard.identification.observability import observed_directions
 from onboard.identification.rows.held_out import HeldOut, HeldOutFit, RowBlocks
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, link_estimate
@@ -163,7 +163,7 @@ def test_directions_that_no_row_shows_are_named(rng):
     rls.prior(np.zeros(3), np.array([1.0, 10.0, 0.1]))
     Y = np.outer(rng.normal(size=200), [0.0, 0.1, 10.0])  # one combination of b and c, each in its prior's units
     rls.update(Y, np.zeros(200), np.full(200, 0.01))
-    found = subspace(rls.observability(), ("a", "b", "c"))
+    found = observed_directions(rls.observability(), ("a", "b", "c"))
     assert (found.determined, found.of) == (1, 3)
     assert found.condition == pytest.approx(1.0)
     assert set(found.undetermined) == {"a", "0.71 b - 0.71 c"} or set(found.undetermined) == {"a", "0.71 c - 0.71 b"}

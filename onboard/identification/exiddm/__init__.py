@@ -1,1 +1,1 @@
-"""Non-linear ExIDDM: the payload that makes the predicted base IMU agree with the measured one."""
+"""Non-linear ExIDDM: fits the payload so that the predicted base IMU signals match the measured ones."""

@@ -1,10 +1,11 @@
-"""A base on an air-bearing table for the ExIDDM: its motion from joints, velocity at the start, drag and tilt.
+"""ExIDDM of a base on an air-bearing table: motion from joints, initial velocity, drag and tilt.
 
-Nothing measures velocity, and drag depends on it: it is predicted (:mod:`onboard.dynamics.air_bearing`). Rows of a
-least squares would carry the IMU's noise in their columns and an integrated velocity besides; the noise of a prediction
-biases nothing.
+Drag depends on velocity, which is not measured but predicted (:mod:`onboard.dynamics.air_bearing`). Regression rows
+would contain the IMU's noise and an integrated velocity in their columns; a prediction does not, so noise causes no
+bias.
 
-Known wart: an accelerometer does not feel gravity along the table; its tilt shows by the velocity alone, and weakly.
+Known limit: an accelerometer does not sense gravity along the table; the tilt is observable through the velocity only,
+and weakly.
 """
 
 from collections.abc import Mapping
@@ -26,22 +27,22 @@ from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.parameters import Block
 from onboard.regressor.free_rows import measured_base
 
-_EARLY_s = 4.0  # of a run that the guesses are tried on
-_PATIENT = 200  # iterations over all ticks: velocity and Coulomb's drag lie along a curved valley
+_EARLY_s = 4.0  # first part of a run, used to compare initial guesses
+_PATIENT = 200  # iterations over all ticks: velocity and Coulomb drag form a curved valley
 WORST_MISFIT = 1.3  # whitened residual sum by its degrees of freedom
 MOST_PUSHING = 3.5  # sigmas of a drag below zero
 MOST_UNCERTAIN = 0.1  # of the mass, one sigma
 
 
 class DragPrior(NamedTuple):
-    """Standard deviations, about none, of how much a puck may drag on the table."""
+    """Standard deviations of a puck's drag coefficients about zero."""
 
     viscous_N_s_m: float  # noqa: N815
     coulomb_N: float  # noqa: N815
 
 
 class AirBearingPrior(NamedTuple):
-    """Standard deviations of what is not known of a run beside payload and links."""
+    """Standard deviations of the unknowns of a run besides payload and links."""
 
     velocity_m_s: float  # at the start, of each axis
     rate_rad_s: float
@@ -51,12 +52,12 @@ class AirBearingPrior(NamedTuple):
 
 
 class AirBearingBase:
-    """A :class:`onboard.identification.exiddm.batch.BaseModel` that glides on pucks.
+    """:class:`onboard.identification.exiddm.batch.BaseModel` of a base on air-bearing pucks.
 
     Args:
         vehicle: of base kind planar, with a payload link.
         signals: the run.
-        prior: what else is not known.
+        prior: sigmas of the further unknowns.
 
     Raises:
         SignalError: another kind of base, shapes that do not fit, or joints that are not finite.
@@ -89,10 +90,10 @@ class AirBearingBase:
         return predict_planar(columns, start, chi, drag, others["tilt"], links).base
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:
-        """The gyro does not tell a velocity."""
+        """None: the gyro gives no velocity."""
 
     def rough_payload(self, imu_frame: str, payload_sigma: FloatArray) -> RigidBody:
-        """The payload of a plain least squares on rows, drag taken for none: a guess, biased.
+        """Payload by plain least squares on rows without drag: a biased initial guess.
 
         Raises:
             SignalError: a mass that is not positive.
@@ -123,7 +124,7 @@ def air_bearing_exiddm(
 def planar_rows(
     vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, columns: PlanarColumns, width_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Rows ``y = Y chi_payload`` of force x, y and moment z, drag taken for none: Y (3 v, 10), y (3 v,).
+    """Rows ``y = Y chi_payload`` of force x, y and moment z without drag: Y (3 v, 10), y (3 v,).
 
     The equation of :mod:`onboard.dynamics.air_bearing` with d = 0, at the measured motion.
 
@@ -145,7 +146,7 @@ def planar_rows(
 
 
 class DragFit(NamedTuple):
-    """Drag of each puck, Fv, N s/m, and Fc, N, (2 x pucks,), and why the fit is not to be used; empty if it is."""
+    """Drag of each puck, Fv, N s/m, and Fc, N, (2 x pucks,), and the reason for refusing the fit; empty if none."""
 
     names: tuple[str, ...]
     drag: FloatArray
@@ -154,7 +155,7 @@ class DragFit(NamedTuple):
 
 
 def drag_of(found: PayloadFit, pucks: Mapping[str, DragPrior]) -> DragFit:
-    """What a fit says of the pucks, and whether it may be believed."""
+    """Drag coefficients of a fit, with the checks that may refuse it."""
     names = tuple(f"{kind}_{frame}" for frame in pucks for kind in ("Fv", "Fc"))
     places = [found.names.index(name) for name in names]
     drag, spread = found.fit.x[places], np.sqrt(np.diag(found.fit.covariance)[places])

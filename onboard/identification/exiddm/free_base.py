@@ -1,4 +1,4 @@
-"""A free-floating base for the ExIDDM: its motion from the joints and the angular momentum at the first tick."""
+"""ExIDDM of a free-floating base: motion from the joints and the initial angular momentum."""
 
 from collections.abc import Mapping
 
@@ -17,11 +17,11 @@ from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.parameters import Block
 from onboard.regressor.free_rows import rough_payload
 
-FIRST_TICKS = 10  # that tell the momentum to begin with
+FIRST_TICKS = 10  # for the initial momentum
 
 
 class FreeBase:
-    """A :class:`onboard.identification.exiddm.batch.BaseModel` that no external wrench acts on.
+    """:class:`onboard.identification.exiddm.batch.BaseModel` without an external wrench.
 
     Args:
         vehicle: with a payload link.
@@ -46,7 +46,7 @@ class FreeBase:
         return predict_base(first_ticks(self._motions, ticks), self.signals.period_s, chi, start, links)
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> FloatArray:
-        """The momentum of the first gyro readings: without one the rate is linear in it.
+        """Momentum from the first gyro readings, to which the rate is affine.
 
         Raises:
             SignalError: no tick among the first has an IMU.

@@ -1,4 +1,4 @@
-"""Payloads that a fit begins with, one after the other, until one leads to a good fit."""
+"""Initial guesses of the payload, tried in order until one leads to a good fit."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -13,7 +13,7 @@ ROUGH_WIDTH_s = 0.3  # of the kernel that smooths the base's motion for a least 
 
 
 def _ball(mass_kg: float) -> RigidBody:
-    """A homogeneous sphere of 500 kg/m^3 that touches the payload frame's origin."""
+    """A homogeneous sphere of 500 kg/m^3 touching the payload frame's origin."""
     radius_m = (0.75 * mass_kg / (500.0 * np.pi)) ** (1.0 / 3.0)
     return RigidBody(mass_kg, np.array([0.0, 0.0, radius_m]), 0.4 * mass_kg * radius_m**2 * np.eye(3))
 
@@ -25,7 +25,7 @@ def guesses(rough: Callable[[], RigidBody]) -> Iterator[RigidBody]:
     """A least squares on rows, and three spheres.
 
     Args:
-        rough: the least squares; it is passed over where noise makes it no body.
+        rough: the least squares; skipped if its result is not a body.
     """
     with contextlib.suppress(SignalError, ConvergenceError):
         yield rough()

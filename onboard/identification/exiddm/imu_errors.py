@@ -1,12 +1,12 @@
-"""What an IMU shows of a motion: biases, their drift, scale, misalignment, delay and clock rate error.
+"""IMU error model: biases and their drift, scale, misalignment, delay and clock rate error (derived here).
 
 With u the rate or specific force in the IMU's nominal axes at the tick's middle t (t = 0 where the drift begins):
 
     u' = u - (delay + rate_error t) du/dt - n rate_error u,   n = 1 for a rate, 2 for a specific force
     shown = (1 + diag(scale) - hat(misalignment)) u' + bias + drift t
 
-The first line is Taylor's series of a reading that comes late, by a clock that runs otherwise: a rate is angle by time,
-a specific force length by time squared. Terms of second order in the errors are left out.
+The first line is the Taylor series of a delayed reading on a clock with a rate error, which scales rates (angle by
+time) once and specific forces (length by time squared) twice. Second-order terms in the errors are neglected.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from onboard.identification.exiddm.parameters import Block
 
 
 class ImuPrior(NamedTuple):
-    """Prior on instrument errors: standard deviations by axis; zero for what is certain."""
+    """Prior on instrument errors: standard deviations per axis; zero: exact."""
 
     gyro_bias_rad_s: float
     gyro_drift_rad_s2: float
@@ -30,7 +30,7 @@ class ImuPrior(NamedTuple):
     accelerometer_scale: float
     accelerometer_misalignment_rad: float
     delay_s: float  # of both, against the joints
-    clock_rate_error: float = 0.0  # how much longer the same time is by their clock than by the joints', relative
+    clock_rate_error: float = 0.0  # relative excess of an interval on the IMU's clock over the joints' clock
 
 
 CERTAIN = ImuPrior(*[0.0] * 9)

@@ -1,8 +1,8 @@
-"""What the base IMU shows over a few ticks, predicted from a state that is carried on from batch to batch.
+"""Predicts the base IMU over a batch of ticks from a state propagated between batches.
 
-The state holds what the prediction of a free flight depends on and nobody knows: the angular momentum now, the payload,
-the IMU's biases now and their drifts, its scale, misalignment and delay, and the uncertain links. All but the momentum
-(:mod:`onboard.dynamics.free_flight`) and the biases stay as they are.
+The state has the unknowns of a free flight: current angular momentum, payload, current IMU biases and their drifts,
+scale, misalignment and delay, and uncertain links. All but the momentum (:mod:`onboard.dynamics.free_flight`) and the
+biases are constant.
 """
 
 from collections.abc import Mapping
@@ -27,16 +27,16 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.imu_errors import BIASES, DRIFTS, SIZE, ImuPrior, imu_blocks, imu_reading, tick_mean
 from onboard.identification.exiddm.parameters import Block, Layout, UncertainLinks
 
-MOMENTUM, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: of both nothing is known, so both are estimated
-_POSTURE_TICKS = 10  # over which the arm's posture is one, for what its noise does
+MOMENTUM, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
+_POSTURE_TICKS = 10  # over which the arm's posture is constant in the effect of its noise
 
 
 class Prediction(NamedTuple):
-    """Of the ticks 1 .. b of b + 2, from a state at tick 0."""
+    """Prediction of the ticks 1 .. b of b + 2, from a state at tick 0."""
 
     values: FloatArray  # (b, 6) rate and specific force, IMU axes
     jacobian: FloatArray  # (b, 6, p)
-    state: FloatArray  # (p,) carried on to tick b
+    state: FloatArray  # (p,) propagated to tick b
     transition: FloatArray  # (p, p) derivative of that
 
 
@@ -91,11 +91,11 @@ class ImuPredictor:
             self.biases += zip(layout.estimated(bias).tolist(), layout.estimated(drift).tolist(), strict=False)
 
     def joint_noise(self, q: FloatArray, joint_sigma: FloatArray, state: FloatArray) -> FloatArray:
-        """What the joints' own noise makes of the prediction, one sigma, (n, 6).
+        """Effect of the joints' noise on the prediction, one sigma, (n, 6).
 
-        The base takes up what momentum the joints seem to have (the equations of :mod:`onboard.dynamics.free_flight`
-        with eta = 0): its twist errs by ``-C^-1 M`` times the error of their rates, its acceleration by the same times
-        that of their accelerations. The products of rates are left out.
+        From the momentum equation of :mod:`onboard.dynamics.free_flight` with eta = 0: the error of the base's twist is
+        ``-C^-1 M`` times that of the joint rates, the error of its acceleration the same times that of the joint
+        accelerations. Products of rates are neglected.
 
         Args:
             q: joint positions, (n, joints).

@@ -1,9 +1,9 @@
-"""The unknowns of an ExIDDM: what they are called, which of them are estimated, and where each stands in the vector.
+"""The unknowns of an ExIDDM: names, which of them are estimated, and their place in the parameter vector.
 
 Unknowns come in named blocks: the motion's state at the first tick (``start``), the payload's standard parameters
-(``payload``), deviations of other links from the drawing (``links``), what a base has besides (``drag``, ``tilt``), and
-the IMU's errors (:mod:`onboard.identification.exiddm.imu_errors`). An unknown whose sigma is zero is certain: it stays
-zero and is not estimated.
+(``payload``), deviations of other links from the drawing (``links``), further ones of a base (``drag``, ``tilt``), and
+the IMU's errors (:mod:`onboard.identification.exiddm.imu_errors`). An unknown with sigma zero is exact: it stays zero
+and is not estimated.
 """
 
 from collections.abc import Mapping
@@ -17,14 +17,14 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 
 
 class Block(NamedTuple):
-    """Unknowns of one kind."""
+    """A block of unknowns."""
 
     names: tuple[str, ...]
     sigma: FloatArray  # (k,) before the flight, about zero; zero: certain; NaN: nothing is known
 
 
 class Layout:
-    """All unknowns in a row, and those among them that are estimated.
+    """Order of all unknowns, and of those that are estimated.
 
     Args:
         blocks: by name, in the order of the unknowns.
@@ -47,11 +47,11 @@ class Layout:
         self.sigma = sigma[self.kept]
 
     def __getitem__(self, block: str) -> slice:
-        """Where a block stands among all unknowns."""
+        """Slice of a block in the vector of all unknowns."""
         return self._places[block]
 
     def estimated(self, *blocks: str) -> IndexArray:
-        """Places of blocks in the vector of what is estimated."""
+        """Indices of blocks in the vector of estimated unknowns."""
         inside = [(self.kept >= self[name].start) & (self.kept < self[name].stop) for name in blocks]
         return np.flatnonzero(np.logical_or.reduce(inside))
 
@@ -63,7 +63,7 @@ class Layout:
 
 
 class UncertainLinks:
-    """The payload of a vehicle, and the links that are not exactly as drawn.
+    """The payload of a vehicle, and the links with uncertain parameters.
 
     Args:
         vehicle: with a payload link; its standard parameters are the prior of all other links.

@@ -1,14 +1,15 @@
-"""Non-linear ExIDDM, recursively: the payload of a free-flyer from its joints and base IMU, while it flies.
+"""Recursive non-linear ExIDDM: onboard estimate of a free-flyer's payload from joints and base IMU.
 
-The same likelihood as :mod:`onboard.identification.exiddm.batch`, taken in a few ticks at a time by an extended Kalman
-filter whose state is all that is unknown: angular momentum, payload, the IMU's errors, the uncertain links. The filter
-is wrong where it linearises far from the truth, so the first seconds are solved as one window, again and again while it
-grows (:mod:`onboard.identification.exiddm.window`); after that every batch is one step.
+The same likelihood as :mod:`onboard.identification.exiddm.batch`, processed in batches of ticks by an extended Kalman
+filter with all unknowns as its state: angular momentum, payload, IMU errors, uncertain links. Linearisation far from
+the truth is wrong, so the first seconds are solved as one growing window (:mod:`onboard.identification.exiddm.window`);
+after that every batch is one filter step.
 
-When the payload changes, momentum and payload are forgotten, everything else is kept, and a new window begins. The
-hypothesis that explains that window says what happened: nothing is held, the same payload after a push, or a new one.
+At a change of the payload the estimates of momentum and payload are reset, all others are kept, and a new window
+begins. The hypothesis that fits that window classifies the change: nothing held, the same payload after a push, or a
+new one.
 
-The joints' own noise, the ripple of their gears above all, is added to that of the IMU as far as it shows there.
+The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
 """
 
 from collections import deque
@@ -26,36 +27,35 @@ from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuP
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.window import Hypothesis, WindowFit
 
-SOLVED_AT_s = (1.0, 2.0, 4.0)  # after the start or a change: the window so far, as a whole
+SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 BATCH_TICKS = 10
-_DRIFT_MEMORY_s = 300.0  # a drift goes on for so long; then another one
-_LONGEST_HOLE_s = 1.0  # in the joints, that the momentum is carried over
-_LONGEST_WAIT_s = 8.0  # between windows that nothing explains
-_DETERMINED = 0.1  # sigma of the payload's mass by itself: from there on a linear step will do
-_BELIEVED = 1e-6  # by chance: a window whose misfit is less likely is not explained
-_SNAPSHOTS = 12  # batches: what is kept at a change is as it was before
+_DRIFT_MEMORY_s = 300.0  # correlation time of a bias drift
+_LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
+_LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
+_DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
+_EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
+_SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
 
 
 class RecursiveExiddm:
-    """A payload estimated tick by tick.
+    """Recursive estimate of a payload.
 
     Args:
         predictor: of the vehicle's IMU.
         imu_frame: the frame it measures in.
-        payload_sigma: how much of a payload there could be: standard deviations of its standard parameters about none
-            at all, (10,); wide.
+        payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
         held: a payload is held at the start.
         false_alarms_per_hour: of the change detector, at most.
-        known: standard parameters of the payload that was held last, (10,), and their covariance, (10, 10): whether it
-            is held still, or nothing or another one is, the first window tells, whatever ``held`` says.
+        known: standard parameters of the payload held last, (10,), and their covariance, (10, 10): the first window
+            decides whether it is still held, or nothing or another one, regardless of ``held``.
 
     Attributes:
         state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
         covariance: (p, p).
         held: a payload is held; None while that is not decided.
         ticks_used: with an IMU, taken in since the start or the last change.
-        glitches: ticks left out because nobody would believe them.
-        changes: found or told so far.
+        glitches: number of ticks left out as outliers.
+        changes: changes detected or announced so far.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class RecursiveExiddm:
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
         self._imu_frame = imu_frame
         self.held: bool | None = held
-        self._before: bool | None = held  # a change that is not decided yet
+        self._before: bool | None = held  # a change not yet classified
         self._pending = Ticks.none(len(predictor.vehicle.joints))
         p = len(predictor.names)
         self.state: FloatArray | None = None
@@ -83,7 +83,7 @@ class RecursiveExiddm:
         self._snapshots: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_SNAPSHOTS)
         self._drifts = np.array([at for _, at in predictor.biases], np.intp)
         carried = [*range(3), *(at for at, _ in predictor.biases)]
-        self._carried = np.array(carried, np.intp)  # what changes from tick to tick
+        self._carried = np.array(carried, np.intp)  # indices of the time-varying states
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
@@ -92,10 +92,9 @@ class RecursiveExiddm:
         self._open(hypotheses, mean, covariance)
 
     def update(self, ticks: Ticks) -> None:
-        """Takes ticks in; the newest waits for its successor, and the last few for a whole batch.
+        """Takes ticks; processes them in whole batches, the newest tick after its successor.
 
-        Where joints are missing the momentum is carried on with what it may have turned meanwhile; after a long hole
-        it is found anew.
+        Over a gap of the joints the momentum is kept with an inflated covariance; after a long gap it is re-estimated.
         """
         known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
         ticks = ticks.part(known)
@@ -113,13 +112,13 @@ class RecursiveExiddm:
             first = last
 
     def told(self, held: bool, time_s: float) -> None:
-        """The payload has been captured, or let go, somebody says; nothing happens when that is known."""
+        """Take the announcement of a capture or a release; no effect if already known."""
         if held != self.held:
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
             self._reopen((Hypothesis.NEW if held else Hypothesis.NOTHING,), 0)
 
     def estimate(self) -> BodyEstimate | None:
-        """The payload in its link's frame; None where none is held, or nothing is known yet.
+        """The payload in its link's frame; None if none is held or it is still unknown.
 
         Raises:
             SignalError: a mass that is not positive.
@@ -164,9 +163,9 @@ class RecursiveExiddm:
         window = WindowFit(self.predictor, self._imu_frame, self.payload_sigma, ticks, *self._prior)
         for hypothesis in self._hypotheses:
             solved = window.solve(hypothesis, self._start)
-            if solved is not None and solved.chance > _BELIEVED:
+            if solved is not None and solved.chance > _EXPLAINED:
                 break
-        else:  # contact may not be over; what is known of the rest stays
+        else:  # the contact may not be over; estimates of the other unknowns are kept
             longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
             self.state, self.held, self._start, self._solves = None, None, None, 0
             self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
@@ -185,7 +184,7 @@ class RecursiveExiddm:
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
             self._pending = ticks  # without what was waited out
-        elif hypothesis is Hypothesis.NEW and not self._determined():  # the arm is still, it seems
+        elif hypothesis is Hypothesis.NEW and not self._determined():  # the arm is at rest
             self._start = None
             self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
@@ -244,7 +243,7 @@ class RecursiveExiddm:
         return solved[:, :-1], solved[:, -1]
 
     def _carry(self, state: FloatArray, covariance: FloatArray, predicted: Prediction) -> None:
-        """To the last tick but one."""
+        """Propagate to the last tick but one."""
         assert self.state is not None
         c, F = self._carried, predicted.transition
         self.state = predicted.state + F @ (state - self.state)
@@ -266,7 +265,7 @@ class RecursiveExiddm:
         self._reopen(hypotheses, batches + 1)
 
     def _bridge(self, gap_s: float) -> None:
-        """The joints were not known for a while: the momentum has turned, nobody knows how."""
+        """Inflate the momentum's covariance after a gap of the joints: its direction in base axes is unknown."""
         rates = np.linalg.norm(self._pending.measured[:, :3], axis=1)
         rates = rates[np.isfinite(rates)]
         if self._hypotheses or self.state is None:

@@ -21,11 +21,11 @@ class Ticks(NamedTuple):
     joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
 
     def part(self, which: slice) -> "Ticks":
-        """Some of them."""
+        """A part of the ticks."""
         return Ticks(*(x[which] for x in self))
 
     def and_then(self, more: "Ticks") -> "Ticks":
-        """These and those."""
+        """These ticks followed by ``more``."""
         return Ticks(*(np.concatenate(pair) for pair in zip(self, more, strict=True)))
 
     @staticmethod
@@ -47,7 +47,7 @@ class Ticks(NamedTuple):
 
 
 def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
-    """Signals as ticks, their noise inflated for the correlation of neighbours.
+    """Signals as ticks, with noise inflated for the correlation of neighbours.
 
     Args:
         signals: at n ticks; joints without a noise are taken for exact.

@@ -1,7 +1,8 @@
 """Batch fit of a short window of ticks: initialises the recursive filter, and classifies a detected change.
 
 The maximum likelihood of :mod:`onboard.identification.exiddm.batch` on the state of
-:mod:`onboard.identification.exiddm.imu_prediction`, from several guesses, with what is known already as its prior.
+:mod:`onboard.identification.exiddm.imu_prediction`, from several guesses, with the current estimate of the other
+unknowns as prior.
 """
 
 import contextlib
@@ -26,14 +27,14 @@ from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40
-_FIRST_TICKS = 10  # that tell the momentum to begin with
-_GOOD_FIT = 1e-2  # by chance: a misfit that is likelier needs no other guess
-_GLITCH = 1e-9  # by chance, of one tick's residual
-_FEW = 0.03  # of the ticks may be glitches
+_FIRST_TICKS = 10  # for the initial momentum
+_GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
+_GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
+_FEW = 0.03  # largest share of outliers
 
 
 class Hypothesis(Enum):
-    """What a window of ticks may be explained by."""
+    """Hypothesis on the payload during a window."""
 
     NOTHING = "nothing held"
     SAME = "the same payload"
@@ -41,7 +42,7 @@ class Hypothesis(Enum):
 
 
 class Solved(NamedTuple):
-    """A window under one hypothesis."""
+    """Solution of a window under one hypothesis."""
 
     start: FloatArray  # (p,) at its first tick
     state: FloatArray  # (p,) at its last tick but one
@@ -78,10 +79,10 @@ class WindowFit:
         self._links = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
 
     def solve(self, hypothesis: Hypothesis, start: FloatArray | None) -> Solved | None:
-        """The window under a hypothesis; None where that leads nowhere.
+        """Fit the window under a hypothesis; None if the fit fails.
 
         Args:
-            hypothesis: what is held.
+            hypothesis: payload hypothesis.
             start: (p,) the state at the first tick as it was found before; None: guesses are made.
         """
         p = len(self._mean)
@@ -106,7 +107,7 @@ class WindowFit:
             if fitted is None:
                 return None
             glitches = 0
-            while glitches < _FEW * len(use):  # the worst bends the fit, and others with it: one at a time
+            while glitches < _FEW * len(use):  # an outlier distorts the fit: remove them one at a time
                 squares = (self._residuals(problem, use, fitted.x)[0].reshape(-1, 6) ** 2).sum(axis=1)
                 worst = int(squares.argmax())
                 if squares[worst] < chdtri(6.0, _GLITCH):
@@ -122,7 +123,7 @@ class WindowFit:
         return None
 
     def _from_guesses(self, problem: "_Problem", hypothesis: Hypothesis, use: NDArray[np.bool_]) -> FloatArray | None:
-        """The best fit from one guess after the other, until one is good; half a second is too short to tell."""
+        """Best fit over the initial guesses, stopping at a good one; starts on the first part of the window."""
         found: Fit | None = None
         for payload in self._guesses(hypothesis):
             x = problem.mean.copy()
@@ -137,7 +138,7 @@ class WindowFit:
         return None if found is None else problem.state(found.x)
 
     def _settle(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_]) -> Fit:
-        """To the bottom; but for a valley without a slope, near enough is good enough."""
+        """Iterate to the minimum; a nearly flat minimum is accepted early."""
         with contextlib.suppress(ConvergenceError):
             return self._fit(problem, start, use, 1e-2)
         return self._fit(problem, start, use, 1.0)
@@ -167,7 +168,7 @@ class WindowFit:
         yield from (standard_of(guess) for guess in guesses(rough))
 
     def _first_momentum(self, state: FloatArray) -> FloatArray:
-        """What the first gyro readings mean under the payload of ``state``."""
+        """Momentum from the first gyro readings, with the payload of ``state``."""
         state = state.copy()
         state[MOMENTUM] = 0.0
         predicted = self._predictor.predict(first_ticks(self._links, _FIRST_TICKS + 2), state)

@@ -1,12 +1,11 @@
-"""A free body with balanced rotors as one rigid body: what the estimator says of it, and what of that is its load.
+"""A free body with balanced rotors as one rigid body, and its load after subtraction of the carrier.
 
-Torque-free motion shows the centre of mass (from the force rows: where the specific force vanishes) and the inertia
-about it (from the moment rows), and neither the mass nor the scale of the inertia: every row is zero on the left.
-Masses are weighed; the scale is the spinning rotors' inertia, which throws of a known body calibrate
-(:func:`calibrate_rotor`).
+Torque-free motion determines the centre of mass (force rows: the point of zero specific force) and the inertia about it
+(moment rows), but neither the mass nor the scale of the inertia, as every left-hand side is zero. Masses are weighed;
+the scale is the spinning rotors' inertia, calibrated by throws of a known body (:func:`calibrate_rotor`).
 
 What the carrier itself weighs is subtracted (:func:`without_carrier`). Principal moments are not linear in the base
-parameters; their intervals are those of the linear functionals that touch them at the estimate.
+parameters; their intervals are linearised at the estimate.
 """
 
 from collections.abc import Callable
@@ -52,7 +51,7 @@ class Whole(NamedTuple):
 
 
 class KnownBody(NamedTuple):
-    """A rigid body that was measured before; errors of its numbers are taken for independent."""
+    """A rigid body measured before; errors of its numbers are taken as independent."""
 
     body: RigidBody
     sigma: FloatArray  # (9,) of the centre of mass and of the inertia's elements
@@ -68,7 +67,7 @@ class PrincipalMoments(NamedTuple):
 
 
 class RotorCalibration(NamedTuple):
-    """What throws of a known body say of the rotors' inertia."""
+    """Calibration of the rotors' inertia by throws of a known body."""
 
     factor: float  # on the inertia that was assumed
     sigma: float  # of the factor, relative, from the misfit
@@ -108,7 +107,7 @@ def free_body_quantities(model: RowModel, base: BaseParameters, prior_sigma: Flo
 
 
 def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95) -> Whole:
-    """The vehicle as the identifier knows it now.
+    """The vehicle as a rigid body, by the identifier's current estimate.
 
     Args:
         identifier: with the quantities of :func:`free_body_quantities`.
@@ -132,7 +131,7 @@ def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95) -> W
 def without_carrier(
     whole: Whole, carrier: KnownBody | None, rotor_sigma: float = 0.0
 ) -> tuple[RigidBody, PrincipalMoments]:
-    """What is left of a vehicle without its carrier, and the principal moments of that.
+    """A vehicle minus its carrier, and the principal moments of the rest.
 
     Args:
         whole: carrier and load.
@@ -163,11 +162,11 @@ def without_carrier(
 
 
 def calibrate_rotor(device: RigidBody, proof: RigidBody, known: RigidBody) -> RotorCalibration:
-    """Factor on the rotor's assumed inertia that makes a known body come out right.
+    """Factor on the rotor's assumed inertia from throws with a known body.
 
     All inertias estimated from free rotation scale with the rotor's. The factor is the least-squares projection over
-    the six elements of ``I(proof) - I(device)`` on what the known body adds to it; five elements too many say how good
-    it is.
+    the six elements of ``I(proof) - I(device)`` on what the known body adds to it; the five redundant elements give its
+    sigma (derived here).
 
     Args:
         device: the device alone, with the assumed rotor.

@@ -1,9 +1,9 @@
-"""Instruments for the rows of a free base: the same rows of motion that the estimate so far predicts.
+"""Instruments for the rows of a free base: the rows of the motion predicted by the estimate so far.
 
-A poor estimate makes poor instruments, and rows that have them are lost: so the rows of the first seconds wait, and
-their instruments are made anew as the estimate settles, ever more rarely. Later ones get theirs once and for all.
+A poor estimate gives weak instruments. The instruments of the rows of the first seconds are therefore recomputed, at
+growing intervals, while the estimate settles; later rows get theirs once. (Janot, Vandanjon and Gautier 2014.)
 
-Known warts: making the instruments of the first ten seconds anew takes 30 ms, some ten times a flight.
+Known limits: recomputing the instruments of the first ten seconds takes 30 ms, some ten times per flight.
 """
 
 from typing import NamedTuple
@@ -19,14 +19,14 @@ from onboard.identification.rows.predicted_motion import PredictedMotion
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowFold, RowModel
 
-_RIDGE = 1e-9  # relative, on the diagonal of rows that few signals decide
+_RIDGE = 1e-9  # relative, on the diagonal of nearly singular row covariances
 _FIRST_S = 1.0  # before there is an estimate to predict with
-_SETTLED_S = 10.0  # of flight after which an estimate predicts well enough for good
+_SETTLED_S = 10.0  # of flight after which instruments are final
 _EVERY, _LEAST_S, _MOST_S = 0.2, 0.5, 10.0  # of the flight so far, between one correction and the next
 
 
 class MotionRows(NamedTuple):
-    """Rows of n ticks, and the motion they are made of."""
+    """Rows of n ticks, and their motion."""
 
     time_s: FloatArray  # (n,)
     q: FloatArray  # (n, joints)
@@ -44,7 +44,7 @@ class MotionRows(NamedTuple):
 
 
 def whitening(rows: MotionRows, mean: FloatArray) -> tuple[FloatArray, list[tuple[NDArray[np.intp], FloatArray]]]:
-    """What makes the rows of a tick independent: their errors come from the same few signals.
+    """Whitening of the rows of a tick, whose errors come from common signals.
 
     Args:
         rows: with the noise of their signals.
@@ -72,7 +72,7 @@ def whitening(rows: MotionRows, mean: FloatArray) -> tuple[FloatArray, list[tupl
 
 
 class Instruments:
-    """Makes the instruments of rows, and gives both to the recursion.
+    """Computes the instruments of rows and adds both to the recursion.
 
     Args:
         recursion: where they go.
@@ -109,7 +109,7 @@ class Instruments:
         self._mean: FloatArray | None = None  # base parameters that are predicted with
 
     def take(self, rows: MotionRows) -> None:
-        """Takes rows in that the least squares already has."""
+        """Takes rows already added to the least squares."""
         now_s = float(rows.time_s[-1])
         if self._start_s is None:
             self._start_s, self._due_s = now_s, now_s + _FIRST_S

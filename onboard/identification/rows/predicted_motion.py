@@ -1,14 +1,14 @@
-"""Motion of a free base as the estimate so far predicts it: the instruments of the recursive estimator.
+"""Predicts the motion of a free base with the current estimate, for the instruments of the recursive estimator.
 
 From joints and momentum alone (:mod:`onboard.dynamics.free_flight` has the equations), one tick at a time:
 
     M_bb [v; w] = [0; eta] - M_bj dq,     M_bb [f; dw] = -(M_bj ddq + bias),     d eta / dt = eta x w
 
-with M the joint-space inertia matrix, split into base and joints, and eta the angular momentum in base axes. The
-momentum is all that has to be seen: the gyro shows it, at every tick, and a slow observer takes it up *later* than any
-smoothing kernel is wide. What is predicted for a tick therefore shares no noise with what is measured at it.
+with M the joint-space inertia matrix, split into base and joints, and eta the angular momentum in base axes. Only the
+momentum is measured, by the gyro, and a slow observer uses it with a lag *longer* than the smoothing kernel. The
+prediction at a tick therefore shares no noise with the measurement at it.
 
-A wrong estimate predicts a wrong motion, which makes a weak instrument and not a wrong one.
+A wrong estimate gives a weak instrument, not a bias.
 """
 
 from collections import deque

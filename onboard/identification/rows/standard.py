@@ -1,8 +1,8 @@
-"""Standard parameters of the links from an estimate of base parameters, and bodies that can exist.
+"""Standard parameters of the links from an estimate of base parameters, as physically possible bodies.
 
-Rows tell base parameters only. What the ten parameters of a link are within them, only the drawing says: the standard
-parameters given here are the drawing's, moved by what the rows say, each as far as its prior sigma allows. For Gaussian
-priors that is the posterior, covariance included, and no row is asked again.
+Rows determine base parameters only. The standard parameters given here are the posterior of the nominal ones with their
+Gaussian prior, conditioned on the estimated base parameters (derived here: ``x + K (beta - F x)``, ``K = P F' (F P
+F')^-1``); no rows are needed.
 """
 
 from collections.abc import Collection
@@ -26,12 +26,12 @@ class LinkEstimate(NamedTuple):
     link: str
     mean: FloatArray  # (10,)
     covariance: FloatArray  # (10, 10)
-    body: RigidBody | None  # one that can exist: the estimate itself, or the likeliest one; None for a mass below zero
-    away: float  # how far the estimate is from that, in sigmas of the covariance: zero where it can exist itself
+    body: RigidBody | None  # physically possible: the estimate, or the most likely one; None for a mass below zero
+    away: float  # distance of the estimate from it, sigmas; zero if the estimate is possible
 
 
 def link_estimate(link: str, mean: FloatArray, covariance: FloatArray) -> LinkEstimate:
-    """Standard parameters with the body that they, or else the likeliest ones, stand for."""
+    """Standard parameters with their body, or the most likely possible one."""
     if not mean[0] > 0.0:
         return LinkEstimate(link, mean, covariance, None, np.inf)
     body = possible_body(mean, covariance)
@@ -59,7 +59,7 @@ def whole_estimate(link: str, whole: Whole, scale_sigma: float) -> LinkEstimate:
 
 
 def without_rotors(vehicle: VehicleModel, whole: RigidBody) -> RigidBody:
-    """The base link of a free body that was estimated as one: less what the URDF's other links weigh."""
+    """The base link of a free body estimated as one: the whole minus the URDF's other links."""
     others = vehicle.chi.copy()
     base = 10 * vehicle.links.index(vehicle.spec.base_link)
     others[base : base + 10] = 0.0
@@ -67,11 +67,11 @@ def without_rotors(vehicle: VehicleModel, whole: RigidBody) -> RigidBody:
 
 
 def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> tuple[LinkEstimate, ...]:
-    """The links that have a part in what the rows determine, be it base parameters or quantities.
+    """The links that contribute to determined base parameters or quantities.
 
     Args:
         identifier: after its rows.
-        nuisance: base parameters that take up what is not theirs.
+        nuisance: nuisance base parameters, left out.
     """
     model, base, sigma = identifier.model, identifier.base, identifier.prior_sigma
     jackknife, estimate = identifier.block_jackknife(), identifier.estimate()

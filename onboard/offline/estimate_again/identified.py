@@ -45,7 +45,7 @@ class Identified:
     throw: Throw | None = None
     held_out: HeldOut | None = None
     misfit: float | None = None  # of a maximum likelihood fit, over its degrees of freedom
-    subspace: ObservedDirections | None = None
+    observability: ObservedDirections | None = None
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
     links: tuple[LinkEstimate, ...] = field(default=())
 
@@ -75,7 +75,7 @@ class Identified:
             "quantities": [answer.as_json() for answer in self.answers],
             "held_out": _predictions(self.held_out),
             "misfit": self.misfit,
-            "observable": _subspace(self.subspace),
+            "observable": _observability(self.observability),
             "essential": list(self.essential),
             "links": [_link(one) for one in self.links],
             "throw": self.throw.as_json() if self.throw else None,
@@ -93,7 +93,7 @@ def _predictions(held_out: HeldOut | None) -> dict[str, Any] | None:
     return {name: prediction._asdict() for name, prediction in parts.items()}
 
 
-def _subspace(found: ObservedDirections | None) -> dict[str, Any] | None:
+def _observability(found: ObservedDirections | None) -> dict[str, Any] | None:
     if found is None:
         return None
     return {**found._asdict(), "condition": plain(found.condition), "undetermined": list(found.undetermined)}

@@ -19,7 +19,7 @@ from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_model
 from onboard.flight.roles import roles_of
 from onboard.identification.essential import essential
-from onboard.identification.observability import subspace
+from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows.held_out import RowBlocks
 from onboard.identification.rows.identifier import Identifier
@@ -161,7 +161,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         verdict(evidence),
         thrown,
         held_out,
-        subspace=subspace(who.rls.observability(), who.base.names),
+        observability=observed_directions(who.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         links=links,
     )

@@ -88,8 +88,8 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
         yield "", f"left over by the fit of all: {fit}"
     if log.misfit is not None:
         yield "misfit", f"{log.misfit:.2f} of the noise"
-    if log.subspace is not None:
-        seen = log.subspace
+    if log.observability is not None:
+        seen = log.observability
         condition = f", condition number {seen.condition:.0f}" if seen.determined else ""
         yield "observable", f"{seen.determined} of {seen.of} directions{condition}"
     for one in log.links:

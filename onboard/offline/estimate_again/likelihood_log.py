@@ -20,7 +20,7 @@ from onboard.estimation.rls import Observability
 from onboard.identification.change import Change
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
 from onboard.identification.exiddm.ticks import Ticks
-from onboard.identification.observability import subspace
+from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.verdict import Evidence, verdict
@@ -112,7 +112,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         verdict(evidence),
         held_out=halves,
         misfit=found.misfit,
-        subspace=subspace(body_seen(body), names),
+        observability=observed_directions(body_seen(body), names),
         links=(link,),
     )
 

@@ -47,8 +47,8 @@ def test_a_tumbling_throw_is_good(tmp_path: Path, rng: np.random.Generator) -> N
     assert found.verdict.level is Level.GOOD
     assert found.held_out is not None
     assert found.held_out.worst.relative_error < 0.2
-    assert found.subspace is not None
-    assert found.subspace.determined == 9  # of the whole: first moments and inertia; its mass is weighed
+    assert found.observability is not None
+    assert found.observability.determined == 9  # of the whole: first moments and inertia; its mass is weighed
     assert len(found.answers) >= 9
     assert all(0.0 < answer.bound <= 1.001 * answer.sigma for answer in found.answers)
 
