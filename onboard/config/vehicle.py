@@ -1,4 +1,4 @@
-"""The vehicle file: its sections, and the parsed file."""
+"""A whole vehicle file: its sections, and the file as it was read."""
 
 import tomllib
 from functools import cached_property
@@ -24,7 +24,7 @@ else:  # the kinds that the registry has found
 
 
 class VehicleSection(Section):
-    """The vehicle. ``base``: kind of base (motion and wrench known or unknown).
+    """What flies. ``base``: what is known of the base's motion and of the wrench on it.
 
     ``gravity_m_s2``: in base axes; counts where the base is fixed and no device is an IMU, and where it is planar.
     ``essential``: devices without which a flight has failed: ``heft fly`` ends with 1 if one of them never said a word.
@@ -40,18 +40,17 @@ class VehicleSection(Section):
 
 
 class BusSection(Section):
-    """A bus by URL; ``drivers.transports`` lists them."""
+    """A bus by URL; ``drivers.transports`` says which there are."""
 
     url: str
 
 
 class Recording(Section):
-    """Recording of flights.
+    """Where flights go, and how safe they are.
 
-    ``sync_period_ms``: longest time until recorded data are on the medium. ``segment_s``, ``segment_mib``: a log
-        continues in a new file after this time or size. ``min_free_mib``: while less is free, the oldest segments of
-        earlier flights are removed; 0 keeps them all. ``reserve_mib``: reserved for events and gaps when the disk is
-        full.
+    ``sync_period_ms``: nothing recorded is ever longer than this off the medium. ``segment_s``, ``segment_mib``: a log
+    goes on in a new file after so much. ``min_free_mib``: the oldest segments of earlier flights make way while less is
+    free; 0 keeps them all. ``reserve_mib``: kept back for events and gaps when the disk is full.
     """
 
     directory: str = "flights"
@@ -75,7 +74,7 @@ class VehicleFile(Section):
 
 
 class Vehicle(BaseModel):
-    """A parsed vehicle file: its text, directory and sections."""
+    """A vehicle file that has been read: its text, its directory, its objects."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -1,6 +1,6 @@
-"""Base classes of all kinds of device.
+"""What every kind of device has, and the shared bases of those that measure for the estimator.
 
-A kind is a :class:`DeviceSection` with ``kind: Literal["..."]``; methods not overridden have the defaults given here.
+A kind is a :class:`DeviceSection` with ``kind: Literal["..."]``. Whatever it does not say has the answer given here.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -24,7 +24,7 @@ Problem = tuple[list[str], str]
 
 
 class Surroundings(Protocol):
-    """Interface of the vehicle to its devices."""
+    """What a device may ask of the vehicle that it is on."""
 
     def url(self, bus: str) -> str:
         """URL of a bus that is there, as it is opened."""
@@ -70,15 +70,15 @@ class DeviceSection(Section):
         return None
 
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
-        """Delays subtracted from its samples' times; may include zeros."""
+        """Everything that is taken off its samples' times; zeros may be among them."""
         return []
 
     def roles(self, name: str, period_s: float) -> Roles:
-        """Its roles in the estimator; ``period_s`` is the nominal sample period."""
+        """What it is to the estimator; ``period_s`` is the nominal time between samples."""
         return Roles.none()
 
     def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
-        """Errors of this table beyond single keys."""
+        """What is wrong with this table that no single key shows."""
         return iter(())
 
 
@@ -92,7 +92,7 @@ class Closable(Protocol):
     """What every port has."""
 
     def close(self) -> None:
-        """Close the bus."""
+        """Give the bus back."""
 
 
 P = TypeVar("P", bound=Closable)
@@ -159,12 +159,12 @@ class BusDevice(DeviceSection):
 
     @property
     def tells_changes(self) -> bool:
-        """Whether it sends on change and has no rate."""
+        """It says something when it changes, and has no rate."""
         return False
 
     @property
     def tick_rate_hz(self) -> float | None:
-        """Nominal rate of its rows' ``tick``, if a preflight can check it."""
+        """Nominal rate of its rows' ``tick``, where a preflight can hold the device to it."""
         return None
 
     def marks(self, name: str, rows: Mapping[str, Rows]) -> int | None:
@@ -199,10 +199,10 @@ class ImuDevice(DeviceSection):
 
 
 class JointDevice(BusDevice):
-    """It measures the angle of ``joint``: ``zero_count`` is its reading at angle zero.
+    """It measures the angle of ``joint``: ``zero_count`` is what it reads at angle zero.
 
-    On the motor side of a gear it has cyclic errors: ``eccentricity_rad`` once, ``transmission_error_rad`` twice per
-        motor revolution.
+    On the motor's side of a gear it errs with the motor's turns: ``eccentricity_rad`` once, ``transmission_error_rad``
+    twice in each.
     """
 
     about_role = "joint angle"
@@ -226,9 +226,9 @@ class JointDevice(BusDevice):
 
 
 class LoadCellDevice(BusDevice, LoadCellKeys):
-    """A load cell as a separate device: its first channel is the force used by the estimator.
+    """A load cell that is a device of its own: its first channel is the force that is estimated with.
 
-    ``gravity_m_s2``: newton per kilogram of its readings, if its unit is kg.
+    ``gravity_m_s2``: what one of its kilograms weighs, where it tells kilograms.
     """
 
     about_role = "load cell"

@@ -1,4 +1,4 @@
-"""Interface of the onboard estimators."""
+"""What every estimator that flies looks like."""
 
 from typing import Protocol
 
@@ -10,25 +10,25 @@ from onboard.regressor.signals import Signals
 
 
 class OnlineIdentifier(Protocol):
-    """Processes ticks as they arrive and gives the estimate at any time."""
+    """Takes ticks in as they come, says at any time what is known."""
 
     rows_used: int
     refused: dict[GateReason, int]
 
     @property
     def row_names(self) -> tuple[str, ...]:
-        """Names of the columns of ``measured``."""
+        """Of the columns of ``measured``."""
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the state's parameters."""
+        """Of the state."""
 
     @property
     def quantity_names(self) -> tuple[str, ...]:
-        """Names of the further quantities."""
+        """Of what is reported besides."""
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Process new ticks; returns gate reasons by tick and row, (n, rows)."""
+        """New ticks: reasons by tick and row, (n, rows)."""
 
     def estimate(self, level: float = 0.95) -> Estimate:
         """State and quantities with two-sided intervals of this level."""
@@ -37,4 +37,4 @@ class OnlineIdentifier(Protocol):
         """Square-root information ``[R z]``, (s, s); zeros where there is none."""
 
     def news(self) -> tuple[Change, ...]:
-        """Changes detected since the last call."""
+        """What has been noticed since the last call."""

@@ -24,8 +24,8 @@ IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for 
 class ExiddmIdentifier:
     """The recursive non-linear ExIDDM. Its rows are the six lines of the base IMU, means over each tick.
 
-    A quantity is supported if the data, not the prior, determine it; all but the mass also require a sigma of the mass
-    of at most a fifth of it.
+    A quantity is supported when the data determine it, not the prior, and all but the mass only when the mass is known
+    well enough to divide by (a fifth of itself, one sigma).
 
     Args:
         exiddm: the estimator.
@@ -43,9 +43,9 @@ class ExiddmIdentifier:
         self._told = 0
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Takes new ticks; a change of ``attached`` announces a capture or a release of the payload.
+        """Takes new ticks in; where ``attached`` changes somebody says that the payload was captured or let go.
 
-        A tick refused as an outlier is counted but not marked, because it is tested some ticks later.
+        A tick that is refused for its own glitch is counted, not marked: it is judged some ticks later.
 
         Raises:
             SignalError: shapes that do not fit.
@@ -116,7 +116,7 @@ class ExiddmIdentifier:
         )
 
     def triangle(self) -> FloatArray:
-        """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
+        """Of the payload's ten standard parameters, (11, 11); zeros while nothing is known."""
         out = np.zeros((11, 11))
         if self.exiddm.state is not None and self.exiddm.held:
             R = cholesky(np.linalg.inv(self.exiddm.covariance[PAYLOAD, PAYLOAD]))
