@@ -7,13 +7,10 @@ import numpy as np
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
-from drivers.canopen_pdo.channel import PdoChannel, ProcessData
-from drivers.canopen_pdo.cia402 import Cia402Config, drive_values
-from drivers.canopen_pdo.cia404 import Cia404Config, LoadCell
-from drivers.canopen_pdo.cia406 import Cia406Config, Encoder
+from drivers.canopen_pdo.channel import NodeConfig, PdoChannel
 from drivers.canopen_pdo.event_channel import EventChannel
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
-from drivers.canopen_pdo.mapped_object import CanopenObjectConfig, MappedObject
+from drivers.canopen_pdo.mapped_object import MappedObject
 from drivers.canopen_pdo.node import Node
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
 from drivers.canopen_pdo.sync_channel import SyncChannel
@@ -22,24 +19,11 @@ from drivers.ports import CanFrame, CanPort
 from drivers.records import CAN_SYNC, Batch, Severity
 from drivers.reporter import Reporter
 
-NodeConfig = Cia402Config | Cia404Config | Cia406Config | CanopenObjectConfig
-
 OVERDUE = 2.5  # SYNC periods without SYNC after which held TPDOs become rows
 STALLED = 100.0  # SYNC periods without SYNC after which all waiting frames are read before numbering
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
 DRAINS, DRAIN_S = 16, 0.03  # receives in ``stop``, until one is empty
-
-
-def process_data(config: NodeConfig) -> Sequence[ProcessData]:
-    """Process data named by a configuration: one channel, or up to three for a drive."""
-    if isinstance(config, Cia402Config):
-        return drive_values(config)
-    if isinstance(config, Cia406Config):
-        return [Encoder(config)]
-    if isinstance(config, Cia404Config):
-        return [LoadCell(config)]
-    return [MappedObject(config)]
 
 
 class CanopenBus:
@@ -82,7 +66,7 @@ class CanopenBus:
         self._started_ns = 0
         self._channels: list[PdoChannel] = []
         self._synchronous: list[SyncChannel] = []
-        values = [data for config in nodes for data in process_data(config)]
+        values = [data for config in nodes for data in config.process_data()]
         names = [sync.name, *(data.name for data in values)]
         if len(set(names)) < len(names):
             raise ConfigurationError(

@@ -1,7 +1,8 @@
 """TPDOs of a node as numbered SCALAR rows; every missing one is recorded in a gap."""
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -58,6 +59,13 @@ class ProcessData(ABC):
     @abstractmethod
     def decode(self, data: bytes) -> Sample:
         """Read a TPDO. Raises FrameError when its length is wrong."""
+
+
+class NodeConfig(Protocol):
+    """Configuration of a node, or of some channels of one."""
+
+    def process_data(self) -> Sequence[ProcessData]:
+        """Its channels."""
 
 
 class PdoChannel(ABC):

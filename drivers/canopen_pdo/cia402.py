@@ -84,6 +84,11 @@ class Cia402Config:
             layout[-1] += (entry,)
         return layout
 
+    def process_data(self) -> "list[DriveValue]":
+        """The channels of the drive."""
+        wanted = ((self.position, POSITION), (self.velocity, VELOCITY), (self.torque, TORQUE))
+        return [DriveValue(self, name, entry) for name, entry in wanted if name is not None]
+
 
 class DriveValue(ProcessData):
     """One of the three values of a drive: signed counts as sent; a position is unwrapped by ``Position``.
@@ -145,9 +150,3 @@ class DriveValue(ProcessData):
     def _per_mille(self, rated_N_m: float) -> float:
         """Joint torque per thousandth of the rated motor torque (unit of 6077h, CiA 402-2), N m."""
         return rated_N_m * 1e-3 * self._config.gear_ratio
-
-
-def drive_values(config: Cia402Config) -> list[DriveValue]:
-    """The channels of a drive."""
-    wanted = ((config.position, POSITION), (config.velocity, VELOCITY), (config.torque, TORQUE))
-    return [DriveValue(config, name, entry) for name, entry in wanted if name is not None]

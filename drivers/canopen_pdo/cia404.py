@@ -37,6 +37,10 @@ class Cia404Config:
         if not self.capacity_N > 0.0:
             raise ConfigurationError(f"{self.name}: capacity_N = {self.capacity_N}: give the rated force, above 0")
 
+    def process_data(self) -> "list[LoadCell]":
+        """Its one channel."""
+        return [LoadCell(self)]
+
 
 class LoadCell(ProcessData):
     """Force in counts of 10^-digits of the node's unit; the scale to N is read from the node during set-up."""

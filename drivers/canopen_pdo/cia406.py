@@ -33,6 +33,10 @@ class Cia406Config:
         if self.counts_per_revolution < 1:
             raise ConfigurationError(f"{self.name}: counts_per_revolution = {self.counts_per_revolution}: 1 or more")
 
+    def process_data(self) -> "list[Encoder]":
+        """Its one channel."""
+        return [Encoder(self)]
+
 
 class Encoder(ProcessData):
     """Joint position, counts; 2 pi / ``counts_per_revolution`` rad a count.

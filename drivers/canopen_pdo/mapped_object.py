@@ -54,6 +54,10 @@ class CanopenObjectConfig:
         if self.synchronous and self.counter_subindex is not None:
             raise ConfigurationError(f"{self.name}: its losses are counted by SYNC: drop counter_subindex")
 
+    def process_data(self) -> "list[MappedObject]":
+        """Its one channel."""
+        return [MappedObject(self)]
+
 
 class Reading(NamedTuple):
     """An object read by SDO: arrival time of the answer, value, and change counter if there is one."""

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 
 from drivers.canopen_pdo import CanopenBus, Cia402Config, Cia406Config, SyncConfig
-from drivers.canopen_pdo.cia402 import drive_values
 from drivers.errors import ConfigurationError, FrameError
 from drivers.records import SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
@@ -174,7 +173,7 @@ def test_a_drive_and_an_encoder_share_a_bus(clock):
 
 @given(st.binary(max_size=8))
 def test_any_bytes_are_a_sample_or_a_frame_error(data):
-    for value, length in zip(drive_values(ALL), (8, 8, 2), strict=True):
+    for value, length in zip(ALL.process_data(), (8, 8, 2), strict=True):
         if len(data) == length:
             assert -(2**31) <= value.decode(data).value_raw < 2**31
         else:
@@ -183,7 +182,7 @@ def test_any_bytes_are_a_sample_or_a_frame_error(data):
 
 
 def test_the_bytes_are_little_endian_and_signed():
-    position, velocity, torque = drive_values(ALL)
+    position, velocity, torque = ALL.process_data()
     data = struct.pack("<ii", -123_456, 789)
     assert (position.decode(data).value_raw, velocity.decode(data).value_raw) == (-123_456, 789)
     assert torque.decode(b"\xff\xff").value_raw == -1

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from drivers.canopen_pdo import Cia402Config, Cia406Config
-from drivers.canopen_pdo.cia402 import drive_values
 from drivers.canopen_pdo.cia406 import Encoder
 from drivers.position import Position
 from drivers.records import SampleStatus
@@ -16,7 +15,7 @@ TURN = 500_000
 def data(request):
     if request.param == "encoder":
         return Encoder(Cia406Config("joint_1", 1, TURN))
-    return drive_values(Cia402Config(4, TURN, position="joint_1"))[0]
+    return Cia402Config(4, TURN, position="joint_1").process_data()[0]
 
 
 def as_sent(position):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen_pdo import CanopenBus, Cia404Config, Cia406Config, SyncConfig
-from drivers.canopen_pdo.bus import NodeConfig
+from drivers.canopen_pdo.channel import NodeConfig
 from drivers.records import Batch
 from drivers.transports import open_can
 from drivers.transports.can_socket import SocketcanPort
