@@ -16,7 +16,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.clocks import timebase_of
-from onboard.flight.identification import build_online
+from onboard.flight.identification import METHODS, build_online
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import SignalSmoother, kernel_of
@@ -141,7 +141,7 @@ class Estimator:
         joints, (q_sigma, dq_sigma, ddq_sigma), refused = self._at_joints(at_ns)
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
-        if self._imu is not None and self.vehicle.file.estimation.method == "exiddm":
+        if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
             means = self._signals.means(self._imu.channels, self._timebase, at_ns, self._period_ns)
             (measured,), (sigma,) = means.derivatives, means.sigma
             refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])

@@ -1,6 +1,7 @@
 """From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,11 +48,16 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleMode
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    if vehicle.file.planar is not None:
-        return build_planar(vehicle)
-    if vehicle.file.estimation.method == "exiddm":
-        return build_exiddm(vehicle)
-    return build_identifier(vehicle)
+    return METHODS[vehicle.file.estimation.method].build(vehicle)
+
+
+def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
+    """The ExIDDM of a vehicle file: recursive for a free base, at the end of the run on an air-bearing table.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    return build_exiddm(vehicle) if vehicle.file.planar is None else build_planar(vehicle)
 
 
 def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleModel]:
@@ -230,3 +236,22 @@ def _considered(cell: LoadCellRole, scaled: bool) -> list[Considered]:
     scale = Considered(f"scale of {cell.name}", cell.name, "scale", _scale_sigma(cell))
     delay = Considered(f"delay of {cell.name}", cell.name, "delay", cell.keys.delay_sigma_ms * 1e-3)
     return [delay] if scaled else [scale, delay]
+
+
+class Method(NamedTuple):
+    """An estimator that flies.
+
+    Attributes:
+        build: makes it from a vehicle file.
+        tick_means: it takes the base IMU's means over each tick, and not smoothed signals at its middle.
+    """
+
+    build: Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]
+    tick_means: bool
+
+
+METHODS = {  # by ``[estimation] method``
+    "rows": Method(build_identifier, tick_means=False),
+    "instrumental": Method(build_identifier, tick_means=False),
+    "exiddm": Method(build_likelihood, tick_means=True),
+}

@@ -1,6 +1,7 @@
 """The small parts of the flight app: history, phases, zeroing, publisher, smoothed signals."""
 
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from hypothesis import strategies as st
 from drivers import records
 from drivers.records import Batch, Severity, event
 from onboard import config
+from onboard.config.estimation import Estimation
 from onboard.devices.cia406 import Cia406Device
 from onboard.estimation.gates import GateReason
 from onboard.flight.history import History
+from onboard.flight.identification import METHODS
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.publisher import Publisher
 from onboard.flight.roles import roles_of
@@ -336,3 +339,9 @@ def test_the_parts_of_an_imu_stand_side_by_side(tmp_path: Path) -> None:
     assert smoothed.derivatives[0][0] == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     assert smoothed.sigma[1].shape == (2, 6)
     assert smoothed.refused.tolist() == [0, GateReason.GAP]
+
+
+def test_every_method_of_the_vehicle_file_has_an_estimator_that_flies() -> None:
+    named = get_args(Estimation.model_fields["method"].annotation)
+    assert len(named) >= 3
+    assert set(METHODS) == set(named)
