@@ -20,6 +20,7 @@ from onboard.devices.canopen import CanopenNodeDevice
 from onboard.devices.node_channels import CHANNELS
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import LoadCellKeys
+from onboard.section import LARGEST
 
 MIXED = Path(__file__).parents[1] / "flight" / "mixed.toml"
 RECORDS: list[tuple[np.dtype[np.void], str]] = [
@@ -204,6 +205,9 @@ def _type(schema: dict[str, Any]) -> str:
             return f"{len(schema['prefixItems'])} numbers"
         return "tables" if "oneOf" in schema["items"] else f"list of {_type(schema['items'])}"
     name = {"integer": "integer", "number": "number", "string": "text", "boolean": "true, false"}[schema["type"]]
+    if abs(schema.get("maximum", 0)) == LARGEST:  # any number that a vehicle can have: only its sign is told
+        sign = {-LARGEST: "", 0: " at least 0", 1 / LARGEST: " above 0"}
+        return name + sign[schema["minimum"]]
     low, high = schema.get("minimum"), schema.get("maximum")
     if low is not None and high is not None:
         return f"{name}, {low} to {high}"
