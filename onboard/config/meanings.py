@@ -1,0 +1,226 @@
+"""What every key outside ``[device]`` means, and when to change it: for the JSON Schema and ``docs/vehicle.md``.
+
+The keys of devices are told by their own modules, in ``docs/devices.md``.
+"""
+
+from typing import NamedTuple
+
+from onboard.config.estimation import (
+    Carried,
+    Estimation,
+    Exiddm,
+    Gates,
+    ImuPrior,
+    Link,
+    Masses,
+    Memory,
+    Phases,
+    Prior,
+    Zero,
+)
+from onboard.config.free_body import Carrier, FreeBody, Load
+from onboard.config.planar import Planar, Puck
+from onboard.config.vehicle import BusSection, Recording, VehicleSection
+from onboard.section import Section
+
+
+class Meaning(NamedTuple):
+    """Of a key: what it is, and when to change it (empty where it always is as the vehicle is)."""
+
+    what: str
+    change: str = ""
+
+
+_M = Meaning
+MEANINGS: dict[type[Section], dict[str, Meaning]] = {
+    VehicleSection: {
+        "name": _M("Name of the vehicle; logs are called by it."),
+        "urdf": _M(
+            "URDF file, relative to this file: links with mass, centre and inertia, joints with axes and limits."
+        ),
+        "base": _M(
+            "What is known of the base: it floats freely, its motion is prescribed by something larger and measured, "
+            "it is fixed in gravity, or it floats on an air-bearing table."
+        ),
+        "base_link": _M("Link of the URDF that the base IMU moves with."),
+        "payload_link": _M("Link that stands for what is grappled; its inertia in the URDF is a first guess or zero."),
+        "essential": _M(
+            "Devices without which a flight has failed: heft fly ends with 1 if one of them was never heard.",
+            "name what the answer cannot do without",
+        ),
+        "gravity_m_s2": _M(
+            "Gravity in base axes; counts where the base is fixed and no device is an IMU, and where it is planar.",
+            "the bench is tilted, or stands at another latitude",
+        ),
+    },
+    BusSection: {"url": _M("Where the bus is opened; the table of URLs is in docs/devices.md.")},
+    Recording: {
+        "directory": _M("Where logs go, relative to where heft runs.", "the medium for logs is mounted elsewhere"),
+        "sync_period_ms": _M(
+            "Nothing recorded is ever longer than this off the medium.", "the medium wears, or is slow"
+        ),
+        "segment_s": _M("A log goes on in a new file after this time.", "files are to be downlinked one by one"),
+        "segment_mib": _M("The same, after this size.", "as above"),
+        "min_free_mib": _M(
+            "The oldest segments of earlier flights are deleted while less is free; 0 keeps them all.",
+            "a flight computer flies again and again without anybody who makes room",
+        ),
+        "reserve_mib": _M("Kept back for events and gaps when the disk is full."),
+    },
+    Estimation: {
+        "method": _M(
+            '"rows": least squares on rows of the dynamics; "instrumental": the same for a free base, unbiased by '
+            'noise; "exiddm": predicts the base IMU of a free vehicle, finds payload, capture and ejection.',
+            'a free base: "exiddm"; "instrumental" where it must be linear',
+        ),
+        "step_ms": _M("The estimator runs this often.", "the computer is slow"),
+        "row_rate_hz": _M("Rows of the regression a second.", "the motion is faster than a tenth of it"),
+        "lag_ms": _M(
+            "Rows are made this long after the fact, when every channel has arrived.",
+            "a device reports late: rows are then refused as gaps",
+        ),
+        "smoothing_ms": _M(
+            "Width of the kernel that both sides of every row go through.",
+            "wider for quiet, slow motion or gear ripple; narrower for fast motion",
+        ),
+        "smoothing": _M(
+            "Kernel: a spline, the steady-state Kalman filter (causal), or its smoother.",
+            "answers are wanted without lag",
+        ),
+        "block_ms": _M(
+            "Rows further apart than this are taken to err independently; five times smoothing_ms if not given.",
+            "errors are slower than that (thermal, sloshing)",
+        ),
+        "scales": _M(
+            'Scales of load cells: "considered" widens intervals by scale_sigma; "estimated" makes each a parameter.',
+            "several cells see the same load",
+        ),
+        "base_rows": _M("Components of the base's wrench that are known to be zero and make rows.", "the base is free"),
+        "base_force_sigma_N": _M("How well that force is known to be zero, 1 sigma.", "thrusters, drag or cables act"),
+        "base_moment_sigma_N_m": _M("The same of the moment.", "as above"),
+        "zero_force_sigma_m_s2": _M(
+            "What zeroing leaves of a constant error of the specific force; estimated where given.",
+            "the accelerometer is zeroed in flight",
+        ),
+        "phases": _M("Table: which phases of the mission are for identification."),
+        "zero": _M("Table: where the accelerometer is zeroed."),
+        "gates": _M("Table: which rows are refused."),
+        "memory": _M("Table: how long rows count."),
+        "prior": _M("Table: what is known beforehand."),
+        "masses": _M("Table: masses to report from inertia about a joint."),
+        "nuisance": _M(
+            "Base parameters that take up what is not theirs: estimated, never reported as supported.",
+            "a disturbance has the shape of a parameter (drag as a first moment)",
+        ),
+        "carried": _M("Table: what an earlier flight had learned; heft fly --continue writes it."),
+        "exiddm": _M('Table of method "exiddm".'),
+        "imu_prior": _M('Table: standard deviations of the base IMU\'s errors, for method "exiddm".'),
+    },
+    Phases: {
+        "channel": _M("SCALAR channel that tells the phase."),
+        "identify": _M("Codes of the phases that are for identification."),
+        "payload_taken": _M("The payload is held from this phase on; from the start where not given."),
+        "payload_gone": _M("From this phase on it is no longer held."),
+        "end": _M("The flight is over: heft fly stops."),
+        "settle_ms": _M("Rows this close to a change of phase are not used.", "the arm rings for longer"),
+    },
+    Gates: {
+        "joint_limits_deg": _M(
+            "Rows of any joint outside are refused as contact.", "stops or soft pads lie within reach"
+        ),
+        "joint_rate_min_rad_s": _M("Rows of slower joints are refused.", "stiction is felt at the turning points"),
+        "specific_force_m_s2": _M("Beyond this mean specific force rows are refused as drag.", "air or thrust may act"),
+        "specific_force_window_ms": _M("Window of that mean."),
+        "residual_sigma": _M(
+            "Rows further than this from the prediction are refused.", "outliers slip through, or too few do"
+        ),
+        "huber_sigma": _M("Rows further than this weigh less, by Huber.", "outliers are many and mild"),
+    },
+    Memory: {
+        "forgetting_s": _M("A row's weight falls by 1/e in this time.", "the payload changes slowly (fuel, sloshing)"),
+        "window_s": _M("Rows count for this long.", "the same, with a sharp end"),
+    },
+    Zero: {
+        "phases": _M("Codes of the phases of coasting at rest."),
+        "ticks": _M("So many row periods of it at least.", "coasting is shorter, or the accelerometer noisier"),
+    },
+    Link: {
+        "mass_relative": _M("How well the link was weighed: relative, 1 sigma."),
+        "centre_m": _M("How well it was balanced, 1 sigma."),
+        "inertia_relative": _M("How well it was swung: relative to half the tensor's trace, 1 sigma."),
+    },
+    Prior: {
+        "relative": _M("Relative sigma of all parameters, by link; 0 takes the link for exact.", "a link was measured"),
+        "absolute": _M("Absolute sigma of the other columns, SI, by name.", "a bias is known to be small"),
+        "link": _M('How each link was measured, for method "exiddm"; links that are not in it are certain.'),
+    },
+    Masses: {
+        "joint": _M("Joint about which the inertia is."),
+        "arm_link": _M("Link of the arm; its radius of gyration is taken from the URDF, as the payload's is."),
+    },
+    Carried: {
+        "log": _M("Log that it is from."),
+        "names": _M("Parameters."),
+        "mean": _M("Their values, SI."),
+        "covariance": _M("Their covariance."),
+        "sensitivity": _M("Of each to what is considered and no part of the covariance."),
+    },
+    Exiddm: {
+        "held_at_start": _M("Whether a payload is held when the flight begins.", "it is caught in flight: false"),
+        "false_alarms_per_hour": _M("Of captures and ejections that are none.", "later alarms matter less, or more"),
+        "payload_mass_sigma_kg": _M(
+            "How large a payload could be, 1 sigma about none.", "the vehicle is larger than a ton"
+        ),
+        "payload_first_moment_sigma_kg_m": _M("The same of its first moment.", "as above"),
+        "payload_inertia_sigma_kg_m2": _M("The same of its inertia.", "as above"),
+    },
+    ImuPrior: {
+        "gyro_bias_rad_s": _M(
+            "Bias of the gyro at the start, 1 sigma by axis.", "from the data sheet, or a calibration"
+        ),
+        "gyro_drift_rad_s2": _M("Its drift.", "the IMU warms up in flight"),
+        "gyro_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
+        "gyro_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
+        "accelerometer_bias_m_s2": _M(
+            "Bias of the accelerometer at the start.", "from the data sheet, or a calibration"
+        ),
+        "accelerometer_drift_m_s3": _M("Its drift.", "the IMU warms up in flight"),
+        "accelerometer_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
+        "accelerometer_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
+        "delay_s": _M("Of its samples, beyond what is known and taken off.", "its filter was not measured"),
+    },
+    FreeBody: {
+        "rotor_sigma": _M("Relative sigma of the rotors' inertia in the URDF, which all inertias scale with."),
+        "carrier": _M("Table: the device itself, without a load."),
+        "load": _M("Tables: what it carries in which logs."),
+    },
+    Carrier: {
+        "mass_kg": _M("Mass of the device itself."),
+        "centre_of_mass_m": _M("Its centre of mass, base axes."),
+        "centre_of_mass_sigma_m": _M("How well that is known, 1 sigma by axis."),
+        "inertia_kg_m2": _M("XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, base axes."),
+        "inertia_sigma_kg_m2": _M("How well these are known, 1 sigma."),
+    },
+    Load: {
+        "name": _M("Name of the load."),
+        "logs": _M("Pattern of the names of its logs."),
+        "role": _M('"carrier": the device alone; "proof": a known body; these two calibrate. "load": to be told.'),
+        "mass_kg": _M("Weighed."),
+        "truth_kg_m2": _M("Known moments of inertia, to compare with or to calibrate by."),
+        "truth_source": _M("Where they are from."),
+        "bars_percent": _M("Mean and worst error that are accepted."),
+    },
+    Planar: {
+        "tilt_sigma_m_s2": _M(
+            "Gravity along the table, 1 sigma by axis; a milliradian is 0.01 m/s^2.", "the table is level"
+        ),
+        "velocity_sigma_m_s": _M("Velocity of the base where a run begins, 1 sigma by axis.", "runs begin in motion"),
+        "rate_sigma_rad_s": _M("The same of its yaw rate.", "as above"),
+        "puck": _M("Tables: the pucks that the base floats on."),
+    },
+    Puck: {
+        "frame": _M("Frame of the URDF, fixed in the base, whose origin the puck is at."),
+        "viscous_sigma_N_s_m": _M("Drag in proportion to the slip, 1 sigma about none.", "a puck is worn or dry"),
+        "coulomb_sigma_N": _M("Drag that is the same at any slip, 1 sigma about none.", "as above"),
+    },
+}

@@ -1,0 +1,112 @@
+"""The reference of vehicle.toml, made of what its reader knows.
+
+``python -m tests.onboard.vehicle_page docs/vehicle.md`` writes it; ``test_vehicle_page.py`` holds the two together.
+"""
+
+import sys
+from pathlib import Path
+
+from pydantic import AliasChoices
+
+from onboard.config.estimation import (
+    Carried,
+    Estimation,
+    Exiddm,
+    Gates,
+    ImuPrior,
+    Link,
+    Masses,
+    Memory,
+    Phases,
+    Prior,
+    Zero,
+)
+from onboard.config.free_body import Carrier, FreeBody, Load
+from onboard.config.meanings import MEANINGS
+from onboard.config.planar import Planar, Puck
+from onboard.config.vehicle import BusSection, Recording, VehicleSection
+from onboard.offline.tables.columns import unit_of
+from onboard.section import LARGEST, Section
+from tests.onboard.device_page import _toml, _type
+
+TABLES: dict[str, type[Section]] = {
+    "[vehicle]": VehicleSection,
+    "[bus.NAME]": BusSection,
+    "[estimation]": Estimation,
+    "[estimation.phases]": Phases,
+    "[estimation.zero]": Zero,
+    "[estimation.gates]": Gates,
+    "[estimation.memory]": Memory,
+    "[estimation.prior]": Prior,
+    "[estimation.prior.link.NAME]": Link,
+    "[estimation.masses]": Masses,
+    "[estimation.exiddm]": Exiddm,
+    "[estimation.imu_prior]": ImuPrior,
+    "[estimation.carried]": Carried,
+    "[free_body]": FreeBody,
+    "[free_body.carrier]": Carrier,
+    "[[free_body.load]]": Load,
+    "[planar]": Planar,
+    "[[planar.puck]]": Puck,
+    "[recording]": Recording,
+}
+HEAD = """# vehicle.toml
+
+Every key outside `[device.NAME]`, whose keys are in `devices.md`. Written by
+`python -m tests.onboard.vehicle_page docs/vehicle.md` from the classes that read the file.
+
+`heft init DIR` writes a vehicle file to begin with, `heft init DIR --from rocksat` a copy of a packaged one.
+`heft schema -o vehicle.schema.json` writes the JSON Schema that editors read where the file begins with
+`#:schema ./vehicle.schema.json`. `heft preflight vehicle.toml` says what does not fit, with the line.
+
+Units stand in the keys; **bold** keys have no default; a table may be left out where all of its keys have one, or where
+the vehicle has no such thing.
+"""
+
+
+def page() -> str:
+    """The document."""
+    return HEAD + "".join(_table(title, section) for title, section in TABLES.items())
+
+
+def _table(title: str, section: type[Section]) -> str:
+    schema = section.model_json_schema()
+    lines = ["| key | | unit | default | meaning | change it when |", "|---|---|---|---|---|---|"]
+    for key, field in section.model_fields.items():
+        said = MEANINGS[section][key]
+        shown = schema["properties"][key]
+        name = f"**`{key}`**" if field.is_required() else f"`{key}`"
+        default = field.get_default(call_default_factory=True) if not field.is_required() else None
+        plain = "" if default is None or isinstance(default, Section | dict | list) else f"`{_toml(default)}`"
+        lines.append(
+            f"| {name} | {_kind(shown)} | {_unit(key)} | {plain} | {said.what} | {said.change} |".replace("  ", " ")
+        )
+        if isinstance(field.validation_alias, AliasChoices):
+            assert field.validation_alias.choices[0] == key
+    return f"\n## {title}\n" + "\n".join(lines) + "\n"
+
+
+def _unit(key: str) -> str:
+    return unit_of(key.lower()) if key not in ("segment_mib", "min_free_mib", "reserve_mib") else "MiB"
+
+
+def _kind(schema: dict) -> str:  # type: ignore[type-arg]
+    if "anyOf" in schema:
+        return _kind(next(one for one in schema["anyOf"] if one.get("type") != "null"))
+    if "$ref" in schema or schema.get("type") == "object":
+        return "table"
+    if schema.get("type") == "array" and "items" in schema and "$ref" in schema["items"]:
+        return "tables"
+    if schema.get("type") == "array" and schema.get("items", {}).get("type") == "array":
+        return "list of lists of numbers"
+    limits = schema.get("minimum"), schema.get("maximum")
+    anything = {
+        (1 / LARGEST, LARGEST): "number above 0",
+        (0, LARGEST): "number at least 0",
+        (-LARGEST, LARGEST): "number",
+    }
+    return anything.get(limits) or _type(schema)
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
