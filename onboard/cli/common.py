@@ -127,13 +127,13 @@ def serve_live(address: str | None, log: Path) -> AbstractContextManager[int | N
     return serving(log, address)
 
 
-def bus_and_url(text: str) -> tuple[str, str]:
-    """``BUS=URL`` of the option ``--url``, taken apart.
+def bus_and_url(text: str, option: str = "--url") -> tuple[str, str]:
+    """``BUS=URL`` of ``option``, taken apart.
 
     Raises:
         ValueError: there is no equals sign.
     """
     bus, separator, url = text.partition("=")
     if not separator:
-        raise ValueError(f"--url {text}: write BUS=URL, e.g. can_0=can+socketcan://can0?bitrate=500000")
+        raise ValueError(f"{option} {text}: write BUS=URL, e.g. can_0=can+socketcan://can0?bitrate=500000")
     return bus, url

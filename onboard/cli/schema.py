@@ -1,7 +1,6 @@
 """``heft schema`` prints the JSON Schema of vehicle.toml."""
 
 import argparse
-import json
 from pathlib import Path
 
 from onboard.cli.common import OK, Commands
@@ -12,17 +11,17 @@ def add(commands: Commands) -> None:
     schema = commands.add_parser(
         "schema",
         help="JSON Schema of vehicle.toml, for editors",
-        description="Beside a vehicle.toml whose first line is '#:schema ./vehicle.schema.json' it makes editors with a "
-        "TOML language server complete keys, check values and show what they mean.",
+        description="Beside a vehicle.toml whose first line is '#:schema ./vehicle.schema.json' it makes editors with "
+        "a TOML language server complete keys, check values and show what they mean.",
     )
     schema.add_argument("-o", "--output", type=Path, metavar="FILE", help="write it to FILE (default: print it)")
     schema.set_defaults(command=_schema)
 
 
 def _schema(arguments: argparse.Namespace) -> int:
-    from onboard.config.schema import json_schema
+    from onboard.config.schema import as_text
 
-    text = json.dumps(json_schema(), indent=1) + "\n"
+    text = as_text()
     if arguments.output is None:
         print(text, end="")
     else:

@@ -1,5 +1,6 @@
 """vehicle.toml as JSON Schema, for editors that complete keys and show what they mean."""
 
+import json
 from typing import Any
 
 from pydantic import AliasChoices
@@ -9,6 +10,11 @@ from onboard.config.vehicle import VehicleFile
 
 FILE = "vehicle.schema.json"
 FIRST_LINE = f"#:schema ./{FILE}"  # of a vehicle.toml beside it
+
+
+def as_text() -> str:
+    """The schema, as the file beside a vehicle.toml holds it."""
+    return json.dumps(json_schema(), indent=1) + "\n"
 
 
 def json_schema() -> dict[str, Any]:

@@ -1,0 +1,77 @@
+"""``heft init`` writes a vehicle to begin with."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from onboard.cli.common import OK, Commands, bus_and_url
+
+if TYPE_CHECKING:
+    from onboard.offline.begin.vehicle import Wanted
+
+_QUESTIONS = (
+    ("base", "What is the base? free, prescribed, fixed, planar", "free"),
+    ("joints", "Joints of the arm: how many, or their names with commas", "2"),
+    ("imu", "IMU on the base? mpu6050, nimu, none", "mpu6050"),
+    ("encoder", "What measures the joints? cia406, cia402, qsb", "cia406"),
+    ("load_cell", "Load cell? cia404, modbus_load_cell, dsc_load_cell, none", "none"),
+)
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    init = commands.add_parser(
+        "init",
+        help="a vehicle to begin with: vehicle.toml and URDF, valid at once",
+        description="Asks, on a terminal and without --base; every answer can be given as an option.",
+    )
+    init.add_argument("directory", type=Path, help="where the files go; made if need be")
+    init.add_argument("--from", dest="packaged", metavar="NAME", help="copy a packaged vehicle: rocksat, dymaflex, ...")
+    init.add_argument("--name", help="of the vehicle (default: that of the directory)")
+    init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar"))
+    init.add_argument("--joints", metavar="N|NAME,NAME", help="how many, or their names from the base outwards (2)")
+    init.add_argument("--imu", choices=("mpu6050", "nimu", "none"), help="on the base (mpu6050)")
+    init.add_argument("--encoder", choices=("cia406", "cia402", "qsb"), help="of every joint (cia406)")
+    init.add_argument("--load-cell", choices=("cia404", "modbus_load_cell", "dsc_load_cell", "none"), help="(none)")
+    init.add_argument("--no-pulse", action="store_true", help="no sync pulse is wired: clocks are then known to ms")
+    init.add_argument("--bus", action="append", default=[], metavar="NAME=URL", help="URL of a bus, e.g. can_0=...")
+    init.set_defaults(command=_init)
+
+
+def _init(arguments: argparse.Namespace) -> int:
+    from onboard.offline.begin import vehicle
+
+    if arguments.packaged:
+        files = vehicle.copy(arguments.packaged, arguments.directory)
+    else:
+        if arguments.base is None:
+            if not sys.stdin.isatty():
+                raise ValueError("say what the base is: --base free, prescribed, fixed or planar; or give --from")
+            _ask(arguments)
+        files = vehicle.make(_wanted(arguments), arguments.directory)
+    for path in files:
+        print(path)
+    print(f"next: put your numbers in, then heft preflight {files[0]}")
+    return OK
+
+
+def _ask(arguments: argparse.Namespace) -> None:
+    for option, question, usual in _QUESTIONS:
+        if getattr(arguments, option) is None:
+            setattr(arguments, option, input(f"{question} [{usual}] ").strip() or usual)
+
+
+def _wanted(arguments: argparse.Namespace) -> "Wanted":
+    from onboard.offline.begin.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, Wanted
+
+    joints = arguments.joints or "2"
+    names = [f"joint_{n + 1}" for n in range(int(joints))] if joints.isdecimal() else joints.split(",")
+    imu = arguments.imu or ("none" if arguments.base == "fixed" else "mpu6050")
+    encoder, cell = arguments.encoder or "cia406", arguments.load_cell or "none"
+    for said, known in ((arguments.base, BASES), (imu, IMUS), (encoder, ENCODERS), (cell, LOAD_CELLS)):
+        if said not in known:
+            raise ValueError(f"{said!r} is none of {', '.join(known)}")
+    name = arguments.name or arguments.directory.resolve().name
+    urls = dict(bus_and_url(text, "--bus") for text in arguments.bus)
+    return Wanted(name, arguments.base, tuple(names), imu, encoder, cell, not arguments.no_pulse, urls)

@@ -1,0 +1,1 @@
+"""A vehicle to begin with: ``heft init``."""

@@ -1,0 +1,116 @@
+"""Device tables of a new vehicle file, by kind, with comments that say where each number is from.
+
+Values are those of data sheets, or of a small arm where only the builder knows: each of these says so.
+"""
+
+from typing import NamedTuple
+
+CAN, I2C, GPIO = "can_0", "i2c_1", "sync_line"
+URLS = {  # of the buses that the kinds below stand on; serial devices have one each
+    I2C: "i2c:///dev/i2c-1",
+    CAN: "can+socketcan://can0?bitrate=500000",
+    GPIO: "gpio:///dev/gpiochip0?line=17",
+}
+SERIAL_BAUD = {"nimu": 115200, "qsb": 230400, "modbus_load_cell": 115200, "dsc_load_cell": 115200}
+
+
+class NewDevice(NamedTuple):
+    """A table, and the bus that it stands on."""
+
+    text: str
+    bus: str
+
+
+def imu(kind: str, frame: str) -> NewDevice:
+    """The IMU that measures the base."""
+    head = f'\n[device.imu_base]\nkind = "{kind}"\n'
+    if kind == "mpu6050":
+        return NewDevice(
+            f"""{head}bus = "{I2C}"
+address = 0x68
+frame = "{frame}"           # link of the URDF whose axes are the chip's
+sample_rate_hz = 1000
+accel_range_g = 4
+gyro_range_deg_s = 250
+filter_code = 2                # DLPF_CFG: 94/98 Hz
+poll_period_ms = 10
+accel_noise_m_s2 = 0.088       # one sample: 400 ug/sqrt(Hz) x sqrt(1000 Hz / 2), the data sheet's
+gyro_noise_rad_s = 1.95e-3     # one sample: 0.005 deg/s/sqrt(Hz) x sqrt(1000 Hz / 2)
+""",
+            I2C,
+        )
+    bus = "tty_imu_base"
+    return NewDevice(
+        f"""{head}bus = "{bus}"
+frame = "{frame}"
+sample_rate_hz = 150
+accel_noise_m_s2 = 0.02        # one sample: from its certificate
+gyro_noise_rad_s = 2e-3
+""",
+        bus,
+    )
+
+
+def joint(kind: str, number: int, name: str) -> NewDevice:
+    """The device that measures joint ``name``, the ``number``-th from 1."""
+    bus = f"tty_{name}" if kind == "qsb" else CAN
+    node = "" if kind == "qsb" else f"node = {number}\n"
+    return NewDevice(
+        f"""
+[device.{name}]
+kind = "{kind}"
+bus = "{bus}"
+{node}joint = "{name}"             # of the URDF
+counts_per_revolution = 500000 # of the joint: quadrature and gear included
+zero_count = 0                 # what it reads at joint angle zero
+noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
+""",
+        bus,
+    )
+
+
+def load_cell(kind: str, node: int, frame: str) -> NewDevice:
+    """A load cell that feels the moment about z of ``frame``."""
+    bus = CAN if kind == "cia404" else "tty_load_cell"
+    own = {
+        "cia404": f"node = {node}\n",
+        "modbus_load_cell": 'unit = "N"\nscale = 0.001                  # N in a count\nsample_period_ms = 10\n',
+        "dsc_load_cell": "sample_period_ms = 20\n",
+    }[kind]
+    return NewDevice(
+        f"""
+[device.load_cell]
+kind = "{kind}"
+bus = "{bus}"
+{own}frame = "{frame}"            # the moment is about `axis` of this frame, of all that lies beyond it
+axis = [0.0, 0.0, 1.0]
+measures = "moment"            # or "force": along `axis`
+lever_m = 0.04                 # yours
+lever_sigma_m = 1e-4
+capacity_N = 50.0              # yours: larger samples are saturated
+scale_sigma = 0.0025           # relative, of its calibration
+noise_N = 0.0025               # one sample
+""",
+        bus,
+    )
+
+
+SYNC = NewDevice(
+    f"""
+[device.can_sync]
+kind = "canopen_sync"          # all nodes of the bus sample on it
+bus = "{CAN}"
+period_ms = 5
+delay_ms = 0.110               # a one-byte frame at 500 kbit/s
+""",
+    CAN,
+)
+PULSE = NewDevice(
+    f"""
+[device.pulse]
+kind = "sync_pulse"            # puts every device on one time; docs/sync_pulse.md
+bus = "{GPIO}"
+sync_period_ms = 5             # pulse intervals are whole numbers of these
+""",
+    GPIO,
+)

@@ -1,0 +1,250 @@
+"""A vehicle file and a URDF to begin with: valid at once, every number that only the builder knows marked ``yours``."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Literal, NamedTuple
+from xml.sax.saxutils import quoteattr
+
+from onboard import config
+from onboard.config import schema
+from onboard.flight.identification import build_online
+from onboard.offline.begin import devices
+from onboard.offline.begin.devices import NewDevice
+
+BASES = ("free", "prescribed", "fixed", "planar")
+IMUS = ("mpu6050", "nimu", "none")
+ENCODERS = ("cia406", "cia402", "qsb")
+LOAD_CELLS = ("cia404", "modbus_load_cell", "dsc_load_cell", "none")
+_VEHICLE, _URDF = "vehicle.toml", "vehicle.urdf"
+
+
+class Wanted(NamedTuple):
+    """What a new vehicle has.
+
+    ``joints``: names, from the base outwards. ``urls``: of buses, in place of the usual ones.
+    """
+
+    name: str
+    base: Literal["free", "prescribed", "fixed", "planar"]
+    joints: tuple[str, ...]
+    imu: str = "mpu6050"
+    encoder: str = "cia406"
+    load_cell: str = "none"
+    pulse: bool = True
+    urls: dict[str, str] = {}  # noqa: RUF012  # a NamedTuple's, and read only
+
+
+def make(wanted: Wanted, directory: Path) -> list[Path]:
+    """Write the vehicle into ``directory``; returns the files.
+
+    Raises:
+        ConfigError: a vehicle that can tell nothing, or a name that cannot be one.
+        FileExistsError: there is a vehicle already.
+    """
+    _require(wanted)
+    chosen = _devices(wanted)
+    buses = list(dict.fromkeys(device.bus for device in chosen))
+    if unknown := sorted(set(wanted.urls) - set(buses)):
+        raise config.ConfigError(f"--bus {unknown[0]}: no device stands on it; the buses are {', '.join(buses)}")
+    text = "".join(
+        [_head(wanted), *(_bus(name, wanted) for name in buses), *(device.text for device in chosen), _rest(wanted)]
+    )
+    files = {_VEHICLE: text, _URDF: _urdf(wanted)}
+    return _write(directory, files)
+
+
+def copy(name: str, directory: Path) -> list[Path]:
+    """Copy a packaged vehicle into ``directory``; returns the files.
+
+    Raises:
+        ConfigError: no such packaged vehicle.
+        FileExistsError: there is a vehicle already.
+    """
+    vehicle = config.named(name)
+    text = f"{schema.FIRST_LINE}\n{vehicle.text}"
+    return _write(directory, {_VEHICLE: text, vehicle.urdf_path.name: vehicle.urdf_path.read_text(encoding="utf-8")})
+
+
+def _write(directory: Path, files: dict[str, str]) -> list[Path]:
+    """The files and the schema, once they are known to be a vehicle."""
+    there = [name for name in files if (directory / name).exists()]
+    if there:
+        raise FileExistsError(f"{directory / there[0]} is there already; name another directory")
+    made = directory.exists()
+    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        for name, text in files.items():
+            (directory / name).write_text(text, encoding="utf-8")
+        vehicle = config.load(directory / _VEHICLE)
+        build_online(vehicle)
+    except BaseException:
+        for name in files:
+            (directory / name).unlink(missing_ok=True)
+        if not made:
+            shutil.rmtree(directory)
+        raise
+    (directory / schema.FILE).write_text(schema.as_text(), encoding="utf-8")
+    return [directory / name for name in (*files, schema.FILE)]
+
+
+def _require(wanted: Wanted) -> None:
+    if not wanted.joints:
+        raise config.ConfigError("an arm without joints shows nothing of what it holds; give --joints")
+    if len(set(wanted.joints)) < len(wanted.joints) or not all(name.isidentifier() for name in wanted.joints):
+        raise config.ConfigError(f"--joints {','.join(wanted.joints)}: give each a name of letters, digits and _ once")
+    if wanted.imu == "none" and wanted.base != "fixed":
+        raise config.ConfigError(f"a base that is {wanted.base} has to be measured: give --imu")
+    if wanted.load_cell == "none" and wanted.base in ("prescribed", "fixed"):
+        raise config.ConfigError(f"a base that is {wanted.base} tells nothing of the payload: give --load-cell")
+
+
+def _devices(wanted: Wanted) -> list[NewDevice]:
+    chosen = [devices.imu(wanted.imu, "imu_base")] if wanted.imu != "none" else []
+    chosen += [devices.joint(wanted.encoder, n, name) for n, name in enumerate(wanted.joints, 1)]
+    if wanted.load_cell != "none":
+        chosen.append(devices.load_cell(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1]))
+    if any(device.bus == devices.CAN for device in chosen):
+        chosen.append(devices.SYNC)
+    return [*chosen, devices.PULSE] if wanted.pulse else chosen
+
+
+def _head(wanted: Wanted) -> str:
+    about = {
+        "free": "floats freely: its own motion is predicted from the arm's",
+        "prescribed": "moves as something larger does: its motion is measured",
+        "fixed": "stands still, in gravity",
+        "planar": "floats on an air-bearing table: x, y and yaw are free",
+    }[wanted.base]
+    planar = """
+[planar]                       # 1 sigma
+tilt_sigma_m_s2 = 0.002        # as the table was levelled
+velocity_sigma_m_s = 0.02      # as the base is let go
+rate_sigma_rad_s = 1.0
+
+[[planar.puck]]
+frame = "puck_1"
+viscous_sigma_N_s_m = 5.0      # how much it may drag
+coulomb_sigma_N = 0.5
+"""
+    return f"""{schema.FIRST_LINE}
+# Made by heft init. Numbers that are "yours" are those of nobody's arm: put your own there. Every key: docs/vehicle.md,
+# those of devices: docs/devices.md. `heft preflight vehicle.toml` says what does not fit.
+
+[vehicle]
+name = {json.dumps(wanted.name)}
+urdf = "{_URDF}"
+base = "{wanted.base}"{" " * max(1, 22 - len(wanted.base))}# it {about}
+base_link = "base"
+payload_link = "payload"       # what is held: of it nothing need be known
+{planar if wanted.base == "planar" else ""}"""
+
+
+def _bus(name: str, wanted: Wanted) -> str:
+    kind = {"tty_imu_base": wanted.imu, "tty_load_cell": wanted.load_cell}.get(name, wanted.encoder)
+    usual = devices.URLS.get(name, f"serial:///dev/{name}?baud={devices.SERIAL_BAUD.get(kind, 115200)}")
+    return f'\n[bus.{name}]\nurl = "{wanted.urls.get(name, usual)}"\n'
+
+
+def _rest(wanted: Wanted) -> str:
+    links = [f"link_{n}" for n in range(1, len(wanted.joints) + 1)]
+    if wanted.base in ("free", "planar"):
+        known = "".join(
+            f"{link} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
+            for link in ["base", *links]
+        )
+        rate_hz = "50" if wanted.imu == "nimu" else "100"
+        return f"""
+[estimation]
+method = "exiddm"              # predicts the base IMU; finds the payload, its capture and its ejection
+row_rate_hz = {rate_hz}{" " * (17 - len(rate_hz))}# two samples of every device, or more, in a row's period
+smoothing_ms = 100             # of the joints
+
+[estimation.exiddm]
+held_at_start = true           # false: it is caught in flight
+
+[estimation.imu_prior]         # 1 sigma by axis of what calibration leaves of the IMU: yours
+gyro_bias_rad_s = 8.7e-3
+gyro_drift_rad_s2 = 8.7e-5
+gyro_scale = 0.003
+gyro_misalignment_rad = 3.5e-3
+accelerometer_bias_m_s2 = 0.1
+accelerometer_drift_m_s3 = 1e-3
+accelerometer_scale = 0.003
+accelerometer_misalignment_rad = 3.5e-3
+delay_s = 1e-4
+
+[estimation.prior.link]        # 1 sigma about the URDF, as each was weighed, balanced and swung: yours
+{known}"""
+    first, second = ("MX", "MY", "MZ"), ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
+    sigmas = {"M": 5.0, **dict.fromkeys(first, 1.0), **dict.fromkeys(second, 0.2)}
+    held = "".join(f"{part}_payload = {sigma}\n" for part, sigma in sigmas.items())
+    relative = ", ".join(f"{link} = 1.0" for link in ["base", *links, "payload"])
+    return f"""
+[estimation]
+smoothing_ms = 100             # of both sides of every row
+
+[estimation.prior]             # 1 sigma about the URDF: as wide as you trust it
+relative = {{ {relative} }}
+
+[estimation.prior.absolute]    # 1 sigma about none: how large a payload could be, and the cell's zero
+{held}bias_load_cell = 5.0
+"""
+
+
+def _urdf(wanted: Wanted) -> str:
+    parts = [_link("base", 10.0, (0.0, 0.0, 0.0), 0.2)]
+    if wanted.imu != "none":
+        parts.append(_mount("imu_base", "base", "0 0 0"))
+    if wanted.base == "planar":
+        parts.append(_mount("puck_1", "base", "0 0 0"))
+    before = "base"
+    for number, name in enumerate(wanted.joints, 1):
+        link = f"link_{number}"
+        axis = "0 0 1" if number % 2 or wanted.base == "planar" else "0 1 0"
+        place = "0.15 0 0" if number == 1 else "0.25 0 0"
+        parts.append(_link(link, 1.0, (0.12, 0.01, 0.0), 0.25))
+        parts.append(
+            f"""  <joint name="{name}" type="revolute">
+    <parent link="{before}"/>
+    <child link="{link}"/>
+    <origin xyz="{place}" rpy="0 0 0"/>                 <!-- yours: from the axis before it -->
+    <axis xyz="{axis}"/>
+    <limit lower="-1.5" upper="1.5" effort="10" velocity="1"/>
+  </joint>
+"""
+        )
+        before = link
+    parts.append(_mount("payload", before, "0.25 0 0"))
+    return f"""<?xml version="1.0"?>
+<!-- Made by heft init: a sketch of a {len(wanted.joints)}-joint arm. SI units; inertia about the centre of mass. Every
+     mass, length and inertia is yours to put in; from a CAD program take its URDF and keep the names. -->
+<robot name={quoteattr(wanted.name)}>
+
+{"".join(parts)}</robot>
+"""
+
+
+def _link(name: str, mass_kg: float, centre_m: tuple[float, float, float], length_m: float) -> str:
+    slender, round_ = mass_kg * length_m**2 / 12.0, mass_kg * 0.05**2 / 2.0
+    centre = " ".join(f"{part:g}" for part in centre_m)
+    inertia = (round_, slender, slender) if name != "base" else (slender, slender, slender)
+    ixx, iyy, izz = (f"{part:.5g}" for part in inertia)
+    return f"""  <link name="{name}">
+    <inertial>                                            <!-- yours -->
+      <origin xyz="{centre}" rpy="0 0 0"/>
+      <mass value="{mass_kg:g}"/>
+      <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+"""
+
+
+def _mount(name: str, parent: str, place: str) -> str:
+    return f"""  <link name="{name}"/>
+  <joint name="{name}_mount" type="fixed">
+    <parent link="{parent}"/>
+    <child link="{name}"/>
+    <origin xyz="{place}" rpy="0 0 0"/>
+  </joint>
+"""

@@ -1,0 +1,92 @@
+"""``heft init``: whatever is asked for is a vehicle at once, or is refused with what to say instead."""
+
+import json
+import tomllib
+from itertools import product
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from onboard import cli, config
+from onboard.flight.identification import build_online
+from onboard.flight.roles import roles_of
+from onboard.offline.begin.vehicle import ENCODERS, IMUS, LOAD_CELLS, Wanted, make
+
+
+@pytest.mark.parametrize("base", ["free", "prescribed", "fixed", "planar"])
+def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None:
+    refused = 0
+    for number, (imu, encoder, cell, pulse) in enumerate(product(IMUS, ENCODERS, LOAD_CELLS, (True, False))):
+        where = tmp_path / str(number)
+        wanted = Wanted("it", base, ("shoulder", "elbow"), imu, encoder, cell, pulse)  # type: ignore[arg-type]
+        needs_cell, needs_imu = base in ("prescribed", "fixed"), base != "fixed"
+        if (cell == "none" and needs_cell) or (imu == "none" and needs_imu):
+            refused += 1
+            with pytest.raises(config.ConfigError, match="give --"):
+                make(wanted, where)
+            assert not where.exists()
+            continue
+        make(wanted, where)
+        vehicle = config.load(where / "vehicle.toml")
+        build_online(vehicle)
+        roles = roles_of(vehicle)
+        assert [joint.joint for joint in roles.joints] == ["shoulder", "elbow"]
+        assert (len(roles.imus), len(roles.cells)) == (imu != "none", cell != "none")
+        schema = json.loads((where / "vehicle.schema.json").read_text())
+        jsonschema.Draft202012Validator(schema).validate(tomllib.loads(vehicle.text))
+        assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
+    assert refused == {"free": 24, "planar": 24, "prescribed": 36, "fixed": 18}[base]
+
+
+def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> None:
+    for name in ("rocksat", "dymaflex", "workshop"):
+        assert cli.main(["init", str(tmp_path / name), "--from", name]) == cli.OK
+        mine, theirs = config.load(tmp_path / name / "vehicle.toml"), config.load(config.packaged(name))
+        assert mine.file == theirs.file
+        assert mine.urdf_path.read_bytes() == theirs.urdf_path.read_bytes()
+
+
+def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter(["prescribed", "boom", "", "", "cia404"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: next(answers))
+    assert (
+        cli.main(["init", str(tmp_path / "mine"), "--bus", "can_0=can+slcan:///dev/ttyACM0?bitrate=500000"]) == cli.OK
+    )
+    vehicle = config.load(tmp_path / "mine" / "vehicle.toml")
+    assert vehicle.file.vehicle.name == "mine"
+    assert vehicle.file.vehicle.base == "prescribed"
+    assert [joint.joint for joint in roles_of(vehicle).joints] == ["boom"]
+    assert vehicle.url("can_0") == "can+slcan:///dev/ttyACM0?bitrate=500000"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "say what the base is"),
+        (["--from", "rocksatt"], "did you mean 'rocksat'?"),
+        (["--base", "fixed"], "give --load-cell"),
+        (["--base", "free", "--joints", "0"], "give --joints"),
+        (["--base", "free", "--joints", "a,a"], "once"),
+        (["--base", "free", "--joints", 'a"]'], "letters, digits"),
+        (["--base", "free", "--joints", "imu_base"], "imu_base"),
+        (["--base", "free", "--name", 'x" y'], "use letters"),
+        (["--base", "free", "--bus", "can_9=can+slcan:///dev/x"], "no device stands on it"),
+        (["--base", "free", "--bus", "can_0"], "write BUS=URL"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_leaves_nothing(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["init", str(tmp_path / "new"), *arguments]) == cli.BAD_INPUT
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_vehicle_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "vehicle.toml").write_text("mine")
+    assert cli.main(["init", str(tmp_path), "--base", "free"]) == cli.BAD_INPUT
+    assert "is there already" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["vehicle.toml"]
+    assert (tmp_path / "vehicle.toml").read_text() == "mine"
