@@ -115,10 +115,10 @@ class PolledDevice(SerialDevice):
                 return False
             self._lose("no_answer")
             if self._unanswered == UNANSWERED_TO_TELL:
-                text = f"{UNANSWERED_TO_TELL} questions without an answer: check power, address, baud rate and wiring"
+                text = f"{UNANSWERED_TO_TELL} requests without an answer: check power, address, baud rate and wiring"
                 self._report.event(now_ns, Severity.ERROR, "no_answer", text)
             if self._unanswered % UNANSWERED_TO_REOPEN == 0:
-                text = f"{UNANSWERED_TO_REOPEN} questions without an answer ({self._last_error}): port is reopened"
+                text = f"{UNANSWERED_TO_REOPEN} requests without an answer ({self._last_error}): port is reopened"
                 self._link.drop(now_ns, "silent", text)
                 return False
         if now_ns < max(self._earliest_ns, self._due_ns):

@@ -131,7 +131,7 @@ class CanopenBus:
             channel.finish(now_ns, last)
         for each in self._channels:
             each.live = False
-        text = f"stopped after {self._sync_sequence} SYNCs, {self.unclaimed} frames of others"
+        text = f"stopped after {self._sync_sequence} SYNCs, {self.unclaimed} unclaimed frames"
         self._report.event(now_ns, Severity.INFO, "stopped", text)
         self._report.flush(now_ns)
         return self._handed_over()

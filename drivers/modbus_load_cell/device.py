@@ -61,7 +61,7 @@ class ModbusLoadCell(PolledDevice):
         ]
 
     def _tell_scale(self, host_ns: int, code: int, scale: float, unit: str) -> None:
-        said = f"division and unit code {code:04X}h, {scale:g} {unit} a count"
+        said = f"division and unit code {code:04X}h, {scale:g} {unit} per count"
         if said != self._said:
             known = scale != 0.0
             text = said if known else f"{said}: not a mass; give scale and unit in its configuration"

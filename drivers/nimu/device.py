@@ -102,7 +102,7 @@ class Nimu(SerialDevice):
             else:
                 self._report.event(host_ns, Severity.INFO, "timer_runs", "timer runs again")
         if self._last_ns == 0:
-            self._report.event(host_ns, Severity.INFO, "started", "packets come in")
+            self._report.event(host_ns, Severity.INFO, "started", "receiving packets")
         self._next = int(numbers[-1]) + 1
         self._last_ns = host_ns
         rows = self._imu_rows(host_ns, words, placed, numbers)

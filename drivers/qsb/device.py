@@ -136,7 +136,7 @@ class Qsb(SerialDevice):
         elif not self._todo:
             self._link.alive(now_ns)
             rate = 1e9 / self.config.interval_ns
-            self._report.event(host_ns, Severity.INFO, "started", f"streams {rate:.0f} lines/s")
+            self._report.event(host_ns, Severity.INFO, "started", f"streaming {rate:.0f} lines/s")
 
     def _identified(self, host_ns: int, version: int, stamp: int | None) -> None:
         model = reg.MODELS.get(version >> 8 & 0xF, "unknown model")

@@ -116,15 +116,15 @@ class BlockScores(TimeBlocks):
         flat = scaled.ravel()
         if not math.isfinite(np.vdot(flat, flat) + times_s.sum()):  # any NaN or infinity propagates into the sum
             raise RowError("rows must be finite; gate them before they come here")
-        doubt = None if noise is None else noise / sigma[:, None, None]
+        whitened = None if noise is None else noise / sigma[:, None, None]
         for slot, mine in self.split(times_s):
             normal, moment, added = (part[slot] for part in self.sums)
             rows = scaled[mine]
             square = rows[:, :p].T @ rows
             normal += square[:, :p]
             moment += square[:, p]
-            if doubt is not None:
-                own = doubt[mine].reshape(-1, doubt.shape[2])
+            if whitened is not None:
+                own = whitened[mine].reshape(-1, whitened.shape[2])
                 N = own[:, :p].T @ own
                 added[:, : N.shape[1]] += N
                 normal -= N[:, :p]

@@ -151,7 +151,7 @@ class DurableEstimation:
 
     def _take_over(self, vehicle: config.Vehicle, ticks: Rows, now_ns: int) -> EstimationWorker:
         done = int(ticks["sequence"][-1]) + 1
-        checkpoint, why = None, "could not be brought back"
+        checkpoint, why = None, "could not be restored"
         try:
             checkpoint = self._checkpoints.load()
         except StateError as error:
@@ -168,7 +168,7 @@ class DurableEstimation:
         estimator = Estimator(vehicle)
         self._checkpoints = Checkpoints(self._directory, estimator)
         estimator.go_on_from({name: self._rings[name].published for name in estimator.outputs})
-        text = f"the estimator died and {why}: it begins anew"
+        text = f"the estimator died and {why}: it restarts without data"
         self._publisher.publish([event(now_ns, Severity.ERROR, "estimator_anew", "estimation", text)])
         return EstimationWorker(estimator, self._inputs, self._publisher, done, fresh=True)
 

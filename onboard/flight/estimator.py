@@ -295,5 +295,5 @@ def _said(now_ns: int, change: Change) -> Batch:
     ago_s, since_s = (1e-9 * now_ns - at_s for at_s in (change.time_s, change.since_s))
     text = f"{change.kind} {ago_s:.2f} s ago"
     if np.isfinite(change.score):
-        text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times what they should be"
+        text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times their expected size"
     return event(now_ns, Severity.INFO, change.kind, "estimation", text)

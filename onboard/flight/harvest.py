@@ -50,7 +50,7 @@ def _one(directory: Path, now_ns: int) -> Harvest:
 
 def _bring_in(recorder: Recorder, log: Path, now_ns: int) -> int:
     rows = recorder.step(now_ns).rows
-    text = f"all processes of the flight were dead; {rows} rows that its rings held were brought in by the next start"
+    text = f"all processes of the flight had died; the next start added {rows} rows from its rings"
     recorder.say(now_ns, Severity.WARNING, "harvested", text)
     end = recorder.close(now_ns)
     if end.failing:

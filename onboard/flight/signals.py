@@ -74,10 +74,11 @@ class SignalSmoother:
             why = ""
             if name in self._zero_lost:
                 usable[:] = False
-                why = "its counter began anew and its zero is lost: rows that need it are refused, zero it again"
+                why = "its counter restarted and its zero is lost: rows that need it are refused; set its zero again"
             elif not np.isfinite(values).all():
                 unit = rows["unit"][~np.isfinite(values[:, 0])][0].decode("ascii", "replace")
-                why = f"unit {unit!r} is none of {', '.join(u.decode() for u in signal.si)}: not used, mend its device"
+                known = ", ".join(u.decode() for u in signal.si)
+                why = f"unit {unit!r} is none of {known}: not used, correct its device"
                 values = np.nan_to_num(values)
             if why and (name, why) not in self._told:
                 self._told.add((name, why))

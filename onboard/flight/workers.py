@@ -200,7 +200,7 @@ def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
         end_ns = time.monotonic_ns() + int(CLOSE_S * 1e9)
         while recorder.close(time.monotonic_ns()).failing:
             if time.monotonic_ns() > end_ns:
-                raise SystemExit("the disk refuses the end of the log: the next start brings in what the rings hold")
+                raise SystemExit("the log could not be closed (disk error): the next start adds the rows in the rings")
             time.sleep(period_ns * 1e-9)
 
 

@@ -197,14 +197,14 @@ class Recorder:
             self._refused(now_ns, error)
         if self._failing_since_ns is not None and not self._writer.failing:
             since_ns, self._failing_since_ns = self._failing_since_ns, None
-            text = f"the disk takes the log again after {(now_ns - since_ns) * 1e-9:.3f} s"
+            text = f"the disk accepts writes again after {(now_ns - since_ns) * 1e-9:.3f} s"
             self.say(now_ns, Severity.INFO, "disk_resumed", text)
 
     def _refused(self, now_ns: int, error: OSError) -> None:
         self._refusal = FULL if error.errno in _FULL_ERRORS else REFUSED
         if self._failing_since_ns is None:
             self._failing_since_ns = now_ns
-            text = f"the disk refused the log: {error.strerror or error}; the rings hold what comes meanwhile"
+            text = f"write to the log failed: {error.strerror or error}; the rings hold new rows meanwhile"
             self.say(now_ns, Severity.ERROR, "disk_error", text)
         if self._refusal == FULL:
             self._look(now_ns, refused=True)

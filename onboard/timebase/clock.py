@@ -132,7 +132,7 @@ class DeviceClock:
         self.state = ClockState.LOCKED
         return True
 
-    def doubt(self, error_ns: float = 0.0) -> None:
+    def suspect(self, error_ns: float = 0.0) -> None:
         """Flag evidence against this clock: it flywheels until the next mark that agrees with it.
 
         Args:
@@ -193,7 +193,7 @@ class DeviceClock:
         self._pending = []
         if self.trusted:
             self._set(self._view._replace(polygon=widen(self._view.polygon, ticks * self.period_ns, 0.0)))
-            self.doubt()
+            self.suspect()
 
     @property
     def solution(self) -> ClockSolution:
@@ -257,13 +257,13 @@ class DeviceClock:
     def _refuse(self, mark: Mark) -> None:
         self.rejected += 1
         middle_ns = mark.earliest_ns + (mark.latest_ns - mark.earliest_ns) // 2
-        self.doubt(abs(middle_ns - int(self.time_ns(0.5 * (mark.low + mark.high)))))
+        self.suspect(abs(middle_ns - int(self.time_ns(0.5 * (mark.low + mark.high)))))
         self._refused.append(mark)
         width_ns = (mark.high - mark.low) * self.period_ns + mark.latest_ns - mark.earliest_ns
         if len(self._refused) >= self.REJECTS_TO_REACQUIRE:
             refused, error_ns = self._refused, self._contradiction_ns
             self.restart()
-            self.doubt(error_ns)
+            self.suspect(error_ns)
             for again in refused:
                 self._acquire(again)
         else:

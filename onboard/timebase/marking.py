@@ -126,7 +126,7 @@ class TickSource:
         if late_ns < -(1e6 + clock.period_ns + 5.0 * clock.sigma_ns(tick)):
             clock.restart()
         elif late_ns > self.LATE_NS:
-            clock.doubt()
+            clock.suspect()
             self._late += 1
             if self._late >= self.LATE_TO_RESTART:
                 self.restart()
@@ -149,7 +149,7 @@ class TickSource:
         self._without_edge += 1
         if self._without_edge >= self.clock.REJECTS_TO_REACQUIRE:
             self.restart()
-        self.clock.doubt(window_ns)
+        self.clock.suspect(window_ns)
         return False
 
     def _estimate(self, tick: float) -> int | None:

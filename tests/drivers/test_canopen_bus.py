@@ -497,7 +497,7 @@ def test_frames_of_others_are_counted(bench):
     bench.run(20)
     bench.stop()
     assert bench.device.unclaimed == 3
-    assert "3 frames of others" in texts(bench.batches, "stopped")[0]
+    assert "3 unclaimed frames" in texts(bench.batches, "stopped")[0]
 
 
 def test_any_frames_at_all_raise_nothing(bench, rng):

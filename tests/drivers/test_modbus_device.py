@@ -66,7 +66,7 @@ def test_it_asks_as_fast_as_the_link_allows(flight):
     assert set(flight.cell.requests) == {framed(bytes.fromhex("01 03 00 06 00 08"))}
     assert flight.device.channels == {"cell": SCALAR}
     assert codes(flight.batches) == ["scale", "started"]
-    assert texts(flight.batches, "scale") == ["division and unit code 000Fh, 0.001 kg a count"]
+    assert texts(flight.batches, "scale") == ["division and unit code 000Fh, 0.001 kg per count"]
     assert flight.device.period_ns == MS
 
 

@@ -159,8 +159,8 @@ def test_a_run_begins_where_the_base_is_let_go_and_not_after_a_gap() -> None:
             "give phases.payload_taken",
         ),
         (
-            "[estimation.doubt]",
-            "[estimation.gates]\njoint_rate_min_rad_s = 0.1\n[estimation.doubt]",
+            "[estimation.imu_prior]",
+            "[estimation.gates]\njoint_rate_min_rad_s = 0.1\n[estimation.imu_prior]",
             "leave joint_rate",
         ),
     ],

@@ -235,10 +235,10 @@ def test_a_base_that_is_not_free_and_a_vehicle_without_a_payload_are_refused(tmp
 
 
 def test_a_vehicle_file_of_before_the_words_changed_is_read_as_it_was():
-    old = (VEHICLE / "vehicle.toml").read_text()
-    assert old.count("[estimation.doubt]") == 1
-    assert old.count("_turn_rad") == 2
-    new = old.replace("[estimation.doubt]", "[estimation.imu_prior]").replace("_turn_rad", "_misalignment_rad")
+    new = (VEHICLE / "vehicle.toml").read_text()
+    assert new.count("[estimation.imu_prior]") == 1
+    assert new.count("_misalignment_rad") == 2
+    old = new.replace("[estimation.imu_prior]", "[estimation.doubt]").replace("_misalignment_rad", "_turn_rad")
     read = [config.parse(text, VEHICLE / "vehicle.toml").file.estimation.imu_prior for text in (old, new)]
     assert read[0] == read[1]
     assert read[0].gyro_misalignment_rad == 0.01

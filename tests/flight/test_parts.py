@@ -269,7 +269,7 @@ def test_rows_become_si_by_their_own_unit(tmp_path: Path, channel: str, unit: by
 def test_rows_of_a_unit_that_the_role_has_not_are_refused_and_told_once(tmp_path: Path) -> None:
     signals = SignalSmoother(mixed_vehicle(tmp_path))
     said = signals.append({"wrist_force": scalar_rows(1, 1.0, b"V")})
-    assert said == {"wrist_force": "unit 'V' is none of N, kg: not used, mend its device"}
+    assert said == {"wrist_force": "unit 'V' is none of N, kg: not used, correct its device"}
     assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"V", 500)}) == {}
     assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"N", 1000)}) == {}
     at_ns = np.array([250, 750, 1250]) * 1_000_000

@@ -218,7 +218,7 @@ def test_a_share_of_nothing_is_not_taken_for_exact(payload: str, refused: bool) 
     ("vehicle", "header", "key", "named", "meant"),
     [
         ("dymaflex", "[estimation.exiddm]", "false_alarms_per_h", "estimation.exiddm", "false_alarms_per_hour"),
-        ("dymaflex", "[estimation.doubt]", "gyro_bias_deg_s", "estimation.doubt", "gyro_bias_rad_s"),
+        ("dymaflex", "[estimation.imu_prior]", "gyro_bias_deg_s", "estimation.imu_prior", "gyro_bias_rad_s"),
         ("dymaflex", "[estimation.prior.link.base]", "mass_relativ", "estimation.prior.link.base", "mass_relative"),
         ("dymaflex_air_bearing", "[planar]", "tilt_sigma_m_s", "planar", "tilt_sigma_m_s2"),
         ("dymaflex_air_bearing", "[[planar.puck]]", "coulomb_N", "planar.puck.0", "coulomb_sigma_N"),

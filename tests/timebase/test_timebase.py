@@ -175,5 +175,5 @@ def test_samples_have_no_time_while_their_clock_is_contradicted() -> None:
     rows = np.zeros(1, records.SCALAR)
     rows["tick"], rows["host_ns"] = 1000, fleet.start_ns
     assert fleet.timebase.time_ns("node", rows) is not None
-    fleet.timebase._sources["node"].clock.doubt(40e6)
+    fleet.timebase._sources["node"].clock.suspect(40e6)
     assert fleet.timebase.time_ns("node", rows) is None
