@@ -39,7 +39,7 @@ def _dump(arguments: argparse.Namespace) -> int:
     from onboard.offline.tables.flight_tables import FlightTables
     from onboard.offline.tables.selection import Selection
     from onboard.recording.reader import LogReader
-    from onboard.recording.segments import flights
+    from onboard.recording.segments import flights, logs
 
     kind, target = arguments.to
     opener(kind)  # an unknown format is reported before a missing log
@@ -53,8 +53,8 @@ def _dump(arguments: argparse.Namespace) -> int:
     codes: list[int] = []
     force = arguments.force
     with progress() as bar:
-        for group in groups:
-            log = FlightTables(LogReader(group[0] if len(group) == 1 else group), vehicle)
+        for group, given in zip(groups, logs(arguments.logs), strict=True):
+            log = FlightTables(LogReader(given), vehicle)
             name = group[0].stem
             where = sys.stdout.buffer if piped else Path(target) / name if len(groups) > 1 else Path(target)
             result: DumpResult

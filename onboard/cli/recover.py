@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
 
 def _recover(arguments: argparse.Namespace) -> int:
     from onboard.recording.recover import recover
-    from onboard.recording.segments import flights
+    from onboard.recording.segments import flights, logs
 
     groups = flights(arguments.log)
     if len(groups) > 1:
@@ -24,7 +24,9 @@ def _recover(arguments: argparse.Namespace) -> int:
         raise ValueError(f"{names} are logs of different flights: recover them one by one, then merge them")
     with progress() as bar:
         task = bar.add_task("recover", total=None)
-        found = recover(groups[0], arguments.output, lambda done, size: bar.update(task, completed=done, total=size))
+        found = recover(
+            logs(arguments.log)[0], arguments.output, lambda done, size: bar.update(task, completed=done, total=size)
+        )
     for one in found.damage:
         print(f"damage: {one}")
     for gap in found.gaps:

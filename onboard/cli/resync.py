@@ -28,12 +28,13 @@ def _resync(arguments: argparse.Namespace) -> int:
     from onboard.offline.rescue.resync import render, resync
     from onboard.recording.reader import LogReader
     from onboard.recording.segments import flights
+    from onboard.recording.segments import logs as named
     from onboard.timebase.resync import ResyncError
 
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     groups = flights(arguments.logs)
     try:
-        logs = [LogReader(group) for group in groups]
+        logs = [LogReader(one) for one in named(arguments.logs)]
         placed = resync(logs, vehicle, arguments.peak_hz, arguments.rate_limit, arguments.shocks)
     except ResyncError as error:
         complain(error)

@@ -22,6 +22,7 @@ from onboard.recording.errors import ChecksumError, LogFormatError
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
+LIBRARY = "heft"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log time, publish time
 FOOTER_BYTES = RECORD_HEAD.size + 20 + len(MAGIC)

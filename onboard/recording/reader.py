@@ -9,10 +9,10 @@ import numpy as np
 from drivers.records import Batch, Rows
 from onboard.recording.decode import Decoder, KnownChannel, MessageRun, rows_of
 from onboard.recording.errors import ChannelError, LogFormatError
-from onboard.recording.mcap_format import Attachment, Chunk, Header, Metadata
+from onboard.recording.mcap_format import LIBRARY, Attachment, Chunk, Header, Metadata
+from onboard.recording.missing import SegmentsSeen
 from onboard.recording.scan import Damage, Scan
-from onboard.recording.segments import segments
-from onboard.recording.writer import LIBRARY
+from onboard.recording.segments import number_of, segments, without_crc
 
 EXIT_COMPLETE = 0
 EXIT_DAMAGED = 3
@@ -35,11 +35,13 @@ class LogReader:
     ``batches`` that comes to its end.
 
     Args:
-        path: a log (``onboard.recording.segments`` says how they lie), or the segments to read, in order.
+        path: a log (``onboard.recording.segments`` says how they lie), or the segments to read, in order. Of a log,
+            segments that are missing at its beginning or end are named too.
 
     Attributes:
         path: as given; the first where segments were given.
         segments: the files, in the order they are read.
+        is_flight: a flight was named, and not some of its segments.
 
     Raises:
         LogFormatError: a file is not a heft log, or no part of it can be read.
@@ -53,10 +55,24 @@ class LogReader:
         else:
             self.path, self.segments = path[0], tuple(path)
         self.size = sum(segment.stat().st_size for segment in self.segments)
-        self._before, self._scan = 0, Scan(self.segments[0])
+        alone = len(self.segments) == 1 and self.segments[0] == self.path and number_of(self.path) > 0
+        self.is_flight = isinstance(path, str | Path) and not alone
+        self._before = 0
+        self._scan: Scan | None = None
         self._found: _Survey | None = None
+        self._require_one_of_ours()
+
+    def _require_one_of_ours(self) -> None:
+        """Raises LogFormatError unless one of the segments at least is a log of ours."""
+        refused: list[LogFormatError] = []
         for segment in self.segments:
-            self._require_ours(segment)
+            try:
+                self._require_ours(segment)
+            except LogFormatError as error:
+                refused.append(error)
+            else:
+                return
+        raise refused[0]
 
     def _require_ours(self, segment: Path) -> None:
         """Accept a file with heft's name in the header, or with a chunk in heft's layout."""
@@ -76,7 +92,7 @@ class LogReader:
     @property
     def position(self) -> int:
         """Bytes of the log read in the current pass."""
-        return self._before + self._scan.position
+        return self._before + (self._scan.position if self._scan else 0)
 
     @property
     def channels(self) -> dict[str, np.dtype[np.void]]:
@@ -165,20 +181,30 @@ class LogReader:
         """One pass: yields the runs of each chunk; stores the other results at the end."""
         found = _Survey({}, {}, {}, [], False)
         self._before = 0
+        seen = SegmentsSeen(0 if self.is_flight else None, to_the_end=self.is_flight)
         for number, segment in enumerate(self.segments):
             last = number == len(self.segments) - 1
-            found = yield from self._segment(segment, found, last=last and number > 0)
-            self._before += self._scan.size
-        self._before -= self._scan.size
-        self._found = found
+            size = segment.stat().st_size
+            try:
+                found = yield from self._segment(segment, found, seen, last=last and number > 0)
+            except LogFormatError as error:
+                seen.unreadable(number_of(segment), segment.name, str(error))
+            self._before, self._scan = self._before + size, None
+        self._found = found._replace(damage=[*found.damage, *seen.finish()])
 
-    def _segment(self, segment: Path, found: _Survey, *, last: bool) -> Generator[list[MessageRun], None, _Survey]:
-        """One pass over a segment; returns ``found`` extended by its results.
+    def _segment(
+        self, segment: Path, found: _Survey, seen: SegmentsSeen, *, last: bool
+    ) -> Generator[list[MessageRun], None, _Survey]:
+        """One pass over a segment; returns ``found`` and what is found in it.
 
         Args:
             segment: the file.
-            found: results of earlier segments.
-            last: last segment, which may have been opened in advance and never used (not a damage).
+            found: in the segments before.
+            seen: told what this one says of itself.
+            last: it may be one that was opened ahead and never used, which is no damage.
+
+        Raises:
+            LogFormatError: nothing of it can be read.
         """
         self._scan = scan = Scan(segment)
         decoder = Decoder(found.channels)
@@ -191,7 +217,8 @@ class LogReader:
             elif isinstance(record.content, Attachment):
                 found.attachments[record.content.name] = record.content
             elif isinstance(record.content, Metadata):
-                found.metadata[record.content.name] = record.content.items
+                found.metadata[record.content.name] = without_crc(record.content.items)
+                seen.metadata(record.content.name, record.content.items)
             elif isinstance(record.content, Chunk):
                 used = True
                 try:
@@ -199,8 +226,13 @@ class LogReader:
                 except LogFormatError as error:
                     damage.append(Damage(record.start, record.end, str(error), name))
                 else:
+                    for run in runs:
+                        seen.run(run)
                     yield runs
-        if last and not used and scan.truncated and len(damage) == 1:
+        unused = last and not used and scan.truncated and len(damage) == 1
+        missing = seen.end(number_of(segment), segment.name, closed=not scan.truncated, unused=unused)
+        found = found._replace(damage=[*found.damage, *missing])
+        if unused:
             return found
         truncated = found.truncated or scan.truncated
         return found._replace(channels=decoder.channels, damage=[*found.damage, *damage], truncated=truncated)

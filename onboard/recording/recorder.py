@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers import records
 from drivers.records import Batch, Rows, Severity
-from onboard.recording.segmented import GAP_CHANNEL, ChannelProgress
+from onboard.recording.recorded import GAP_CHANNEL, ChannelProgress
 from onboard.recording.source import OVERRUN, Ring, RingSource
 from onboard.recording.space import SpaceGuard
 

@@ -14,14 +14,16 @@ from drivers import records
 from drivers.records import Rows
 from onboard.recording.errors import LogFormatError
 from onboard.recording.reader import LogReader
+from onboard.recording.recorded import ChannelProgress, marks_of
 from onboard.recording.scan import Damage
-from onboard.recording.segmented import RECORDED
-from onboard.recording.segments import METADATA
+from onboard.recording.segments import END, METADATA, RECORDED
 from onboard.recording.writer import LogWriter
 
 GAP_CHANNEL = "recover_gap"
 LOST = "lost_from_log"
 EXIT_LOSSLESS, EXIT_NOTHING, EXIT_LOSSY = 0, 1, 3
+_TURN = 1 << 64  # sequence numbers of a crafted log may be anything that a u64 holds
+_LONGEST_NS = (1 << 63) - 1
 
 
 class Gap(NamedTuple):
@@ -74,11 +76,11 @@ class _Track:
         self.jumps: list[_Jump] = []
 
     def add(self, rows: Rows) -> None:
-        sequence, host_ns = rows["sequence"].astype(np.int64), rows["host_ns"].astype(np.int64)
-        before = np.concatenate([[self._next - 1], sequence[:-1]])
+        sequence, host_ns = rows["sequence"], rows["host_ns"]
+        following = np.concatenate([[np.uint64(self._next % _TURN)], sequence[:-1] + np.uint64(1)])  # may wrap around
         before_ns = np.concatenate([[host_ns[0] if self._last_ns is None else self._last_ns], host_ns[:-1]])
-        for at in np.flatnonzero(sequence - before > 1):
-            self.jumps.append(_Jump(int(before[at]) + 1, int(sequence[at]) - 1, int(before_ns[at]), int(host_ns[at])))
+        for at in np.flatnonzero(sequence > following):
+            self.jumps.append(_Jump(int(following[at]), int(sequence[at]) - 1, int(before_ns[at]), int(host_ns[at])))
         self._next, self._last_ns = int(sequence[-1]) + 1, int(host_ns[-1])
         self.rows += len(rows)
 
@@ -104,14 +106,14 @@ def recover(
         return Recovery({}, (), (), str(error))
     if not reader.channels and damage:
         return Recovery({}, (), damage, "not one chunk of the log can be read")
-    before = LogReader(reader.segments[:1]).metadata.get(RECORDED, {})
+    before = {} if reader.is_flight else marks_of(LogReader(reader.segments[:1]).metadata.get(RECORDED, {}))
     tracks = {name: _Track(_after(before.get(name))) for name in reader.channels}
     told: list[Gap] = []
     with LogWriter.create(output) as writer:
         for attachment in reader.attachments.values():
             writer.attach(attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
         for name, items in reader.metadata.items():
-            if name not in (METADATA, RECORDED):
+            if name not in (METADATA, RECORDED, END):
                 writer.add_metadata(name, items)
         for name, dtype in reader.channels.items():
             writer.register(name, dtype, units=reader.units[name])
@@ -132,15 +134,16 @@ def recover(
     return Recovery({name: track.rows for name, track in tracks.items()}, (*told, *untold), damage)
 
 
-def _after(mark: str | None) -> int:
-    """Sequence number after the one in metadata ``recorded``."""
-    return 0 if mark is None else int(mark.split()[0]) + 1
+def _after(mark: ChannelProgress | None) -> int:
+    """The number after the one that metadata ``recorded`` gives."""
+    return 0 if mark is None else mark.sequence + 1
 
 
 def _told(rows: Rows) -> Iterator[Gap]:
     for row in rows:
         first, last, duration_ns = (int(row[name]) for name in ("first_missing", "last_missing", "duration_ns"))
-        yield Gap(row["channel"].decode(), first, last, duration_ns, row["cause"].decode(), int(row["host_ns"]))
+        channel, cause = (row[name].decode(errors="replace") for name in ("channel", "cause"))
+        yield Gap(channel, first, last, duration_ns, cause, int(row["host_ns"]))
 
 
 def _untold(channel: str, jumps: list[_Jump], told: list[Gap]) -> Iterator[Gap]:
@@ -150,7 +153,7 @@ def _untold(channel: str, jumps: list[_Jump], told: list[Gap]) -> Iterator[Gap]:
         following = jump.first
         for first, last in [(a, b) for a, b in named if b >= jump.first and a <= jump.last] + [(jump.last + 1,) * 2]:
             if following < first:
-                duration_ns = jump.to_ns - jump.from_ns
+                duration_ns = max(-_LONGEST_NS, min(_LONGEST_NS, jump.to_ns - jump.from_ns))
                 yield Gap(channel, following, first - 1, duration_ns, LOST, jump.to_ns)
             following = max(following, last + 1)
 

@@ -4,6 +4,7 @@ The scan needs no summary and checks every length. After an invalid record it se
 or attachment by its CRC, metadata by its lengths, the end by the footer.
 """
 
+import stat
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -41,6 +42,8 @@ class Damage(NamedTuple):
 
     def __str__(self) -> str:
         where = f"{self.file}: " if self.file else ""
+        if not self.end:
+            return f"{where}{self.reason}"
         return f"{where}bytes {self.start} to {self.end}: {self.reason}"
 
 
@@ -59,12 +62,16 @@ class Scan:
         path: file to read.
 
     Raises:
+        LogFormatError: it is no file.
         OSError: it cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.size = path.stat().st_size
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise LogFormatError(f"{path} is no file, but a pipe, a device or a directory; give the path of a log")
+        self.size = about.st_size
         self.position = 0
         self._ended = False
         self._crc: int | None = 0  # of all bytes so far; None after a skipped byte

@@ -14,27 +14,28 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from drivers import records
 from drivers.records import Rows
+from onboard.recording.errors import LogFormatError
 from onboard.recording.mcap_format import Attachment
 from onboard.recording.reader import LogReader
+from onboard.recording.recorded import ChannelProgress, marks_of, note
 from onboard.recording.scan import Scan
 from onboard.recording.seal import seal
-from onboard.recording.segments import METADATA, number_of, read_head, segment_path, segments
+from onboard.recording.segments import (
+    END,
+    METADATA,
+    RECORDED,
+    flight_or_none,
+    number_of,
+    segment_path,
+    segments,
+    with_crc,
+)
 from onboard.recording.sink import FileSink, Sink, sync_directory
 from onboard.recording.writer import HEADER_BYTES, SYNC_INTERVAL_NS, LogWriter
 
-RECORDED = "recorded"
-GAP_CHANNEL = "recorder_gap"
 _UNSEALED_AT_MOST = 3  # one that was being ended, one in use, one opened ahead
 _OPEN_AGAIN_NS = 1_000_000_000
-
-
-class ChannelProgress(NamedTuple):
-    """Sequence and host time of a channel's newest row that is in the log or in a gap record."""
-
-    sequence: int
-    host_ns: int
 
 
 class Preamble(NamedTuple):
@@ -86,6 +87,7 @@ class SegmentedLog:
         self._log, self._preamble, self._limits = log, preamble, limits
         self._sync_interval_ns, self._open_sink = sync_interval_ns, open_sink
         self.recorded: dict[str, ChannelProgress] = dict(recorded or {})
+        self._end_said = False
         self._channels: dict[str, tuple[np.dtype[np.void], Mapping[str, str] | None]] = {}
         self._number = number
         self._opened_ns: int | None = None
@@ -112,12 +114,13 @@ class SegmentedLog:
             FileExistsError: the log is another flight's.
             OSError: a segment cannot be read, or the next not created.
         """
-        found = list(segments(log)) if segment_path(log, 0).exists() or log.is_dir() else []
-        if found and (flight := read_head(found[0]).flight) and flight != preamble.flight:
+        found = [path for path in segments(log) if path.exists()]
+        flights = {flight for path in found if (flight := flight_or_none(path))}
+        if flights and preamble.flight not in flights:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(found[0]))
         for path in found[-_UNSEALED_AT_MOST:]:
             if Scan(path).truncated:
-                if path == found[0] or _has_messages(path):
+                if path == found[0] or _may_have_messages(path):
                     seal(path)
                 else:
                     path.unlink()  # opened ahead
@@ -179,6 +182,10 @@ class SegmentedLog:
     def close(self) -> None:
         """See ``LogWriter.close``."""
         self._end_segment()
+        if not self._end_said:
+            self._end_said = True  # it is kept if the disk refuses it
+            last = {"flight": self._preamble.flight, "segments": str(self._number + 1)}
+            self._writer.add_metadata(END, with_crc(END, last))
         self._writer.close()
         if self._next is not None:
             self._next.abandon()
@@ -201,7 +208,8 @@ class SegmentedLog:
         path = segment_path(self._log, number)
         writer = LogWriter(self._open_sink(path), sync_interval_ns=self._sync_interval_ns)
         try:
-            writer.add_metadata(METADATA, {"flight": self._preamble.flight, "number": str(number)})
+            told = {"flight": self._preamble.flight, "number": str(number)}
+            writer.add_metadata(METADATA, with_crc(METADATA, told))
             for attachment in self._preamble.attachments:
                 writer.attach(attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
             for name, items in self._preamble.metadata.items():
@@ -240,39 +248,30 @@ class SegmentedLog:
 
     def _say_recorded(self) -> None:
         if self.recorded:
-            self._writer.add_metadata(
-                RECORDED, {name: f"{m.sequence} {m.host_ns}" for name, m in self.recorded.items()}
-            )
-
-
-def note(recorded: dict[str, ChannelProgress], channel: str, rows: Rows) -> None:
-    """Update ``recorded`` with ``rows`` (n,) of ``channel`` and with gap records of the recorder."""
-    if not len(rows):
-        return
-    recorded[channel] = ChannelProgress(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
-    if channel == GAP_CHANNEL and rows.dtype == records.GAP:
-        for row in rows:
-            name, last = row["channel"].decode(), int(row["last_missing"])
-            if name not in recorded or recorded[name].sequence < last:
-                recorded[name] = ChannelProgress(last, int(row["host_ns"]))
+            marks = {name: f"{m.sequence} {m.host_ns}" for name, m in self.recorded.items()}
+            self._writer.add_metadata(RECORDED, with_crc(RECORDED, marks))
 
 
 def _recorded(found: list[Path]) -> dict[str, ChannelProgress]:
     """Last recorded row of each channel at the end of segments ``found``."""
     rows: dict[str, ChannelProgress] = {}
     for segment in reversed(found):
-        log = LogReader([segment])
+        try:
+            log = LogReader([segment])
+        except LogFormatError:
+            continue  # nothing of it can be read
         here: dict[str, ChannelProgress] = {}
         for channel, batch in log.batches():
             note(here, channel, batch)
         rows = here | rows
-        if RECORDED in log.metadata:
-            marks = {name: mark.split() for name, mark in log.metadata[RECORDED].items()}
-            return {
-                name: ChannelProgress(int(sequence), int(host_ns)) for name, (sequence, host_ns) in marks.items()
-            } | rows
+        if marks := marks_of(log.metadata.get(RECORDED, {})):
+            return marks | rows
     return rows
 
 
-def _has_messages(segment: Path) -> bool:
-    return any(True for _ in LogReader([segment]).batches())
+def _may_have_messages(segment: Path) -> bool:
+    """False for one that was opened ahead, whose head is whole or torn."""
+    try:
+        return any(True for _ in LogReader([segment]).batches())
+    except LogFormatError:
+        return True

@@ -1,35 +1,69 @@
 """Finds the files of a flight's log: one file, or numbered segments.
 
-``x.mcap`` continues in ``x_001.mcap``, ``x_002.mcap`` beside it; a log named without the suffix is a directory:
-``x/x_000.mcap``, ``x/x_001.mcap``. Every segment is a complete MCAP file. Metadata ``segment`` has the flight's id, so
-that a file of a similar name is not taken for a segment.
+``x.mcap`` goes on in ``x_001.mcap``, ``x_002.mcap`` beside it; a log named without the suffix is a directory:
+``x/x_000.mcap``, ``x/x_001.mcap``. Every segment is a whole MCAP file that can be read alone. Metadata ``segment`` says
+which flight it belongs to, and its number, with a CRC: a neighbour of a like name is never taken for a part, and a part
+whose head is damaged never for a neighbour.
 """
 
 import glob
+import json
 import re
-from collections.abc import Iterable
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from onboard.recording.errors import LogFormatError
-from onboard.recording.mcap_format import Chunk, Header, Metadata
+from onboard.recording.mcap_format import LIBRARY, Chunk, Header, Metadata
 from onboard.recording.scan import Damage, Scan
 
 SUFFIX = ".mcap"
 METADATA = "segment"
-_NUMBERED = re.compile(r"(?P<stem>.+)_(?P<number>\d{3,})")
+RECORDED = "recorded"  # how far each channel was at a segment's head
+END = "flight_end"  # in the last segment of a flight that ended in order: how many there are
+_CRC = "#crc"
+_NUMBERED = re.compile(r"(?P<stem>.+)_(?P<number>\d{3,9})")
+
+
+def with_crc(name: str, items: Mapping[str, str]) -> dict[str, str]:
+    """``items`` of metadata ``name``, and a CRC over both: MCAP has none for metadata."""
+    return {**items, _CRC: _crc(name, items)}
+
+
+def proven(name: str, items: Mapping[str, str]) -> bool | None:
+    """Whether metadata is as it was written; None where it was written without a CRC."""
+    return None if _CRC not in items else items[_CRC] == _crc(name, without_crc(items))
+
+
+def without_crc(items: Mapping[str, str]) -> dict[str, str]:
+    """What metadata says."""
+    return {key: value for key, value in items.items() if key != _CRC}
+
+
+def _crc(name: str, items: Mapping[str, str]) -> str:
+    return f"{zlib.crc32(json.dumps([name, *items.items()]).encode()):08x}"
 
 
 class Head(NamedTuple):
     """Metadata at the head of a file, before its first messages."""
 
     library: str
-    segment: dict[str, str]  # metadata of that name; empty in a log without segments
+    segment: dict[str, str]  # metadata of that name; empty in a log that was never meant to have segments
+    is_proven: bool | None = None  # see ``proven``
+    is_damaged: bool = False
 
     @property
     def flight(self) -> str:
-        """Id of its flight; empty if not given."""
-        return self.segment.get("flight", "")
+        """Which flight it belongs to; empty when it does not say."""
+        return "" if self.is_proven is False else self.segment.get("flight", "")
+
+    @property
+    def number(self) -> int | None:
+        """Which segment of the flight it is; None when that is not certain."""
+        number = self.segment.get("number", "") if self.is_proven else ""
+        return int(number) if number.isdecimal() and len(number) < 10 else None
 
 
 EMPTY = Head("", {})
@@ -58,28 +92,43 @@ def read_head(path: Path) -> Head:
     head = EMPTY
     for record in Scan(path).records():
         if isinstance(record, Damage):
-            continue
-        if isinstance(record.content, Header):
+            head = head._replace(is_damaged=True)
+        elif isinstance(record.content, Header):
             head = head._replace(library=record.content.library)
         elif isinstance(record.content, Metadata) and record.content.name == METADATA:
-            return head._replace(segment=record.content.items)
+            items = record.content.items
+            return head._replace(segment=without_crc(items), is_proven=proven(METADATA, items))
         elif isinstance(record.content, Chunk):
             break
     return head
 
 
-def _flight_or_none(path: Path) -> str:
+def _head(path: Path) -> Head:
+    """As ``read_head``; of a file that cannot be read at all, one that is damaged."""
     try:
-        return read_head(path).flight
-    except LogFormatError:
-        return ""
+        return read_head(path)
+    except (LogFormatError, OSError):
+        return Head("", {}, is_damaged=True)
+
+
+def flight_or_none(path: Path) -> str:
+    """Which flight the file at ``path`` says that it belongs to; empty when it says none."""
+    return _head(path).flight
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        return not any(isinstance(record, Damage) for record in Scan(path).records())
+    except (LogFormatError, OSError):
+        return False
 
 
 def segments(log: Path) -> tuple[Path, ...]:
-    """The existing segments of ``log``, in order.
+    """The segments that are there of ``log``, in order; those that cannot be read stand where their names say.
 
     Args:
-        log: a flight directory, a segment in one, or a file, which is given with those that continue it.
+        log: a flight directory, a segment in one, or a file, which is given with those that continue it. The first may
+            be missing.
 
     Raises:
         FileNotFoundError: no such log.
@@ -88,21 +137,71 @@ def segments(log: Path) -> tuple[Path, ...]:
     """
     if log.is_dir():
         log = log.resolve()
-        found = [path for path in log.glob(f"*{SUFFIX}") if path.stem.startswith(f"{log.name}_")]
-        found = [path for path in found if _NUMBERED.fullmatch(path.stem)]
-        if not found:
+        candidates = [path for path in log.glob(f"*{SUFFIX}") if _continues(path, log.name)]
+        if not candidates:
             raise LogFormatError(f"{log} is not the directory of one flight; name a flight or a log in it")
-        return tuple(sorted(found, key=number_of))
-    further = [path for path in log.parent.glob(f"{glob.escape(log.stem)}_*{SUFFIX}") if _continues(path, log)]
-    if further:
-        flight = read_head(log).flight
-        further = [path for path in further if flight and _flight_or_none(path) == flight]
-    return (log, *sorted(further, key=number_of))
+        return _in_order(candidates, {path: _head(path) for path in candidates})
+    further = [path for path in log.parent.glob(f"{glob.escape(log.stem)}_*{SUFFIX}") if _continues(path, log.stem)]
+    heads = {path: _head(path) for path in further}
+    if not log.exists():
+        flight = _most_common(heads)
+        if not flight:
+            return (log,)  # whoever opens it is told that it is not there
+        return _of_flight(flight, heads)
+    if not further:
+        return (log,)
+    heads[log] = _head(log)
+    flight = heads[log].flight
+    if not flight and heads[log].is_damaged:
+        flight = _most_common(heads)
+    if not flight:
+        return (log,)
+    found = _of_flight(flight, heads)
+    return found if log in found else (log, *found)
 
 
-def _continues(path: Path, log: Path) -> bool:
+def _most_common(heads: Mapping[Path, Head]) -> str:
+    counted = Counter(head.flight for head in heads.values() if head.flight)
+    return counted.most_common(1)[0][0] if counted else ""
+
+
+def _of_flight(flight: str, heads: Mapping[Path, Head]) -> tuple[Path, ...]:
+    """Those of a flight, and the damaged files whose names continue it without a hole."""
+    ours = [path for path, head in heads.items() if head.flight == flight]
+    last = max((number_of(path) for path in ours), default=-1)
+    for path in sorted(heads.keys() - set(ours), key=number_of):
+        if number_of(path) <= last + 1 and _is_damaged_part(path, heads[path]):
+            ours.append(path)
+            last = max(last, number_of(path))
+    return _in_order(ours, heads)
+
+
+def _is_damaged_part(path: Path, head: Head) -> bool:
+    """Whether a file whose name continues a flight's, and that does not say that it belongs to it, may be of it."""
+    if head.is_proven is not None:
+        return not head.is_proven
+    if head.library not in ("", LIBRARY):
+        return False
+    return not _is_whole(path) if head.segment else head.is_damaged
+
+
+def _in_order(paths: Iterable[Path], heads: Mapping[Path, Head]) -> tuple[Path, ...]:
+    """By the numbers they say, by those in their names where they say none; a copy of another is left out."""
+    found: dict[int, Path] = {}
+    unsaid: list[Path] = []
+    for path in sorted(paths, key=number_of):
+        number = heads[path].number
+        if number is None:
+            unsaid.append(path)
+        elif number not in found or number_of(path) == number:
+            found[number] = path
+    numbered = [*found.items(), *((number_of(path), path) for path in unsaid)]
+    return tuple(path for _, path in sorted(numbered))
+
+
+def _continues(path: Path, stem: str) -> bool:
     numbered = _NUMBERED.fullmatch(path.stem)
-    return numbered is not None and numbered["stem"] == log.stem
+    return numbered is not None and numbered["stem"] == stem
 
 
 def flights(paths: Iterable[Path]) -> list[tuple[Path, ...]]:
@@ -115,5 +214,12 @@ def flights(paths: Iterable[Path]) -> list[tuple[Path, ...]]:
     groups: dict[str, dict[Path, None]] = {}
     for path in paths:
         found = segments(path)
-        groups.setdefault(_flight_or_none(found[0]) or str(path), {}).update(dict.fromkeys(found))
+        flight = next((flight for one in found if (flight := flight_or_none(one))), "")
+        groups.setdefault(flight or str(path), {}).update(dict.fromkeys(found))
     return [tuple(sorted(group, key=number_of)) for group in groups.values()]
+
+
+def logs(paths: list[Path]) -> list[Path | tuple[Path, ...]]:
+    """As ``flights``; a flight that one path names is that path, so that a reader knows which segments it must have."""
+    groups = flights(paths)
+    return list(paths) if len(groups) == len(paths) else list(groups)

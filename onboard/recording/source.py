@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from drivers.records import Rows
-from onboard.recording.segmented import ChannelProgress
+from onboard.recording.recorded import ChannelProgress
 
 OVERRUN = "ring_overrun"
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from onboard.recording.errors import LogFormatError
-from onboard.recording.segments import SUFFIX, read_head, segments
+from onboard.recording.segments import SUFFIX, flight_or_none, segments
 from onboard.recording.sink import is_locked
 
 BALLAST_SUFFIX = ".heft-reserve"
@@ -127,16 +127,9 @@ class SpaceGuard:
                 try:
                     files += segments(directory)
                 except LogFormatError:
-                    continue  # not a flight
-        flight_of = {path: _flight(path) for path in files if path not in self._kept}
+                    continue  # no flight
+        flight_of = {path: flight_or_none(path) for path in files if path not in self._kept}
         self._kept |= {path for path, flight in flight_of.items() if flight in ("", self._flight)}
         flying = {flight for path, flight in flight_of.items() if is_locked(path)}
         may_go = [path for path, flight in flight_of.items() if path not in self._kept and flight not in flying]
         return sorted(may_go, key=lambda path: (path.stat().st_mtime_ns, path))
-
-
-def _flight(path: Path) -> str:
-    try:
-        return read_head(path).flight
-    except LogFormatError:
-        return ""

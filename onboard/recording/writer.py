@@ -26,9 +26,8 @@ from onboard.recording.schema import message_name, ros2msg
 from onboard.recording.sink import FileSink, Sink
 from onboard.recording.summary import SummarySection
 
-LIBRARY = "heft"
 CHUNK_BYTES = 16384
-_HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, LIBRARY).pack()
+_HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()
 HEADER_BYTES = len(_HEADER)
 SYNC_INTERVAL_NS = 150_000_000  # with steps of up to 50 ms nothing un-synced is ever older than 200 ms
 _NAME_BYTES = GAP["channel"].itemsize

@@ -19,8 +19,7 @@ from onboard.channels import CLOCK
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
-from onboard.recording.segmented import RECORDED
-from onboard.recording.segments import METADATA
+from onboard.recording.segments import END, METADATA, RECORDED
 from onboard.recording.writer import LogWriter
 
 NAME_BYTES = min(GAP["channel"].itemsize, CLOCK["channel"].itemsize)  # of a channel, as records hold it
@@ -153,7 +152,7 @@ def _describe(writer: LogWriter, parts: Sequence[Part], logs: Sequence[LogReader
         for attachment in log.attachments.values():
             writer.attach(before + attachment.name, attachment.media_type, attachment.data, attachment.log_time_ns)
         for name, items in log.metadata.items():
-            if name not in (METADATA, RECORDED):
+            if name not in (METADATA, RECORDED, END):
                 writer.add_metadata(before + name, items)
     sources = {
         part.name: f"host_ns x {part.rate!r} + {part.shift_ns} ns of {', '.join(path.name for path in part.segments)}"

@@ -64,6 +64,7 @@ _CARTESIAN = {
 
 
 TIME_FIELD = "time_ns"
+_FAR_NS = 1 << 62  # the sum of two smaller ones is an i8
 _PLAIN = Meaning()
 
 
@@ -156,7 +157,10 @@ def time_columns(times: Times) -> list[Column]:
 
 
 def _shifted(time_ns: NDArray[np.int64], by_ns: int) -> NDArray[np.int64]:
-    return np.where(time_ns == UNKNOWN, UNKNOWN, time_ns + np.int64(by_ns))  # UNKNOWN is NumPy's NaT
+    """UNKNOWN, which is NumPy's NaT, for times that no flight has: a crafted log's may be anything."""
+    if abs(by_ns) >= _FAR_NS:
+        return np.full(len(time_ns), UNKNOWN, np.int64)
+    return np.where((time_ns > -_FAR_NS) & (time_ns < _FAR_NS), time_ns + np.int64(by_ns), UNKNOWN)
 
 
 def columns(

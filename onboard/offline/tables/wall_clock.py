@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 _EARLIEST_NS = int(np.datetime64("2020-01-01", "ns").astype(np.int64))
+_LATEST_NS = 1 << 62
 
 
 def utc_offset_ns(metadata: Mapping[str, Mapping[str, str]]) -> int | None:
@@ -18,4 +19,4 @@ def utc_offset_ns(metadata: Mapping[str, Mapping[str, str]]) -> int | None:
         wall_ns, monotonic_ns = int(facts["wall_clock_ns"]), int(facts["monotonic_ns"])
     except (KeyError, ValueError):
         return None
-    return wall_ns - monotonic_ns if wall_ns >= _EARLIEST_NS else None
+    return wall_ns - monotonic_ns if _EARLIEST_NS <= wall_ns < _LATEST_NS and abs(monotonic_ns) < _LATEST_NS else None

@@ -1,0 +1,43 @@
+"""How far each channel of a flight has come in its log: said at a segment's head, and where a takeover goes on."""
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from drivers import records
+from drivers.records import Rows
+from onboard.recording.segments import RECORDED, proven, without_crc
+
+GAP_CHANNEL = "recorder_gap"
+_BEYOND = 1 << 63
+
+
+class ChannelProgress(NamedTuple):
+    """How far a channel has come: sequence and host time of its newest row that is in the log, or told as missing."""
+
+    sequence: int
+    host_ns: int
+
+
+def marks_of(items: Mapping[str, str]) -> dict[str, ChannelProgress]:
+    """Metadata ``recorded``; of channels whose mark makes no sense, and where it is altered, nothing."""
+    marks = {}
+    for name, text in without_crc(items).items() if proven(RECORDED, items) is not False else ():
+        numbers = text.split()
+        if len(numbers) == 2 and all(re.fullmatch(r"-?\d{1,19}", number) for number in numbers):
+            mark = ChannelProgress(*map(int, numbers))
+            if 0 <= mark.sequence < _BEYOND and abs(mark.host_ns) < _BEYOND:
+                marks[name] = mark
+    return marks
+
+
+def note(recorded: dict[str, ChannelProgress], channel: str, rows: Rows) -> None:
+    """Bring ``recorded`` up to date with ``rows`` (n,) of ``channel``; what a gap of ours tells counts too."""
+    if not len(rows):
+        return
+    recorded[channel] = ChannelProgress(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
+    if channel == GAP_CHANNEL and rows.dtype == records.GAP:
+        for row in rows:
+            name, last = row["channel"].decode(), int(row["last_missing"])
+            if name not in recorded or recorded[name].sequence < last:
+                recorded[name] = ChannelProgress(last, int(row["host_ns"]))

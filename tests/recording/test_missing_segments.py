@@ -1,0 +1,252 @@
+"""Flights with segments missing, altered, exchanged or crafted: named, never a traceback, never called whole."""
+
+import os
+import random
+import struct
+
+import numpy as np
+import pytest
+
+from drivers import records
+from onboard import cli
+from onboard.recording import mcap_format
+from onboard.recording.mcap_format import RECORD_HEAD, Chunk
+from onboard.recording.reader import LogReader
+from onboard.recording.scan import Found, Scan
+from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+
+STEP_NS = 50_000_000
+ROWS = 45 * 40
+FACTS = {"flight": {"vehicle": "x", "wall_clock_ns": "1565611200000000000", "monotonic_ns": "0"}}
+
+
+def scalars(first, count):
+    rows = np.zeros(count, records.SCALAR)
+    rows["sequence"] = rows["tick"] = range(first, first + count)
+    rows["host_ns"] = (first + np.arange(count)) * 1_000_000
+    rows["scale"], rows["unit"] = 1e-3, b"N"
+    return rows
+
+
+def write(path, flight, facts=FACTS):
+    """Two channels of 40 rows a step, 10 steps a segment."""
+    log = SegmentedLog(path, Preamble(flight, (), facts), limits=Limits(span_ns=10 * STEP_NS), sync_interval_ns=0)
+    for name in ("a", "b"):
+        log.register(name, records.SCALAR)
+    for step in range(ROWS // 40):
+        for name in ("a", "b"):
+            log.write(name, scalars(40 * step, 40))
+        log.sync(step * STEP_NS)
+    log.close()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The segments of a flight, by name."""
+    place = tmp_path_factory.mktemp("whole")
+    write(place / "x.mcap", "f1")
+    return {path.name: path.read_bytes() for path in sorted(place.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    place = tmp_path_factory.mktemp("other")
+    write(place / "x.mcap", "f2")
+    return {path.name: path.read_bytes() for path in sorted(place.iterdir())}
+
+
+def lay(place, files):
+    place.mkdir(exist_ok=True)
+    for name, data in files.items():
+        (place / name).write_bytes(data)
+    return place / "x.mcap"
+
+
+def test_a_flight_that_ended_in_order_says_so(tmp_path, whole):
+    log = LogReader(lay(tmp_path, whole))
+    assert len(whole) == len(log.segments) == 5
+    assert log.complete
+    assert log.metadata["flight_end"] == {"flight": "f1", "segments": "5"}
+    assert log.metadata["recorded"].keys() == {"a", "b"}
+
+
+@pytest.mark.parametrize("harm", ["delete", "zero", "empty", "noise"])
+@pytest.mark.parametrize("number", range(5))
+def test_a_segment_that_is_gone_is_named_with_what_it_held(tmp_path, whole, capsys, harm, number):
+    name = sorted(whole)[number]
+    files = dict(whole)
+    rows = LogReader([lay(tmp_path / "whole", whole).with_name(name)]).read("a")
+    if harm == "delete":
+        del files[name]
+    else:
+        size = len(files[name])
+        files[name] = {"zero": bytes(size), "empty": b"", "noise": random.Random(1).randbytes(size)}[harm]
+    log = lay(tmp_path / "log", files)
+    read = LogReader(log)
+    assert read.exit_code == cli.DAMAGED
+    said = "\n".join(map(str, read.damage))
+    assert f"segment {number} " in said or name in said
+    if number < 4 and harm != "empty":
+        assert f"held {2 * len(rows)} rows" in said
+        assert f"a {rows['sequence'][0]} to {rows['sequence'][-1]}" in said
+    assert cli.main(["info", str(log)]) == cli.DAMAGED
+    recovered = tmp_path / "recovered.mcap"
+    assert cli.main(["recover", str(log), "-o", str(recovered)]) == cli.DAMAGED
+    assert "lossless" not in capsys.readouterr().out
+    assert len(LogReader(recovered).read("a")) == ROWS - len(rows)
+    gaps = LogReader(recovered).read("recover_gap")
+    if number < 4:
+        assert [(int(g["first_missing"]), int(g["last_missing"])) for g in gaps] == [
+            (int(rows["sequence"][0]), int(rows["sequence"][-1]))
+        ] * 2
+
+
+def test_exchanged_segments_are_put_in_order_and_a_neighbours_is_no_part(tmp_path, whole, other):
+    files = whole | {"x_001.mcap": whole["x_003.mcap"], "x_003.mcap": whole["x_001.mcap"]}
+    log = LogReader(lay(tmp_path / "exchanged", files))
+    assert log.complete
+    assert log.read("a")["sequence"].tolist() == list(range(ROWS))
+    log = LogReader(lay(tmp_path / "foreign", whole | {"x_002.mcap": other["x_002.mcap"]}))
+    assert [str(one).split(";")[0] for one in log.damage] == ["segment 2 is missing"]
+    copied = LogReader(lay(tmp_path / "copied", whole | {"x_002.mcap": whole["x_001.mcap"]}))
+    assert [str(one).split(";")[0] for one in copied.damage] == ["segment 2 is missing"]
+
+
+def test_a_flipped_bit_of_the_segments_own_metadata_drops_nothing(tmp_path, whole):
+    place = whole["x_002.mcap"].index(b"\x06\x00\x00\x00flight")
+    for bit in range(8 * (place + 4), 8 * (place + 14)):
+        data = bytearray(whole["x_002.mcap"])
+        data[bit // 8] ^= 1 << bit % 8
+        log = LogReader(lay(tmp_path, whole | {"x_002.mcap": bytes(data)}))
+        assert len(log.segments) == 5
+        assert len(log.read("a")) == ROWS
+        assert log.exit_code == cli.DAMAGED
+
+
+HARMS = ("flip", "flip head", "cut", "zero", "noise", "delete", "exchange", "copy", "foreign", "append", "rewrite")
+
+
+def harmed(files, other, rng):
+    """Something done to one of ``files``."""
+    kind, name = rng.choice(HARMS), rng.choice(sorted(files))
+    data = bytearray(files[name])
+    at = rng.randrange(max(1, min(len(data), 700 if kind == "flip head" else len(data))))
+    if kind.startswith("flip") and data:
+        data[at] ^= 1 << rng.randrange(8)
+    elif kind == "cut":
+        data = data[:at]
+    elif kind == "zero":
+        data[at : at + rng.choice([1, 100, 10**6])] = bytes(len(data[at : at + rng.choice([1, 100])]))
+    elif kind == "noise":
+        noise = rng.randbytes(rng.choice([4, 64, 1000]))
+        data[at : at + len(noise)] = noise
+    elif kind in ("exchange", "copy"):
+        second = rng.choice(sorted(files))
+        data, files[second] = files[second], files[name] if kind == "exchange" else files[second]
+    elif kind == "foreign":
+        data = other[name]
+    elif kind == "append":
+        data += rng.randbytes(rng.randrange(1, 200))
+    elif kind == "rewrite":
+        data = bytearray(crafted(bytes(data), rng))
+    files[name] = bytes(data)
+    if kind == "delete":
+        del files[name]
+    return kind, name
+
+
+def crafted(data, rng):
+    """With numbers of its messages changed, and every CRC right: as only somebody who means it writes it."""
+    if not data.startswith(mcap_format.MAGIC):
+        return data
+    parts = [data[: len(mcap_format.MAGIC)]]
+    for number, value in enumerate(_records(data)):
+        if value[0] == 6 and rng.randrange(2):  # a chunk
+            body = bytearray(value[9 + 40 :])
+            for _ in range(rng.randrange(1, 6)):
+                word = rng.choice([0, 1, 2**63 - 1, 2**63, 2**64 - 1, rng.getrandbits(64)])
+                at = rng.randrange(max(1, len(body) - 8))
+                body[at : at + 8] = struct.pack("<Q", word)
+            parts.append(Chunk(number, number, bytes(body)).pack())
+        else:
+            parts.append(value)
+    return b"".join(parts)
+
+
+def _records(data):
+    at = len(mcap_format.MAGIC)
+    while at + 9 <= len(data):
+        _, length = RECORD_HEAD.unpack_from(data, at)
+        if length > len(data):
+            return
+        yield data[at : at + 9 + length]
+        at += 9 + length
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.timeout(300)
+def test_whatever_is_done_to_a_flight_it_is_never_called_whole_when_rows_are_missing(
+    tmp_path, whole, other, capsys, seed
+):
+    rng = random.Random(seed)
+    lossy = 0
+    for case in range(12):
+        files = dict(whole)
+        done = [harmed(files, other, rng) for _ in range(rng.choice([1, 1, 2, 3])) if files]
+        log = lay(tmp_path / str(case), files)
+        codes = [
+            cli.main(["info", str(log)]),
+            cli.main(["recover", str(log), "-o", str(log.with_name("out.mcap"))]),
+            cli.main(["dump", str(log), "--to", "npz", str(log.with_name("dump"))]),
+        ]
+        said = capsys.readouterr().out
+        rewritten = any(kind == "rewrite" for kind, _ in done)
+        got = 0
+        if log.with_name("out.mcap").exists():
+            out = LogReader(log.with_name("out.mcap"))
+            got = min(len(np.unique(out.read(name)["sequence"])) if name in out.channels else 0 for name in "ab")
+        if got < ROWS and not rewritten:
+            lossy += 1
+            assert 0 not in codes, (case, done, codes)
+            assert "lossless" not in said
+    assert lossy > 2
+
+
+def test_a_crafted_chunk_with_extreme_numbers_is_read_or_refused(tmp_path, whole, capsys):
+    """Sequence numbers and times that no flight has, and that overflow where somebody subtracts them."""
+    data = whole["x.mcap"]
+    chunks = [found for found in Scan(lay(tmp_path, {"x.mcap": data})).records() if isinstance(found, Found)]
+    chunk = next(one for one in chunks if isinstance(one.content, Chunk))
+    row = scalars(0, 1).tobytes()
+    tail = chunk.content.records.index(row[:24])
+    extremes = [0, 2**63 - 1, 2**63, 2**64 - 1]
+    for number, (sequence, host_ns) in enumerate([(a, b) for a in extremes for b in extremes]):
+        body = bytearray(chunk.content.records)
+        body[tail : tail + 16] = struct.pack("<QQ", sequence, host_ns)
+        packed = Chunk(0, 1, bytes(body)).pack()
+        log = lay(tmp_path / str(number), {"x.mcap": data[: chunk.start] + packed + data[chunk.end :]})
+        dump = ["dump", "--to", "csv", str(log.with_name("dump"))]
+        for command in (["info"], ["recover", "-o", str(log.with_name("out.mcap"))], dump):
+            assert cli.main([command[0], str(log), *command[1:]]) in (cli.OK, cli.DAMAGED)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [{"recorded": {"a": "x", "b": "9" * 40}}, {"flight": {"wall_clock_ns": "9" * 400, "monotonic_ns": "-" + "9" * 30}}],
+)
+def test_metadata_that_makes_no_sense_stops_nobody(tmp_path, capsys, facts):
+    write(tmp_path / "x.mcap", "f1", facts)
+    for command in (["info"], ["recover", "-o", str(tmp_path / "out.mcap")], ["dump", "--to", "csv", str(tmp_path)]):
+        assert cli.main([command[0], str(tmp_path / "x.mcap"), *command[1:]]) == cli.OK
+    capsys.readouterr()
+
+
+@pytest.mark.timeout(20)
+def test_what_is_no_file_is_refused_at_once(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    for path in (tmp_path / "pipe.mcap", "/dev/zero", "/dev/null"):
+        for command in (["info"], ["dump", "--to", "csv", str(tmp_path)], ["replay"], ["report"]):
+            assert cli.main([command[0], str(path), *command[1:]]) == cli.BAD_INPUT
+        assert cli.main(["recover", str(path), "-o", str(tmp_path / "out.mcap")]) in (cli.BAD_INPUT, cli.FAILED)
+    assert capsys.readouterr().err.count("is no file") == 15
