@@ -78,11 +78,11 @@ def next_log(directory: str, name: str) -> Path:
     return next(path for path in paths if not path.exists() and path.absolute() not in taken)
 
 
-def load_vehicle(name: str) -> "config.Vehicle":
-    """A vehicle by the path of its file, or by the name of a packaged one."""
+def load_vehicle(name: str, urdf: Path | None = None) -> "config.Vehicle":
+    """A vehicle by the path of its file, or by the name of a packaged one; with another URDF where one is given."""
     from onboard import config
 
-    return config.named(name)
+    return config.named(name, urdf)
 
 
 def complain(text: object) -> None:

@@ -3,6 +3,7 @@
 import argparse
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,10 @@ def add(commands: Commands) -> None:
     identify.add_argument(
         "--from", dest="earlier", type=Path, metavar="LOG", help="start from the last estimate of LOG"
     )
+    identify.add_argument(
+        "--predict", type=Path, action="append", default=[], metavar="LOG", help="predict LOG's rows from the first log"
+    )
+    identify.add_argument("--urdf-in", type=Path, metavar="FILE", help="the vehicle's URDF, in place of its file's")
     identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
     identify.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
     identify.set_defaults(command=_identify)
@@ -40,7 +45,9 @@ def _identify(arguments: argparse.Namespace) -> int:
     from onboard.recording.reader import LogReader
 
     if arguments.vehicle:
-        return _identify_with(load_vehicle(arguments.vehicle), arguments)
+        return _identify_with(load_vehicle(arguments.vehicle, arguments.urdf_in), arguments)
+    if arguments.urdf_in:
+        raise ValueError("--urdf-in is the URDF of the --vehicle; logs that carry their vehicle carry its URDF too")
     if not arguments.logs:
         raise ValueError("name a log to identify from, or the --vehicle whose --parameters to show")
     with tempfile.TemporaryDirectory() as directory:
@@ -51,6 +58,7 @@ def _identify(arguments: argparse.Namespace) -> int:
 def _identify_with(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
     from onboard.offline.estimate_again import identify, identify_view
     from onboard.offline.estimate_again import warm_start as carrying
+    from onboard.offline.estimate_again.predict import predict
     from onboard.recording.reader import LogReader
 
     if arguments.method:
@@ -66,6 +74,9 @@ def _identify_with(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> 
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
+    if arguments.predict:
+        made = tuple((log, predict(vehicle, found.logs[0], log)) for log in arguments.predict)
+        found = replace(found, predicted=made)
     show(identify_view.render(found))
     if arguments.json:
         arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")

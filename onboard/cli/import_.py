@@ -9,7 +9,7 @@ from onboard.cli.common import OK, Commands, progress
 def add(commands: Commands) -> None:
     """Make the command known."""
     importer = commands.add_parser("import", help="convert foreign recordings to logs")
-    importer.add_argument("mapping", help="mapping TOML, or the name of a packaged one: tudelft")
+    importer.add_argument("mapping", help="mapping TOML, or a packaged one: tudelft, staubli_tx40, kuka_lwr4")
     importer.add_argument("source", type=Path, help="a recording, or a directory of them")
     importer.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     importer.set_defaults(command=_import)

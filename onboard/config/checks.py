@@ -134,7 +134,10 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         if load.role == "proof" and load.truth_kg_m2 is None:
             fail(["free_body", "load", str(index), "role"], "a proof body must be known; give truth_kg_m2")
     if not vehicle.urdf_path.is_file():
-        fail(["vehicle", "urdf"], f"no file {vehicle.urdf_path}; put the URDF beside the vehicle file")
+        fail(
+            ["vehicle", "urdf"],
+            f"no file {vehicle.urdf_path}; put the URDF beside the vehicle file, or give it to heft identify --urdf-in",
+        )
 
 
 def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:

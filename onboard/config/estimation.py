@@ -110,6 +110,13 @@ class ImuPrior(Section):
     delay_s: NotNegative = 0.0
 
 
+class Motor(Section):
+    """A motor that turns with several joints: how far with each, and the way of its Coulomb friction (Dahl)."""
+
+    ratios: Annotated[dict[str, float], Field(min_length=2)]
+    presliding_rad: NotNegative = 0.0
+
+
 class Carried(Section):
     """What an earlier flight had learned when its log ended, in place of the prior; ``heft fly --continue`` writes it.
 
@@ -148,6 +155,8 @@ class Estimation(Section):
     "estimated" makes each a parameter, where several cells see the same load.
     ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
     ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
+    ``motor``: those of joint torques that turn with more than one joint, by name; each has parameters ``Ia_``, ``Fv_``
+    and ``Fc_`` of its own.
     ``carried`` is for a flight that goes on where another one ended, with the same payload.
     ``nuisance`` names base parameters that take up what is not theirs: estimated, and never reported as supported.
     """
@@ -170,6 +179,7 @@ class Estimation(Section):
     memory: Memory = Memory()
     prior: Prior = Prior()
     masses: Masses | None = None
+    motor: dict[str, Motor] = Field(default_factory=dict)
     nuisance: list[str] = Field(default_factory=list)
     carried: Carried | None = None
     exiddm: Exiddm = Exiddm()

@@ -24,14 +24,14 @@ def packaged(name: str) -> Path:
     return Path(__file__).parents[1] / "vehicles" / name / "vehicle.toml"
 
 
-def named(name: str | Path) -> Vehicle:
+def named(name: str | Path, urdf: Path | None = None) -> Vehicle:
     """A vehicle by the path of its file, or by the name of a packaged one.
 
     Raises:
         ConfigError: there is none of that name, or see :func:`load`.
     """
     if str(name).endswith(".toml"):
-        return load(Path(name))
+        return load(Path(name), urdf)
     path = packaged(str(name))
     if not path.exists():
         known = sorted(file.parent.name for file in path.parents[1].glob("*/vehicle.toml"))
@@ -41,11 +41,15 @@ def named(name: str | Path) -> Vehicle:
         raise ConfigError(
             f"no packaged vehicle {str(name)!r}; {meant}{others}; one of your own is a path to a vehicle.toml"
         )
-    return load(path)
+    return load(path, urdf)
 
 
-def load(path: Path) -> Vehicle:
+def load(path: Path, urdf: Path | None = None) -> Vehicle:
     """Read and check a vehicle file.
+
+    Args:
+        path: of the file.
+        urdf: another than it names.
 
     Raises:
         ConfigError: no such file, no TOML, an unknown key, a wrong value, or a name that points nowhere.
@@ -54,16 +58,18 @@ def load(path: Path) -> Vehicle:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a vehicle.toml") from error
-    return parse(text, path)
+    return parse(text, path, urdf)
 
 
-def parse(text: str, path: Path) -> Vehicle:
+def parse(text: str, path: Path, urdf: Path | None = None) -> Vehicle:
     """As :func:`load`, for a text that is at hand already (from a log, say)."""
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not TOML: {error}") from error
     _refuse_broken(path, text, tree)
+    if urdf is not None and isinstance(tree.get("vehicle"), dict):
+        tree["vehicle"]["urdf"] = str(urdf.absolute())
     try:
         file = VehicleFile.model_validate(tree)
     except ValidationError as error:

@@ -14,6 +14,7 @@ from onboard.config.estimation import (
     Link,
     Masses,
     Memory,
+    Motor,
     Phases,
     Prior,
     Zero,
@@ -108,6 +109,10 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "memory": _M("Table: how long rows count."),
         "prior": _M("Table: what is known beforehand."),
         "masses": _M("Table: masses to report from inertia about a joint."),
+        "motor": _M(
+            "Tables by name: motors that turn with more than one joint; parameters Ia_NAME, Fv_NAME, Fc_NAME.",
+            "a wrist is coupled, and its joints' torques are measured",
+        ),
         "nuisance": _M(
             "Base parameters that take up what is not theirs: estimated, never reported as supported.",
             "a disturbance has the shape of a parameter (drag as a first moment)",
@@ -153,6 +158,12 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "relative": _M("Relative sigma of all parameters, by link; 0 takes the link for exact.", "a link was measured"),
         "absolute": _M("Absolute sigma of the other columns, SI, by name.", "a bias is known to be small"),
         "link": _M('How each link was measured, for method "exiddm"; links that are not in it are certain.'),
+    },
+    Motor: {
+        "ratios": _M("How far it turns with each of its joints, by joint: 1 where both turn it alike."),
+        "presliding_rad": _M(
+            "Way in which its Coulomb friction turns round (Dahl); 0: at once.", "friction lags behind reversals"
+        ),
     },
     Masses: {
         "joint": _M("Joint about which the inertia is."),

@@ -7,7 +7,7 @@ from pydantic import Field
 from drivers.records import IMU, SCALAR
 from onboard.devices import roles
 from onboard.devices.base import DeviceSection, ImuDevice, Surroundings
-from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles
+from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.section import Positive
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
@@ -76,6 +76,20 @@ class RecordedLoadCell(RecordedDevice, LoadCellKeys):
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         return Roles([], [], [LoadCellRole(name, name, self)], {name: roles.force(self, period_s)})
+
+
+class RecordedTorque(RecordedDevice, TorqueKeys):
+    """The torque of a joint, N m (N of a sliding one), or its motor's current."""
+
+    about_role = "joint torque"
+    records = SCALAR
+    kind: Literal["recorded_torque"]
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        si = {b"N m": 1.0, b"N": 1.0} | ({b"A": self.gain_N_m_A} if self.gain_N_m_A else {})
+        torque = roles.scalar(self.delay_ms, self.sigma_N_m, period_s, si)
+        return Roles([], [], [LoadCellRole(name, name, self)], {name: torque})
 
 
 class RecordedValue(RecordedDevice):

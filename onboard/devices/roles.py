@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
 
 from onboard.section import NotNegative, Positive, Section, Vector3
 
@@ -30,6 +32,62 @@ class LoadCellKeys(Section):
     delay_ms: NotNegative = 0.0
     delay_sigma_ms: NotNegative = 0.0
     gravity_m_s2: Positive = STANDARD_GRAVITY_M_S2
+
+    @property
+    def relative_sigma(self) -> float:
+        """Of all readings alike: calibration and lever."""
+        lever = self.lever_sigma_m / self.lever_m if self.measures == "moment" else 0.0
+        return math.hypot(self.scale_sigma, lever)
+
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Unit for people, and how much of it a reading of one is."""
+        return ("mN m", 1e3 * self.lever_m) if self.measures == "moment" else ("N", 1.0)
+
+    @property
+    def meaning(self) -> str:
+        """What a reading is."""
+        axis = ", ".join(f"{part:g}" for part in self.axis)
+        how = f"along ({axis})" if self.measures == "force" else f"whose moment about ({axis})"
+        lever = f", lever {self.lever_m:g} m" if self.measures == "moment" else ""
+        return f"force of the load cell {how} of frame {self.frame}{lever}"
+
+
+class TorqueKeys(Section):
+    """The torque of a joint's actuator (force of a sliding one), or its motor's current, as a row of the joint.
+
+    The reading is ``(1 + scale) (torque + friction + rotor inertia + offset)``; friction, rotor inertia and offset are
+    parameters ``Fc_``, ``Fv_``, ``Ia_<joint>`` and ``bias_<device>`` with sigmas in [estimation.prior.absolute].
+    """
+
+    joint: Annotated[str, Field(description="Name of the URDF's joint.")]
+    sigma_N_m: Annotated[Positive, Field(description="1 sigma of what the model leaves of a smoothed reading.")]  # noqa: N815
+    gain_N_m_A: Annotated[  # noqa: N815
+        Positive | None, Field(description="Torque at the joint of one ampere; for readings in A.")
+    ] = None
+    scale_sigma: Annotated[NotNegative, Field(description="Relative, of gain or calibration.")] = 0.0
+    friction: Annotated[bool, Field(description="Whether friction and rotor inertia are parameters.")] = True
+    presliding_rad: Annotated[
+        NotNegative, Field(description="Way in which Coulomb friction turns round (Dahl); 0: at once.")
+    ] = 0.0
+    still_rad_s: Annotated[NotNegative, Field(description="Slower than this the row is left out.")] = 0.0
+    delay_ms: NotNegative = 0.0
+    delay_sigma_ms: NotNegative = 0.0
+
+    @property
+    def relative_sigma(self) -> float:
+        """Of all readings alike."""
+        return self.scale_sigma
+
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Unit for people, and how much of it a reading of one is."""
+        return "N m", 1.0
+
+    @property
+    def meaning(self) -> str:
+        """What a reading is."""
+        return f"torque of joint {self.joint}, or the current of its motor"
 
 
 class SmoothedChannel(NamedTuple):
@@ -72,11 +130,11 @@ class JointRole(NamedTuple):
 
 
 class LoadCellRole(NamedTuple):
-    """A load cell: the name of its row, its channel, what it measures."""
+    """A load cell, or the torque of a joint: the name of its row, its channel, what it measures."""
 
     name: str
     channel: str
-    keys: LoadCellKeys
+    keys: LoadCellKeys | TorqueKeys
 
 
 class Roles(NamedTuple):

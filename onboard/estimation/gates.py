@@ -25,6 +25,7 @@ class GateReason(IntFlag):
     PHASE = 16  # the mission is not in a phase to identify in, or has not settled in it
     RESIDUAL = 32  # the row contradicts the estimate
     NOT_SYNCHRONISED = 64  # a clock the row depends on is not valid
+    STILL = 128  # the joint is so slow that its Coulomb friction may have any size
 
 
 def reasons(refused: ArrayLike, reason: GateReason) -> ReasonArray:

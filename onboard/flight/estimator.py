@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
+from onboard.devices.roles import TorqueKeys
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate
+from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.clocks import timebase_of
 from onboard.flight.identification import METHODS, build_online
@@ -25,6 +26,7 @@ from onboard.identification.change import Change
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate
 from onboard.identification.rows.identifier import Identifier
+from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, base_motion, standing
 from onboard.regressor.signals import SignalNoise, Signals
 
@@ -75,7 +77,11 @@ class Estimator:
         roles = roles_of(vehicle)
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
         self._joints = {joint.joint: joint for joint in roles.joints}
-        self._cells = {cell.name: cell.channel for cell in roles.cells}
+        self._cells = {cell.name: cell for cell in roles.cells}
+        motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
+        names = [joint.name for joint in self.model.joints]
+        self._friction = CoulombFriction(motors, names) if motors else None
+        self._turning = {name: [k for k, motor in enumerate(motors) if name in dict(motor.ratios)] for name in names}
         rows = len(self.online.row_names)
         parameters = len(self.online.parameter_names)
         size = len(self.online.triangle())
@@ -151,11 +157,25 @@ class Estimator:
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
-            measured, measured_rate, sigma, refused_rows = self._measured(at_ns)
-            refused |= base.refused | refused_rows | self._gates(at_ns, joints, base.sensed_m_s2)
+            friction = None if self._friction is None else self._friction.follow(q, dq)
+            measured, measured_rate, sigma, gaps, slow = self._measured(at_ns, dq, friction)
+            refused |= base.refused | gaps | self._gates(at_ns, joints, base.sensed_m_s2)
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
             motion = base.motion
-            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, measured_rate, noise)
+            friction = None if friction is None else np.nan_to_num(friction)
+            signals = Signals(
+                time_s,
+                q,
+                dq,
+                ddq,
+                motion,
+                measured,
+                sigma,
+                measured_rate,
+                noise,
+                friction,
+                slow if slow.any() else None,
+            )
         found = self.online.update(signals, self._phases.attached(at_ns), refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
         made += [_said(now_ns, change) for change in self.online.news()]
@@ -197,23 +217,31 @@ class Estimator:
         return joints, sigma, refused
 
     def _measured(
-        self, at_ns: NDArray[np.int64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-        """Left-hand sides of the rows, their rates, their sigmas, each (n, rows), and reasons (n,)."""
+        self, at_ns: NDArray[np.int64], dq: FloatArray, friction: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+        """Left-hand sides of the rows, their rates, their sigmas, (n, rows) each; reasons (n,), and (n, rows)."""
         rows = self.online.row_names
         settings, n = self.vehicle.file.estimation, len(at_ns)
         measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.zeros((n, len(rows)))
-        refused = np.zeros(n, np.int64)
+        refused, slow = np.zeros(n, np.int64), np.zeros((n, len(rows)), np.int64)
         for column, row in enumerate(rows):
             if row in self._cells:
-                cell = self._signals.at(self._cells[row], self._timebase, at_ns, 1)
+                keys = self._cells[row].keys
+                cell = self._signals.at(self._cells[row].channel, self._timebase, at_ns, 1)
                 measured[:, column], rate[:, column] = cell.derivatives[0][:, 0], cell.derivatives[1][:, 0]
                 sigma[:, column] = cell.sigma[0][:, 0]
+                if isinstance(keys, TorqueKeys):  # friction that no column holds is more than the samples' noise
+                    sigma[:, column] = keys.sigma_N_m
+                    joint = [one.name for one in self.model.joints].index(keys.joint)
+                    still = np.abs(dq[:, joint]) < keys.still_rad_s
+                    if friction is not None:
+                        still |= np.isnan(friction[:, self._turning[keys.joint]]).any(axis=1)
+                    slow[:, column] = reasons(still, GateReason.STILL)
                 refused |= cell.refused
             else:  # a base wrench that is zero, good to what is left of it when the motion is known
                 force = row.startswith("base_force")
                 sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
-        return measured, rate, sigma * self.inflation, refused
+        return measured, rate, sigma * self.inflation, refused, slow
 
     def _gates(self, at_ns: NDArray[np.int64], joints: FloatArray, specific_force: FloatArray) -> NDArray[np.int64]:
         settings = self.vehicle.file.estimation

@@ -1,13 +1,14 @@
 """From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard import config
 from onboard.config.errors import line_of
-from onboard.devices.roles import LoadCellRole, Roles
+from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.errors import ModelError, UrdfError
 from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
@@ -25,7 +26,15 @@ from onboard.identification.quantities import Quantity, mass_quantities
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.identifier import Considered, Identifier, Start
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
-from onboard.regressor.rows import RowModel, WrenchRow, base_force_rows, base_moment_rows, load_cell_row
+from onboard.regressor.friction import Motor
+from onboard.regressor.rows import (
+    RowModel,
+    WrenchRow,
+    base_force_rows,
+    base_moment_rows,
+    joint_torque_row,
+    load_cell_row,
+)
 
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
@@ -157,18 +166,16 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         considered: list[Considered] = []
         scales: dict[str, float] = {}
         for cell in roles.cells:
-            keys = cell.keys
-            scaled = settings.scales == "estimated" and _scale_sigma(cell) > 0.0
-            row = load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m, scale=scaled)
-            rows.append(row)
+            scaled = settings.scales == "estimated" and cell.keys.relative_sigma > 0.0
+            rows.append(_cell_row(cell, model, scaled))
             considered += _considered(cell, scaled)
-            scales |= {f"scale_{cell.name}": _scale_sigma(cell)} if scaled else {}
+            scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
         if "force" in settings.base_rows:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
             rows += base_moment_rows(model)
         zero_force = settings.zero_force_sigma_m_s2
-        row_model = RowModel(model, rows, zero_force=zero_force is not None)
+        row_model = RowModel(model, rows, zero_force is not None, _motors(vehicle, roles))
         offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
         absolute = {**settings.prior.absolute, **offsets, **scales}
         prior = named_relative_sigma(row_model, settings.prior.relative, absolute)
@@ -225,15 +232,26 @@ def _check_joints(roles: Roles, model: VehicleModel) -> None:
         raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
 
 
-def _scale_sigma(cell: LoadCellRole) -> float:
-    """Relative sigma of a cell's readings: its calibration and its lever scale them alike."""
-    lever = cell.keys.lever_sigma_m / cell.keys.lever_m if cell.keys.measures == "moment" else 0.0
-    return float(np.hypot(cell.keys.scale_sigma, lever))
+def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:
+    """The row of a load cell or of a joint's torque."""
+    keys = cell.keys
+    if isinstance(keys, TorqueKeys):
+        row = joint_torque_row(model, keys.joint, keys.friction)
+        return replace(row, name=cell.name, bias=True, scale=scaled)
+    return load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m, scale=scaled)
+
+
+def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
+    """Motors whose friction is Dahl's, and those of several joints."""
+    torques = [cell.keys for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]
+    own = [Motor(t.joint, ((t.joint, 1.0),), t.presliding_rad) for t in torques if t.friction]
+    given = vehicle.file.estimation.motor.items()
+    return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
 
 
 def _considered(cell: LoadCellRole, scaled: bool) -> list[Considered]:
     """What one cell alone can never tell from mass, and what its rows do not estimate."""
-    scale = Considered(f"scale of {cell.name}", cell.name, "scale", _scale_sigma(cell))
+    scale = Considered(f"scale of {cell.name}", cell.name, "scale", cell.keys.relative_sigma)
     delay = Considered(f"delay of {cell.name}", cell.name, "delay", cell.keys.delay_sigma_ms * 1e-3)
     return [delay] if scaled else [scale, delay]
 

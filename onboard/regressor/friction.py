@@ -1,24 +1,78 @@
-"""Coulomb friction that needs a little way to turn round."""
+"""Motors: rotor inertia, viscous and Coulomb friction, of a joint or of several that a motor turns with.
+
+A motor's rate is ``dq_m = sum_j r_j dq_j``; by virtual work its torque comes to joint j times ``r_j``, so that its
+three columns are ``r_j [ddq_m, dq_m, z_m]`` in the row of joint j's torque (the wrist of the Staubli TX series, whose
+last motor also turns with the joint before it). Coulomb friction z_m is the sign of the rate, or
+Dahl's: ``dz = dx / length (1 - z sign(dx))``, which needs a few lengths of motion to come round after a reversal.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.errors import UnknownFrameError
 from onboard.estimation.arrays import FloatArray
 
+COLUMNS = ("Ia", "Fv", "Fc")  # kg m^2, N m s/rad, N m
+_COME_ROUND = 5.0  # lengths of motion after which Dahl's friction has forgotten what it began with, to 0.7 %
 
-def presliding(position: FloatArray, length: float) -> FloatArray:
-    """Dahl's friction over its Coulomb level, (n,), between -1 and 1: ``dz = dx / length (1 - z sign(dx))``.
 
-    After a reversal it takes a few ``length`` of motion to come round, where ``sign(dq)`` jumps. A column of it in
-    place of the sign's keeps the rows linear in the Coulomb level.
+class Motor(NamedTuple):
+    """A motor, its columns named ``Ia_<name>``, ``Fv_<name>``, ``Fc_<name>``."""
+
+    name: str
+    ratios: tuple[tuple[str, float], ...]  # joint, and how far the motor turns with it: one where seen at the joint
+    presliding_rad: float = 0.0  # Dahl's length; zero where Coulomb friction is the sign of the rate
+
+
+def ratios_of(motor: Motor, joints: Sequence[str]) -> FloatArray:
+    """The motor's turns with each joint, (joints,).
+
+    Raises:
+        UnknownFrameError: a joint that is not there.
+    """
+    found = np.zeros(len(joints))
+    for joint, ratio in motor.ratios:
+        if joint not in joints:
+            raise UnknownFrameError(f"motor {motor.name!r} turns with {joint!r}; joints are {', '.join(joints)}")
+        found[joints.index(joint)] = ratio
+    return found
+
+
+class CoulombFriction:
+    """Coulomb friction of motors over its level, tick after tick.
 
     Args:
-        position: of the joint at every tick, (n,), rad or m; ticks so close that it moves less than ``length`` between.
-        length: rad or m.
+        motors: at least one.
+        joints: names, in the order of the signals.
     """
-    steps = np.diff(position) / length
-    decay = np.exp(-np.abs(steps))  # the equation's own solution over a step of one direction
-    target = np.sign(steps)
-    z = np.zeros(len(position))
-    for k, (keep, end) in enumerate(zip(decay.tolist(), target.tolist(), strict=True)):
-        z[k + 1] = end + (z[k] - end) * keep
-    return z
+
+    def __init__(self, motors: Sequence[Motor], joints: Sequence[str]) -> None:
+        self._ratios = np.array([ratios_of(motor, joints) for motor in motors])  # (k, joints)
+        self._length = np.array([motor.presliding_rad for motor in motors])
+        self._z, self._x = np.zeros(len(motors)), np.full(len(motors), np.nan)
+        self._moved = np.zeros(len(motors))  # lengths
+
+    def follow(self, q: FloatArray, dq: FloatArray) -> FloatArray:
+        """Friction at n ticks that follow those before, (n, motors), between -1 and 1.
+
+        NaN while nobody can know it: Dahl's, until the motor has moved by five of its lengths. A tick that is not
+        finite leaves it as it was. Between ticks the motion is taken for monotonic.
+
+        Args:
+            q: joint positions, (n, joints).
+            dq: joint rates, (n, joints).
+        """
+        dahl = self._length > 0.0
+        x: FloatArray = q @ self._ratios.T
+        found: FloatArray = np.nan_to_num(np.sign(dq @ self._ratios.T))
+        for tick, position in enumerate(x):
+            if np.isfinite(position).all():
+                steps = np.nan_to_num(position - self._x)[dahl] / self._length[dahl]
+                end = np.sign(steps)
+                self._z[dahl] = end + (self._z[dahl] - end) * np.exp(-np.abs(steps))
+                self._moved[dahl] += np.abs(steps)
+                self._x = position
+            found[tick, dahl] = np.where(self._moved < _COME_ROUND, np.nan, self._z)[dahl]
+        return found

@@ -165,7 +165,7 @@ def _stretched(model: RowModel, places: list[_Place], factors: FloatArray) -> Ro
             translation = placement.translation.copy()
             translation[place.axis] *= factor
             placement.translation = translation
-    return RowModel(vehicle, model.rows, zero_force=any(name == "zero_force_x" for name in model.names))
+    return RowModel(vehicle, model.rows, any(name == "zero_force_x" for name in model.names), model.motors)
 
 
 def _coefficients(

@@ -80,7 +80,8 @@ class RowNoise:
         dw[acceleration] += dw_noise
         flags, none = np.full(s + 1, held), np.zeros((s + 1, len(self._model.rows)))
         joints_moved = moved[:, 0], moved[:, 1], moved[:, 2]
-        Y = self._model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, none, self._fold)
+        z = None if signals.friction is None else np.repeat(signals.friction[tick][None], s + 1, axis=0)
+        Y = self._model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, none, self._fold, z)
         change = (Y[:-1] - Y[-1]).transpose(1, 0, 2)
         change[..., -1] *= -1.0  # what is known goes to the other side
         if mean is not None:

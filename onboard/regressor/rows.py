@@ -4,7 +4,7 @@ Every row is the projection of a wrench on an axis: the wrench that must act thr
 to move everything beyond the cut as it moves.
 
 - Load cell: the cut is the cell, the axis is the cell's; a cell on a lever reads moment / lever.
-- Joint torque: the cut is the joint, the axis is the joint's; with actuator inertia and friction columns if asked.
+- Joint torque: the cut is the joint, the axis is the joint's; with columns of its motors if asked.
 - Base wrench: the cut is around the whole vehicle; what is known to be zero (free flight) gives rows ``0 = Y chi``.
 
 A reading may be off by a scale that is not known, ``reading = (1 + scale) (Y chi + bias)``: the calibration of a cell,
@@ -28,6 +28,7 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.columns import Fold, WrenchColumns
+from onboard.regressor.friction import COLUMNS, Motor, ratios_of
 
 
 class BaseMotion(NamedTuple):
@@ -179,24 +180,32 @@ class RowModel:
             is too large by (accelerometer zero, lever arms times a gyro's zero). It acts on the first moments as
             gravity would, and turns with the joints: unaccounted for, it passes for inertia. The columns are made with
             the URDF's first moments; the product of an error in those and of a zero is not worth a column.
+        motors: those that turn with several joints, or whose friction is Dahl's; every other row with friction has one
+            of its own, named as its joint. A motor has columns in the rows with friction of the joints it turns with.
 
     Attributes:
         names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, ``scale_<row>``, then ``Ia_, Fv_,
-            Fc_<joint>``, then ``zero_force_x, _y, _z``.
+            Fc_<motor>``, then ``zero_force_x, _y, _z``.
         chi: prior values of the columns: the URDF's, zero for the extra ones.
         scales: row and column of each scale.
+        motors: in the order of their columns.
 
     Raises:
         UnknownFrameError: a row at a frame the URDF does not have.
         UrdfError: a row with nothing beyond its cut.
     """
 
-    def __init__(self, vehicle: VehicleModel, rows: Sequence[WrenchRow], zero_force: bool = False) -> None:
+    def __init__(
+        self,
+        vehicle: VehicleModel,
+        rows: Sequence[WrenchRow],
+        zero_force: bool = False,
+        motors: Sequence[Motor] = (),
+    ) -> None:
         self.vehicle = vehicle
         self.rows = tuple(rows)
         names = [f"{parameter}_{link}" for link in vehicle.links for parameter in STANDARD]
         self._biases: list[tuple[int, int]] = []  # row, column
-        self._frictions: list[tuple[int, int, int]] = []  # row, joint, first column
         for index, row in enumerate(self.rows):
             if row.bias:
                 self._biases.append((index, len(names)))
@@ -204,11 +213,15 @@ class RowModel:
         scaled = [index for index, row in enumerate(self.rows) if row.scale]
         self.scales = tuple((index, len(names) + k) for k, index in enumerate(scaled))
         names += [f"scale_{self.rows[index].name}" for index in scaled]
-        for index, row in enumerate(self.rows):
-            if row.friction_joint is not None:
-                joint = vehicle.joints.index(vehicle.joint(row.friction_joint))
-                self._frictions.append((index, joint, len(names)))
-                names += [f"{p}_{row.friction_joint}" for p in ("Ia", "Fv", "Fc")]
+        joints = [row.friction_joint for row in self.rows]
+        own = {joint: Motor(joint, ((joint, 1.0),)) for joint in joints if joint is not None}
+        self.motors = tuple({**own, **{motor.name: motor for motor in motors}}.values())
+        self._ratios = np.array([ratios_of(motor, [j.name for j in vehicle.joints]) for motor in self.motors])
+        self._frictions: list[tuple[int, int, float, int]] = []  # row, motor, its ratio, first column
+        for k, motor in enumerate(self.motors):
+            for joint, ratio in motor.ratios:
+                self._frictions += [(row, k, ratio, len(names)) for row, of in enumerate(joints) if of == joint]
+            names += [f"{column}_{motor.name}" for column in COLUMNS]
         self._zero_force = len(names) if zero_force else None
         if zero_force:
             names += [f"zero_force_{axis}" for axis in "xyz"]
@@ -237,6 +250,7 @@ class RowModel:
         fill_zero_force: bool = True,
         predicted: ArrayLike | None = None,
         fold: RowFold | None = None,
+        friction: FloatArray | None = None,
     ) -> FloatArray:
         """The regressor Y, (n, rows, columns), or the combinations of its columns that ``fold`` stands for.
 
@@ -249,6 +263,7 @@ class RowModel:
             fill_zero_force: whether the ``zero_force`` columns are made, if the model has them; else they stay zero.
             predicted: (n, rows) what the rows' sensors should read, scales aside; needed where a scale is a parameter.
             fold: which combinations of columns; every column by itself, where not given.
+            friction: (n, motors) Coulomb friction of each motor over its level; the sign of its rate where not given.
 
         Raises:
             SignalError: shapes that do not fit, motion that is not finite, or a scale without predictions.
@@ -284,10 +299,11 @@ class RowModel:
                 raise SignalError(f"scales are parameters; give the predicted readings, ({n}, {len(self.rows)})")
             for row, column in self.scales:
                 extras[:, row, column - own] = expected[:, row]
-        for row, joint, column in self._frictions:
-            extras[:, row, column - own] = acceleration[:, joint]
-            extras[:, row, column - own + 1] = velocity[:, joint]
-            extras[:, row, column - own + 2] = np.sign(velocity[:, joint])
+        if self._frictions:
+            rate, up = velocity @ self._ratios.T, acceleration @ self._ratios.T
+            of_motors = np.stack([up, rate, np.sign(rate) if friction is None else friction], axis=2)  # (n, motors, 3)
+            for row, motor, ratio, column in self._frictions:
+                extras[:, row, column - own : column - own + 3] = ratio * of_motors[:, motor]
         return np.concatenate([made, extras], axis=2) if fold is None else made + extras @ fold.extras
 
     def _states(

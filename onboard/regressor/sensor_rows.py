@@ -1,7 +1,5 @@
 """Motor currents, and IMUs on any link."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,20 +7,7 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.kinematics import cross, frame_motions, turned
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.regressor.rows import BaseMotion, WrenchRow, joint_torque_row
-
-
-def motor_current_row(vehicle: VehicleModel, joint: str, friction: bool = True, bias: bool = False) -> WrenchRow:
-    """Row of a joint's motor current times the *nominal* torque constant, N m at the joint, that constant a parameter.
-
-    The constant is nominal over ``1 + scale_current_<joint>``. Torque and all inertia scale together: only a payload or
-    a link that is known otherwise, or the prior, tells the constant.
-
-    Raises:
-        UnknownFrameError: no such joint.
-    """
-    row = joint_torque_row(vehicle, joint, friction)
-    return replace(row, name=f"current_{joint}", bias=bias, scale=True)
+from onboard.regressor.rows import BaseMotion
 
 
 def base_motion_from_link(

@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.rows import BaseMotion
 
@@ -30,3 +33,5 @@ class Signals(NamedTuple):
     sigma: FloatArray  # (n, rows) of `measured`, correlation inflation included; zero for what is known exactly
     measured_rate: FloatArray | None = None  # (n, rows) time derivative of `measured`; for delays considered
     noise: SignalNoise | None = None  # of the motion; where not given, the regressor is taken for exact
+    friction: FloatArray | None = None  # (n, motors) Coulomb friction over its level; the rate's sign where not given
+    refused: NDArray[np.int64] | None = None  # (n, rows) reasons to leave a row out, besides those of its whole tick

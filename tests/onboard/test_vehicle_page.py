@@ -31,7 +31,14 @@ def test_every_key_of_every_table_has_a_meaning_and_no_other() -> None:
 def test_no_table_of_the_file_is_left_out() -> None:
     told = {section.__name__ for section in TABLES.values()}
     own = {name for name in VehicleFile.model_json_schema()["$defs"] if not name.endswith(("Device", "Channel"))}
-    assert own - told <= {"RecordedImu", "RecordedAngle", "RecordedRate", "RecordedLoadCell", "RecordedValue"}
+    assert own - told <= {
+        "RecordedImu",
+        "RecordedAngle",
+        "RecordedRate",
+        "RecordedLoadCell",
+        "RecordedTorque",
+        "RecordedValue",
+    }
 
 
 @pytest.mark.parametrize("name", VEHICLES)

@@ -5,6 +5,7 @@ import pytest
 
 from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.regressor.friction import Motor
 from onboard.regressor.rows import (
     BaseMotion,
     RowModel,
@@ -124,8 +125,27 @@ def test_bias_and_friction_columns(rng):
     np.testing.assert_array_equal(Y[:, 0, 30:], np.tile([1.0, 0, 0, 0], (6, 1)))
     np.testing.assert_array_equal(Y[:, 1, 30:], np.column_stack([np.zeros(6), ddq[:, 1], dq[:, 1], np.sign(dq[:, 1])]))
     assert rows.chi[30:].tolist() == [0.0] * 4
+    given = rows.regressor(q, dq, ddq, motion, friction=np.full((6, 1), 0.25))
+    np.testing.assert_array_equal(given[:, 1, 33], np.full(6, 0.25))
+    np.testing.assert_array_equal(given[..., :33], Y[..., :33])
     plain = RowModel(vehicle, [load_cell_row("c", "link_1", (0, 0, 1), "force", bias=False)])
     assert len(plain.names) == 30
+
+
+def test_a_motor_of_two_joints_acts_on_both_by_virtual_work(rng):
+    vehicle = VehicleModel(to_urdf(random_vehicle(rng, ["revolute"] * 3)), VehicleSpec(BaseKind.FIXED, "base"))
+    torques = [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints]
+    wrist = Motor("wrist", (("joint_link_2", 2.0), ("joint_link_3", -1.0)))
+    rows = RowModel(vehicle, torques, motors=[wrist])
+    assert rows.names[-3:] == ("Ia_wrist", "Fv_wrist", "Fc_wrist")
+    q, dq, ddq, motion = random_motion(rng, vehicle)
+    ours = rows.regressor(q, dq, ddq, motion)[..., -3:]
+    rate, up = 2.0 * dq[:, 1] - dq[:, 2], 2.0 * ddq[:, 1] - ddq[:, 2]
+    of_motor = np.column_stack([up, rate, np.sign(rate)])
+    for row, ratio in enumerate((0.0, 2.0, -1.0)):
+        np.testing.assert_allclose(ours[:, row], ratio * of_motor, rtol=1e-12, atol=1e-12)
+    with pytest.raises(UnknownFrameError, match="turns with 'elbow'"):
+        RowModel(vehicle, torques, motors=[Motor("wrist", (("elbow", 1.0), ("joint_link_3", 1.0)))])
 
 
 def test_a_fold_is_the_regressor_times_its_matrix(rng):

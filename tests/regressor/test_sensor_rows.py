@@ -1,5 +1,7 @@
 """Wrist cells, motor currents, IMUs on any link, other bases than free ones: MuJoCo's answers."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from onboard.regressor.rows import (
     load_cell_row,
     standing,
 )
-from onboard.regressor.sensor_rows import base_motion_from_link, imu_on_link, motor_current_row
+from onboard.regressor.sensor_rows import base_motion_from_link, imu_on_link
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
 
 KINDS = ["revolute", "prismatic", "revolute", "fixed"]
@@ -83,7 +85,7 @@ def test_a_known_load_tells_the_torque_constants(rng, links):
     ticks = [on_a_bench(rng, links) for _ in range(40)]
     joints = tuple(np.concatenate([t[0][k] for t in ticks]) for k in range(3))
     torque = np.concatenate([t[1] for t in ticks])
-    model = RowModel(vehicle, [motor_current_row(vehicle, j.name, friction=False) for j in vehicle.joints])
+    model = RowModel(vehicle, [replace(joint_torque_row(vehicle, j.name, False), scale=True) for j in vehicle.joints])
     base = base_parameters(model, rng)
     links_sigma = {"base": 1.0, "link_1": 1.0, "link_2": 1.0, "link_3": 1.0, "link_4": 1e-6}
     prior = named_relative_sigma(model, links_sigma, {name: 0.3 for name in model.names if name.startswith("scale")})
@@ -106,7 +108,7 @@ def test_a_known_load_tells_the_torque_constants(rng, links):
         rls.update(rows.reshape(-1, rows.shape[2]), read.ravel(), np.full(read.size, 1e-6))
         mean = rls.solve().mean
     found = dict(zip(base.names, mean, strict=True))
-    np.testing.assert_allclose([found[f"scale_current_{j.name}"] for j in vehicle.joints], scale, atol=1e-4)
+    np.testing.assert_allclose([found[f"scale_torque_{j.name}"] for j in vehicle.joints], scale, atol=1e-4)
 
 
 def test_an_imu_on_any_link_is_mujocos(rng, links):

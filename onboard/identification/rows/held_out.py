@@ -1,4 +1,4 @@
-"""Prediction of motion that was not used: each half of the rows identified alone, the other half predicted from it.
+"""HeldOutFit of motion that was not used: each half of the rows identified alone, the other half predicted from it.
 
 A fit says how well the rows agree with parameters that were chosen for them. Whether the parameters are the body's own
 or make up for something else (a flexible joint, a sensor that is off by a scale) shows on another motion. So the rows
@@ -83,6 +83,12 @@ class RowBlocks:
             _prediction(earlier, second, reference),
             _prediction(earlier + later, everything, reference),
         )
+
+    def prediction(self, identifier: Identifier, mean: FloatArray) -> HeldOutFit:
+        """What base parameters from elsewhere, (p,), leave of all these rows; ``identifier`` used them."""
+        everything = sum(blocks.normal.sum(axis=0) + blocks.noise for blocks in self._blocks.values())
+        normal = np.asarray(everything, np.float64)
+        return _prediction(normal, mean, _without_the_unknown(identifier) if normal[-2, -2] == 0.0 else None)
 
     def _half(self, later: bool) -> tuple[FloatArray, FloatArray] | None:
         """Normal equations of a half with the noise of their regressor in them, (p + 2, p + 2), and that noise."""

@@ -192,6 +192,7 @@ class Identifier:
         if m != len(self.model.rows) or signals.sigma.shape != (n, m) or excluded.shape != (n,):
             raise SignalError(f"{m} measured rows a tick for {len(self.model.rows)} in the model; give one each")
         found = np.repeat(np.asarray(excluded, np.int64)[:, None], m, axis=1)
+        found |= 0 if signals.refused is None else signals.refused
         moving = [signals.q, signals.dq, signals.ddq, *signals.motion]
         whole = np.logical_and.reduce([np.isfinite(v).reshape(n, -1).all(axis=1) for v in moving])
         found[~whole] |= GateReason.GAP
@@ -215,7 +216,8 @@ class Identifier:
         motion = BaseMotion(*(v[at] for v in signals.motion))
         joints = signals.q[at], signals.dq[at], signals.ddq[at]
         none = np.zeros((at.size, len(self.model.rows)))
-        Y = self.model.regressor(*joints, motion, attached[at], predicted=none, fold=self._fold)
+        z = None if signals.friction is None else signals.friction[at]
+        Y = self.model.regressor(*joints, motion, attached[at], True, none, self._fold, z)
         use = reasons[ticks] == 0  # (t, m)
         if self._scales:
             self._fill_scales(Y, signals.measured[at], signals.sigma[at], use)

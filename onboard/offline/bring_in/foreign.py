@@ -1,6 +1,7 @@
 """Reads columns of foreign files (CSV with a header line, NumPy's NPZ); a whole file is held in memory."""
 
 import csv
+import re
 import zipfile
 from collections.abc import Mapping as Columns
 from pathlib import Path
@@ -72,15 +73,32 @@ def read(path: Path, layout: Csv, kind: str) -> Columns[str, Values]:
     return read_csv(path, layout) if kind == "csv" else read_npz(path)
 
 
+def _found(columns: Columns[str, Values], name: str) -> Values | None:
+    """A column by its name, or ``NAME[k]``, column k of an array (n, columns); None where there is none."""
+    if name in columns:
+        return columns[name]
+    indexed = re.fullmatch(r"(.+)\[(\d+)\]", name)
+    if indexed is None or indexed[1] not in columns:
+        return None
+    array, k = columns[indexed[1]], int(indexed[2])
+    return array[:, k] if array.ndim == 2 and k < array.shape[1] else None
+
+
+def length(columns: Columns[str, Values], name: str) -> int:
+    """Rows of a column; 0 where there is none of that name."""
+    found = _found(columns, name)
+    return 0 if found is None else len(found)
+
+
 def numbers(path: Path, columns: Columns[str, Values], name: str, width: int | None = None) -> Values:
-    """Column ``name`` (n,), or (n, width), of a file that has been read.
+    """Column ``name`` (n,), or (n, width), of a file that has been read; ``NAME[k]`` is column k of an array.
 
     Raises:
         SourceError: no such column, or not numbers of that shape.
     """
-    if name not in columns:
+    values = _found(columns, name)
+    if values is None:
         raise SourceError(f"{path} has no column {name!r}; it has {', '.join(map(repr, columns))}")
-    values = columns[name]
     if values.dtype.kind not in "iuf":
         raise SourceError(f"{path}: column {name!r} holds cells that are not numbers; correct them or the mapping")
     if values.ndim != (1 if width is None else 2) or (width is not None and values.shape[1] != width):

@@ -76,19 +76,23 @@ def _sources(source: Path, suffix: str) -> list[Path]:
 
 
 def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
-    columns = foreign.read(source, chosen.file.csv, chosen.file.mapping.format)
+    files: dict[Path, Columns[str, Values]] = {}
     channels: dict[str, Rows] = {}
     for name, channel in chosen.file.channel.items():
-        host_ns = _host_ns(source, columns, channel.time or chosen.file.time, _first_column(channel))
+        path = source if channel.file is None else source.parent / channel.file
+        if path not in files:
+            files[path] = foreign.read(path, chosen.file.csv, chosen.file.mapping.format)
+        columns = files[path]
+        host_ns = _host_ns(path, columns, channel.time or chosen.file.time, _first_column(channel))
         channels[name] = (
-            _imu(source, columns, channel, host_ns)
+            _imu(path, columns, channel, host_ns)
             if isinstance(channel, ImuChannel)
-            else _scalar(source, columns, channel, host_ns)
+            else _scalar(path, columns, channel, host_ns)
         )
     with LogWriter.create(log, overwrite=True) as writer:
         facts = {
-            "source": source.name,
-            "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+            "source": ", ".join(path.name for path in files),
+            "sha256": ", ".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in files),
             "mapping": chosen.file.mapping.name,
             "host_ns": "the recording's own clock",
             "not_recorded": ", ".join(_absent(chosen)),
@@ -149,7 +153,7 @@ def _report_pauses(writer: LogWriter, channels: dict[str, Rows]) -> None:
 def _first_column(channel: ImuChannel | ScalarChannel) -> str:
     """A column that has a value for every sample."""
     if isinstance(channel, ScalarChannel):
-        return channel.value.column
+        return next(iter(channel.value.terms))
     return channel.gyro.column or (channel.gyro.columns or ("",))[0]
 
 
@@ -157,7 +161,7 @@ def _host_ns(source: Path, columns: Columns[str, Values], time: Time, sampled: s
     """Times (n,) of the samples, ns; evenly spaced by the number of ``sampled`` if the recording has none."""
     if time.column is None:
         assert time.rate_Hz is not None
-        count = len(columns.get(sampled, ()))  # a missing column is refused where its values are read
+        count = foreign.length(columns, sampled)  # a column that is not there is told when its values are asked for
         start_ns = time.offset * NS_PER[time.unit]
         return np.asarray(np.rint(start_ns + np.arange(count) * (1e9 / time.rate_Hz)), np.int64)
     values = foreign.numbers(source, columns, time.column)
@@ -221,7 +225,15 @@ def _vector_counts(source: Path, columns: Columns[str, Values], vector: VectorMa
 def _scalar(source: Path, columns: Columns[str, Values], channel: ScalarChannel, host_ns: NDArray[np.int64]) -> Rows:
     rows = _rows(host_ns, records.SCALAR)
     value = channel.value
-    counts = _counts(source, value.column, value, foreign.numbers(source, columns, value.column), len(rows))
+    parts = {name: foreign.numbers(source, columns, name) for name in value.terms}
+    lengths = {name: len(part) for name, part in parts.items()}
+    if len(set(lengths.values())) > 1:
+        raise SourceError(f"{source}: columns of a sum differ in length: {lengths}; they must be of the same samples")
+    names = " + ".join(parts)
+    values: Values = next(iter(parts.values()))
+    if value.sum is not None:
+        values = np.column_stack(list(parts.values())).astype(np.float64) @ np.array(list(value.sum.values()))
+    counts = _counts(source, names, value, values, len(rows))
     rows["value_raw"] = counts if value.sign == "+" else -counts
     rows["scale"] = value.si_count
     rows["unit"] = value.si_unit.encode()

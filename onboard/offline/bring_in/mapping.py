@@ -31,11 +31,21 @@
     time = { column = "t2", unit = "s" }    # a channel may have a clock of its own
 
     [channel.joint_1.value]
-    column = "angle"
+    column = "angle"                # or "angles[0]", of an array of several columns
     sign = "-"
     values = "physical"
     scale = 1e-6
     unit = "deg"
+
+    [channel.torque_5]
+    record = "scalar"
+    file = "currents.csv"           # a file beside the recording that this channel's columns are in
+
+    [channel.torque_5.value]        # 45 times one column and 32 times another: a coupled wrist, seen at its motors
+    sum = { "motor_5" = 45.0, "motor_6" = 32.0 }
+    values = "physical"
+    scale = 1e-5
+    unit = "N m"
 """
 
 import math
@@ -166,8 +176,22 @@ class AngularRate(VectorMapping):
 class Scalar(_Quantity):
     """A quantity of one value."""
 
-    column: str
+    column: str | None = None
+    sum: Annotated[dict[str, float], Field(min_length=1)] | None = None
     sign: Literal["+", "-"] = "+"
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if (self.column is None) == (self.sum is None):
+            raise ValueError("give either `column`, or `sum`, columns and what to multiply each by")
+        if self.sum is not None and self.values != "physical":
+            raise ValueError('a sum of columns is no count; say values = "physical"')
+        return self
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """Columns, and what each is multiplied by."""
+        return {self.column: 1.0} if self.column is not None else dict(self.sum or {})
 
 
 class ImuChannel(_Section):
@@ -177,6 +201,7 @@ class ImuChannel(_Section):
     accel: Acceleration
     gyro: AngularRate
     time: Time | None = None
+    file: str | None = None
 
 
 class ScalarChannel(_Section):
@@ -185,6 +210,7 @@ class ScalarChannel(_Section):
     record: Literal["scalar"]
     value: Scalar
     time: Time | None = None
+    file: str | None = None
 
 
 ChannelMapping = Annotated[ImuChannel | ScalarChannel, Field(discriminator="record")]

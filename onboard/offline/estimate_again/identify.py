@@ -21,7 +21,7 @@ from onboard.flight.roles import roles_of
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
-from onboard.identification.rows.held_out import RowBlocks
+from onboard.identification.rows.held_out import HeldOutFit, RowBlocks
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, without_rotors
 from onboard.identification.verdict import Evidence, Level, verdict
@@ -42,6 +42,7 @@ class Identification:
     vehicle: config.Vehicle
     logs: tuple[Identified, ...]
     calibration: Calibration | None
+    predicted: tuple[tuple[Path, HeldOutFit], ...] = ()  # other logs, from the first of these
 
     @property
     def supported(self) -> bool:
@@ -70,6 +71,7 @@ class Identification:
             "logs": [log.as_json() for log in self.logs],
             "loads": [summary.as_json() for summary in self.summaries],
             "calibration": self.calibration.as_json() if self.calibration else None,
+            **({"predicted": {str(log): one._asdict() for log, one in self.predicted}} if self.predicted else {}),
         }
 
 

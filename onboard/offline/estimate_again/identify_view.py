@@ -21,7 +21,7 @@ _STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE:
 def render(found: Identification) -> RenderableType:
     """The result as tables."""
     if not any(log.throw for log in found.logs):
-        return Group(*(part for log in found.logs for part in _one(log)))
+        return Group(*(part for log in found.logs for part in _one(log)), *_predicted(found))
     parts: list[RenderableType] = []
     for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
         parts.append(_throws([log for log in found.logs if log.throw and log.throw.load.name == name]))
@@ -36,6 +36,11 @@ def render(found: Identification) -> RenderableType:
         )
         parts += [Text(text), Text(f"\n{found.calibration.as_toml()}\n")]
     return Group(*parts)
+
+
+def _predicted(found: Identification) -> Iterator[Text]:
+    for log, one in found.predicted:
+        yield Text(f"{log} predicted from {found.logs[0].log} to {100 * one.relative_error:.2f} %")
 
 
 def _good(log: Identified) -> bool:

@@ -111,4 +111,4 @@ def _with(vehicle: config.Vehicle, log: Path, start: Start, names: Sequence[str]
         f"names = [{listed}]",
         *(f"{name} = {values.tolist()}" for name, values in start._asdict().items()),
     ]
-    return config.parse("\n".join(lines) + "\n", vehicle.path)
+    return config.parse("\n".join(lines) + "\n", vehicle.path, vehicle.urdf_path)

@@ -224,8 +224,7 @@ def _torques(flight: FlightData, draw: _Gallery) -> str:
     body = ""
     for cell in flight.roles.cells:
         if cell.name in rows:
-            moment = cell.keys.measures == "moment"
-            unit, factor = ("mN m", 1e3 * cell.keys.lever_m) if moment else ("N", 1.0)
+            unit, factor = cell.keys.shown
             body += draw(
                 answers.torque_and_acceleration(flight, answers.Side(rows.index(cell.name), unit, factor)),
                 f"{cell.name}: both sides of the rows, through the same smoothing kernel, on vehicle time. The line is "

@@ -90,11 +90,7 @@ def _measures(roles: Roles) -> dict[str, str]:
             what = "angular rate and specific force" if len(imu.channels) == 1 else one
             said[channel] = f"{what}, in axes of frame {imu.frame}"
     for cell in roles.cells:
-        keys = cell.keys
-        axis = ", ".join(f"{part:g}" for part in keys.axis)
-        how = f"along ({axis})" if keys.measures == "force" else f"whose moment about ({axis})"
-        lever = f", lever {keys.lever_m:g} m" if keys.measures == "moment" else ""
-        said[cell.channel] = f"force of the load cell {how} of frame {keys.frame}{lever}"
+        said[cell.channel] = cell.keys.meaning
     for name, zero in ((name, signal.zero_count) for name, signal in roles.signals.items()):
         if zero:
             said[name] = f"{said.get(name, '')}; zero count {zero} is taken off the value"

@@ -1,0 +1,39 @@
+"""``heft identify --predict``: rows of another log of the same vehicle, predicted from what one log says."""
+
+from pathlib import Path
+
+import numpy as np
+
+from onboard import config
+from onboard.flight.estimator import Estimator
+from onboard.identification.rows.held_out import HeldOutFit, RowBlocks
+from onboard.offline.estimate_again.feed import feed
+from onboard.offline.estimate_again.identified import Identified
+from onboard.recording.errors import ChannelError
+from onboard.recording.reader import LogReader
+
+
+def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutFit:
+    """How well the base parameters of one log explain the rows of another.
+
+    Args:
+        vehicle: of both; by rows.
+        found: what the one log says.
+        other: none of its rows has a part in the parameters.
+
+    Raises:
+        LogFormatError: a file that is no log.
+        ChannelError: a log of another vehicle, or one without a row that could be used.
+        ConfigError: the vehicle's method has no rows.
+    """
+    estimator = Estimator(vehicle)
+    who = estimator.identifier
+    seen = RowBlocks(len(who.base.names), who.blocks.block_s)
+    who.observer = seen
+    for _ in feed(estimator, LogReader(other)):
+        pass
+    values = {answer.name: answer.value for answer in found.answers}
+    if not who.rows_used or not values:
+        which = other if values else found.log
+        raise ChannelError(f"{which} has no row that could be used; heft identify says why")
+    return seen.prediction(who, np.array([values[name] for name in who.base.names]))

@@ -1,0 +1,156 @@
+"""An arm by its motor currents: MuJoCo's torques, friction, rotors, a coupled wrist; and two recorded arms."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench import arms
+from drivers.records import SCALAR
+from onboard import cli
+from onboard.recording.writer import LogWriter
+from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
+
+JOINTS = [f"joint_link_{k}" for k in (1, 2, 3)]
+GAIN_N_m_A, OFF = 40.0, 1.02  # what the file says, and by how much it is wrong
+COULOMB, VISCOUS, ROTOR, OFFSET = (
+    np.array(v) for v in ([3.0, 2.0, 1.0], [4.0, 2.0, 1.5], [1.0, 0.5, 0.3], [1, -2, 0.5])
+)
+WRIST = (0.8, 0.6, 0.2)  # Coulomb, viscous, rotor of the motor that turns with joints 2 and 3
+RATE_HZ, END_S, NOISE_N_m = 200.0, 24.0, 0.3
+
+HEAD = """
+[vehicle]
+name = "lab_arm"
+urdf = "arm.urdf"
+base = "fixed"
+base_link = "base"
+gravity_m_s2 = [0.0, 0.0, -9.81]
+
+[estimation]
+row_rate_hz = 50
+smoothing_ms = 100
+motor.wrist.ratios = { joint_link_2 = 1.0, joint_link_3 = 1.0 }
+
+[estimation.prior.relative]
+base = 1.0
+link_1 = 1.0
+link_2 = 1.0
+link_3 = 1.0
+
+[estimation.prior.absolute]
+"""
+
+
+def vehicle_toml(directory: Path, urdf: str, scale_sigma: float, extra: str = "") -> Path:
+    text = HEAD
+    for motor in [*JOINTS, "wrist"]:
+        text += f"Ia_{motor} = 5.0\nFv_{motor} = 20.0\nFc_{motor} = 20.0\n"
+    text += "".join(f"bias_current_{k} = 20.0\n" for k in range(3))
+    for k, joint in enumerate(JOINTS):
+        text += f'[device.joint_{k}]\nkind = "recorded_angle"\njoint = "{joint}"\nperiod_ms = 5\nnoise_rad = 1e-6\n'
+        text += f'[device.current_{k}]\nkind = "recorded_torque"\njoint = "{joint}"\nperiod_ms = 5\nsigma_N_m = 0.1\n'
+        text += f"gain_N_m_A = {GAIN_N_m_A}\nscale_sigma = {scale_sigma}\nstill_rad_s = 0.05\n{extra}"
+    (directory / "arm.urdf").write_text(urdf)
+    (directory / "vehicle.toml").write_text(text)
+    return directory / "vehicle.toml"
+
+
+def recorded(directory: Path, links: list, rng: np.random.Generator) -> Path:
+    """Eight sines a joint; torques by MuJoCo; friction, rotors and the wrist's motor on top; all of it in amperes."""
+    t = np.arange(0.0, END_S, 1.0 / RATE_HZ)
+    w, a, p = rng.uniform(0.5, 4.0, (8, 3)), rng.uniform(0.1, 0.3, (8, 3)), rng.uniform(0, 6.3, (8, 3))
+    phase = w * t[:, None, None] + p  # (n, 8, 3)
+    q, dq, ddq = ((f * a * w**k).sum(axis=1) for k, f in enumerate((np.sin(phase), np.cos(phase), -np.sin(phase))))
+    model, still = to_mujoco(links), np.zeros(3)
+    model.opt.gravity[:] = (0, 0, -9.81)
+    ticks = zip(q, dq, ddq, strict=True)
+    torque = np.array([inverse_dynamics(model, *tick, still, still, still, still)[2] for tick in ticks])
+    torque += COULOMB * np.sign(dq) + VISCOUS * dq + ROTOR * ddq + OFFSET
+    rate, up = dq[:, 1] + dq[:, 2], ddq[:, 1] + ddq[:, 2]
+    torque[:, 1:] += (WRIST[0] * np.sign(rate) + WRIST[1] * rate + WRIST[2] * up)[:, None]
+    current = OFF * (torque + NOISE_N_m * rng.normal(size=torque.shape)) / GAIN_N_m_A
+    with LogWriter.create(directory / "run.mcap", durable=False, overwrite=True) as writer:
+        for k in range(3):
+            for name, values, scale, unit in ((f"joint_{k}", q, 1e-8, b"rad"), (f"current_{k}", current, 1e-7, b"A")):
+                rows = np.zeros(len(t), SCALAR)
+                rows["sequence"], rows["host_ns"] = np.arange(len(t)), np.rint(1e9 * (5.0 + t))
+                rows["value_raw"], rows["scale"], rows["unit"] = np.rint(values[:, k] / scale), scale, unit
+                writer.register(name, SCALAR)
+                writer.write(name, rows)
+    return directory / "run.mcap"
+
+
+TRUTH = {
+    **{f"Fc_{j}": v for j, v in zip(JOINTS, COULOMB, strict=True)},
+    **{f"Fv_{j}": v for j, v in zip(JOINTS, VISCOUS, strict=True)},
+    **{f"bias_current_{k}": v for k, v in enumerate(OFFSET)},
+    "Fc_wrist": WRIST[0],
+    "Fv_wrist": WRIST[1],
+    "Ia_wrist": WRIST[2],
+}
+
+
+def identify(directory: Path, vehicle: Path, log: Path) -> tuple[int, dict]:
+    report = directory / "report.json"
+    code = cli.main(["identify", "--vehicle", str(vehicle), str(log), "--json", str(report)])
+    return code, json.loads(report.read_text())["logs"][0]
+
+
+def test_friction_rotors_and_a_coupled_wrist_come_out_of_currents(tmp_path: Path, rng: np.random.Generator) -> None:
+    links = random_vehicle(rng, ["revolute"] * 3)
+    log = recorded(tmp_path, links, rng)
+    code, told = identify(tmp_path, vehicle_toml(tmp_path, to_urdf(links), 0.02), log)
+    assert code == cli.OK
+    assert told["verdict"]["level"] != "do not use"
+    assert told["refused"]["still"] > 0
+    found = {answer["name"].removesuffix("_R"): answer for answer in told["quantities"]}
+    inside = [found[name]["low"] <= value <= found[name]["high"] for name, value in TRUTH.items()]
+    assert sum(inside) >= len(TRUTH) - 1
+    for name in ("Fc_joint_link_1", "Fv_joint_link_1", "Fv_wrist"):
+        assert abs(found[name]["value"] / (OFF * TRUTH[name]) - 1.0) < 0.03  # all scale with the gain
+        assert found[name]["sigma"] > 0.015 * TRUTH[name]  # and its 2 % is in the interval
+
+
+def test_a_gain_that_is_not_given_leaves_currents_out(tmp_path: Path, rng: np.random.Generator) -> None:
+    links = random_vehicle(rng, ["revolute"] * 3)
+    log = recorded(tmp_path, links, rng)
+    vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.0)
+    vehicle.write_text(vehicle.read_text().replace(f"gain_N_m_A = {GAIN_N_m_A}\n", ""))
+    code, told = identify(tmp_path, vehicle, log)
+    assert code == cli.FAILED
+    assert told["verdict"]["level"] == "do not use"
+    assert told["rows_used"] == 0
+
+
+def test_a_motor_of_an_unknown_joint_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    links = random_vehicle(np.random.default_rng(0), ["revolute"] * 3)
+    vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.0)
+    vehicle.write_text(vehicle.read_text().replace("{ joint_link_2 = 1.0", "{ elbow = 1.0"))
+    assert cli.main(["identify", "--vehicle", str(vehicle), "--parameters"]) == cli.BAD_INPUT
+    assert "turns with 'elbow'" in capsys.readouterr().err
+
+
+def test_a_vehicle_whose_urdf_is_elsewhere_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["identify", "--vehicle", "staubli_tx40", "--parameters"]) == cli.BAD_INPUT
+    assert "--urdf-in" in capsys.readouterr().err
+
+
+def test_the_tx40s_published_parameters(datasets: Path, tmp_path: Path) -> None:
+    ols, wls = arms.tx40(datasets / "staubli_tx40", tmp_path)
+    assert ols.size == wls.size == 19
+    assert np.median(ols) < 0.0060
+    assert np.median(wls) < 0.0079
+
+
+def test_the_lwr4s_other_run(datasets: Path, tmp_path: Path) -> None:
+    for number in (1, 2):
+        source = datasets / "kuka_lwr4" / f"HW_measurements_{number}.npz"
+        assert cli.main(["import", "kuka_lwr4", str(source), "-o", str(tmp_path)]) == cli.OK
+    one, two = (str(tmp_path / f"HW_measurements_{number}.mcap") for number in (1, 2))
+    given = ["--urdf-in", str(datasets / "kuka_lwr4" / "kuka_lwr4.urdf"), "--json", str(tmp_path / "report.json")]
+    assert cli.main(["identify", "--vehicle", "kuka_lwr4", *given, one, "--predict", two]) == cli.OK
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["predicted"][two]["relative_error"] < 0.0195
+    assert told["logs"][0]["held_out"]["later_from_earlier"]["relative_error"] < 0.03
