@@ -54,6 +54,9 @@ class PlanarPrediction(NamedTuple):
 def planar_columns(vehicle: VehicleModel, signals: FlightSignals) -> PlanarColumns:
     """Wrench columns (Limparis 2.132) of a run's joint motion, at ticks and half-way between (joints by a spline).
 
+    M and h of the equation at the head of this module, from :func:`onboard.dynamics.kinematics.wrench_columns` at unit
+    accelerations and at rates of 1, -1 and 0.
+
     Raises:
         SignalError: joint signals of another vehicle.
     """

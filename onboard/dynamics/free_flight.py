@@ -59,6 +59,30 @@ def predict_base(
     Raises:
         SignalError: fewer than four ticks.
     """
+    return _predict(links, period_s, chi, momentum, free, by_rate=False)
+
+
+def predict_base_from_rate(
+    links: tuple[LinkMotion, ...], period_s: float, chi: FloatArray, rate: FloatArray, free: tuple[int, ...]
+) -> BasePrediction:
+    """As :func:`predict_base` from the base's rate w_0 at the first tick, (3,), rad/s; derivatives by (w_0, chi).
+
+    ``eta_0 = J^-1 (w_0 + k)``, with the equation above solved for the rate: ``w = J eta - k``. For the state of a
+    filter: the gyro's bias adds to the rate itself, but to the momentum multiplied by every inertia, so that a filter
+    with the momentum as its state gains information in unobservable directions as its linearisation point moves.
+    """
+    return _predict(links, period_s, chi, rate, free, by_rate=True)
+
+
+def _predict(
+    links: tuple[LinkMotion, ...],
+    period_s: float,
+    chi: FloatArray,
+    start: FloatArray,
+    free: tuple[int, ...],
+    *,
+    by_rate: bool,
+) -> BasePrediction:
     n = links[0].p.shape[0]
     if n < 4:
         raise SignalError(f"{n} ticks; predict four or more")
@@ -67,18 +91,24 @@ def predict_base(
     inverse = np.asarray(np.linalg.inv(composite_of(bodies)), np.float64)
     mu = relative_momentum(bodies)
     from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
-    eta = _integrate_momentum(from_eta[:, 3:], turned(inverse[:, 3:], mu), momentum, period_s)
+    still = turned(inverse[:, 3:], mu)  # less the rate without a momentum
+    momentum = np.linalg.solve(from_eta[0, 3:], start + still[0]) if by_rate else start
+    eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s)
     twist = turned(from_eta, eta) - turned(inverse, mu)
     v, w = twist[:, None, :3], twist[:, None, 3:]  # (n, 1, 3)
 
     bias, slope = wrench_and_slope(bodies, w)  # (n, 6), (n, 6, 3)
     thrust = -turned(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
     force, spin = thrust[:, None, :3], thrust[:, None, 3:]
-    doubted = LinkMotion(*(part[:, list(free)] for part in every))
-    H = momentum_columns(doubted, v, w).swapaxes(1, 2).reshape(n, 6, -1)
-    W = wrench_columns(doubted, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
+    uncertain = LinkMotion(*(part[:, list(free)] for part in every))
+    H = momentum_columns(uncertain, v, w).swapaxes(1, 2).reshape(n, 6, -1)
+    W = wrench_columns(uncertain, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
     at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
-    d_eta = _integrate_sensitivity(w[:, 0], eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, period_s)
+    d_start: FloatArray = np.eye(3, 3 + at_fixed_eta.shape[2])
+    if by_rate:
+        d_start[:, 3:] = -at_fixed_eta[0]
+        d_start = np.asarray(np.linalg.solve(from_eta[0, 3:], d_start), np.float64)
+    d_eta = _integrate_sensitivity(w[:, 0], eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, d_start, period_s)
     d_rate = from_eta[:, 3:] @ d_eta
     d_rate[:, :, 3:] += at_fixed_eta
     d_wrench = slope @ d_rate
@@ -147,8 +177,10 @@ def _momentum_rate(x: float, y: float, z: float, J: list[float], k: list[float])
     return y * w - z * v, z * u - x * w, x * v - y * u
 
 
-def _integrate_sensitivity(w: FloatArray, eta: FloatArray, J: FloatArray, forcing: FloatArray, h: float) -> FloatArray:
-    """Integrates ``dS/dt = A S + [0 forcing]``, A = eta x J - w x, from ``S = [1 0]``; (n, 3, 3 + c)."""
+def _integrate_sensitivity(
+    w: FloatArray, eta: FloatArray, J: FloatArray, forcing: FloatArray, start: FloatArray, h: float
+) -> FloatArray:
+    """Integrates ``dS/dt = A S + [0 forcing]``, A = eta x J - w x, from ``start``; (n, 3, 3 + c)."""
     A = hat(eta) @ J - hat(w)
     middle, one = _midpoints(A), np.eye(3)
     k1 = A[:-1]
@@ -158,7 +190,7 @@ def _integrate_sensitivity(w: FloatArray, eta: FloatArray, J: FloatArray, forcin
     steps = one + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)  # (n - 1, 3, 3)
     push = 0.5 * h * (steps @ forcing[:-1] + forcing[1:])  # trapezoid
     S = np.zeros((len(w), 3, 3 + forcing.shape[2]))
-    S[0, :, :3] = one
+    S[0] = start
     for i in range(len(w) - 1):
         S[i + 1] = steps[i] @ S[i]
         S[i + 1, :, 3:] += push[i]

@@ -34,6 +34,8 @@ def tick_signals(
 ) -> FlightSignals:
     """Ticks of evenly sampled signals: means of the IMU's samples, and the joints smoothed at the middle of each tick.
 
+    The joints by :func:`onboard.estimation.smoothing.smooth`; a mean of D samples has ``1 / sqrt(D)`` of their noise.
+
     Args:
         time_s: of the samples, (k,), even, vehicle time.
         angle: joint positions, (k, joints), rad.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.dynamics.errors import SignalError
-from onboard.dynamics.free_flight import predict_base
+from onboard.dynamics.free_flight import predict_base, predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
 from tests.dynamics.free_flyer_twin import twin
 
@@ -50,6 +50,29 @@ def test_derivatives_are_finite_differences(flown, predict):
             slope = (getattr(up, field) - getattr(down, field)) / 2e-5
             ours = getattr(base, f"d_{field}")[:, :, column]
             assert np.abs(ours - slope).max() < 2e-4 * np.abs(slope).max(), (column, field)
+
+
+def test_from_the_rate_it_is_the_same_motion_and_its_derivatives_are_finite_differences(flown, predict):
+    predict, _ = predict
+    last = len(flown.vehicle.links) - 1
+    by_momentum, few = predict(free=(last, 0)), flown.flight.time_s[::5][:300]
+    links = link_motions(flown.vehicle, *flown.motion.at(few))
+    rate = by_momentum.rate[0]
+    base = predict_base_from_rate(links, PERIOD_s, flown.chi, rate, (last, 0))
+    for field in FIELDS:
+        np.testing.assert_allclose(getattr(base, field), getattr(by_momentum, field)[:300], rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(base.d_rate[0], np.eye(3, base.d_rate.shape[2]), atol=1e-9)  # the start is the rate
+    chosen = [*((3 + k, 10 * last + k) for k in range(10)), *((13 + k, k) for k in range(10))]
+    steps = [(k, np.zeros(70), 1e-5 * unit) for k, unit in enumerate(np.eye(3))]
+    steps += [(column, 1e-5 * np.eye(70)[index], np.zeros(3)) for column, index in chosen]
+    assert len(steps) == 23
+    for column, chi, moved in steps:
+        up = predict_base_from_rate(links, PERIOD_s, flown.chi + chi, rate + moved, ())
+        down = predict_base_from_rate(links, PERIOD_s, flown.chi - chi, rate - moved, ())
+        for field in FIELDS:
+            slope = (getattr(up, field) - getattr(down, field)) / 2e-5
+            ours = getattr(base, f"d_{field}")[:, :, column]
+            assert np.abs(ours - slope).max() < 2e-4 * np.abs(slope).max() + 1e-9, (column, field)
 
 
 def test_too_few_ticks_are_refused(flown):

@@ -1,7 +1,7 @@
 """Predicts the base IMU over a batch of ticks from a state propagated between batches.
 
-The state has the unknowns of a free flight: current angular momentum, payload, current IMU biases and their drifts,
-scale, misalignment and delay, and uncertain links. All but the momentum (:mod:`onboard.dynamics.free_flight`) and the
+The state has the unknowns of a free flight: current rate of the base, payload, current IMU biases and their drifts,
+scale, misalignment and delay, and uncertain links. All but the rate (:mod:`onboard.dynamics.free_flight`) and the
 biases are constant.
 """
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.dynamics.free_flight import at_sensor, predict_base
+from onboard.dynamics.free_flight import at_sensor, predict_base_from_rate
 from onboard.dynamics.kinematics import (
     LinkMotion,
     bodies_of,
@@ -27,7 +27,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.imu_errors import BIASES, DRIFTS, SIZE, ImuPrior, imu_blocks, imu_reading, tick_mean
 from onboard.identification.exiddm.parameters import Block, Layout, UncertainLinks
 
-MOMENTUM, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
+RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
 _POSTURE_TICKS = 10  # over which the arm's posture is constant in the effect of its noise
 
 
@@ -53,7 +53,7 @@ class ImuPredictor:
 
     Attributes:
         names: of the p parameters.
-        sigma: (p,) before the flight; NaN for momentum and payload, of which nothing is known.
+        sigma: (p,) before the flight; NaN for rate and payload, of which nothing is known.
         biases: where each bias stands in the state, and where its drift.
 
     Raises:
@@ -77,7 +77,7 @@ class ImuPredictor:
         r = len(self._basis)
         layout = Layout(
             {
-                "start": Block(tuple(f"momentum_{axis}" for axis in "xyz"), np.full(3, np.nan)),
+                "start": Block(tuple(f"rate_{axis}" for axis in "xyz"), np.full(3, np.nan)),
                 "payload": Block(self._links.payload_names, np.full(10, np.nan)),
                 **imu_blocks(imu_prior._replace(clock_rate_error=0.0)),
                 "links": Block(tuple(f"links_{k}" for k in range(r)), np.ones(r)),
@@ -89,6 +89,10 @@ class ImuPredictor:
         self.biases: list[tuple[int, int]] = []
         for bias, drift in zip(BIASES, DRIFTS, strict=True):
             self.biases += zip(layout.estimated(bias).tolist(), layout.estimated(drift).tolist(), strict=False)
+
+    def rate_in_base(self, rate_S: FloatArray) -> FloatArray:
+        """A rate in the IMU's axes, (3,), in those of the base: ``w_B = R_BS w_S``."""
+        return np.asarray(self._R_BS @ rate_S, np.float64)
 
     def joint_noise(self, q: FloatArray, joint_sigma: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of the joints' noise on the prediction, one sigma, (n, 6).
@@ -127,7 +131,7 @@ class ImuPredictor:
         """
         n, layout = len(links[0].p), self._layout
         x = layout.whole(state)
-        base = predict_base(links, self.period_s, self._chi(state), x[MOMENTUM], self._links.indices)
+        base = predict_base_from_rate(links, self.period_s, self._chi(state), x[RATE], self._links.indices)
         true, d_true = at_sensor(base, self._R_BS, self._p_BoSo_B)
         time_s = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64)
         change = (true[2:] - true[:-2]) / (2.0 * self.period_s)
@@ -137,13 +141,35 @@ class ImuPredictor:
             [shown.d_motion[:, :, :13], shown.d_errors, shown.d_motion[:, :, 13:] @ self._basis], axis=2
         )[:, :, layout.kept]
         carried, transition = state.copy(), np.eye(len(state))
-        carried[MOMENTUM] = base.momentum[-2]
-        transition[MOMENTUM, : PAYLOAD.stop] = base.d_momentum[-2, :, :13]
-        transition[MOMENTUM, self._in_links] = base.d_momentum[-2, :, 13:] @ self._basis
+        carried[RATE] = base.rate[-2]
+        self._into(transition, base.d_rate[-2])
         for bias_at, drift_at in self.biases:
             carried[bias_at] += time_s[-1] * state[drift_at]
             transition[bias_at, drift_at] = time_s[-1]
         return Prediction(shown.values, jacobian, carried, transition)
+
+    def bridge(self, links: tuple[LinkMotion, ...], state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Propagate the state over a gap of the joints, with the momentum constant in base axes.
+
+        Args:
+            links: their motion at the tick of the state and at a later one.
+            state: (p,).
+
+        Returns:
+            The state at the later tick, its derivative (p, p), and the rate's covariance, (3, 3), for a rotation of
+            the momentum by 1 rad, one sigma.
+        """
+        both = tuple(LinkMotion(*(np.repeat(part, 2, axis=0) for part in link)) for link in links)
+        base = predict_base_from_rate(both, 0.0, self._chi(state), state[RATE], self._links.indices)
+        carried, transition = state.copy(), np.eye(len(state))
+        carried[RATE] = base.rate[-1]
+        self._into(transition, base.d_rate[-1])
+        turned = np.linalg.norm(base.momentum[-1]) * base.d_rate[-1, :, :3] @ np.linalg.inv(base.d_momentum[-1, :, :3])
+        return carried, transition, turned @ turned.T
+
+    def _into(self, transition: FloatArray, d_rate: FloatArray) -> None:
+        transition[RATE, : PAYLOAD.stop] = d_rate[:, :13]
+        transition[RATE, self._in_links] = d_rate[:, 13:] @ self._basis
 
     def _chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""

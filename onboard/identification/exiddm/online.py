@@ -25,7 +25,8 @@ class ExiddmIdentifier:
     """The recursive non-linear ExIDDM. Its rows are the six lines of the base IMU, means over each tick.
 
     A quantity is supported when the data determine it, not the prior, and all but the mass only when the mass is known
-    well enough to divide by (a fifth of itself, one sigma).
+    well enough to divide by (a fifth of itself, one sigma). Variances are multiplied by the innovations' misfit, of the
+    instrument that has the largest, where that is above one (:mod:`onboard.identification.exiddm.misfit`).
 
     Args:
         exiddm: the estimator.
@@ -81,7 +82,8 @@ class ExiddmIdentifier:
         note = "nothing is held" if exiddm.held is False else "not determined by the data so far"
         fine = np.zeros(10, np.bool_)
         if exiddm.state is not None and exiddm.held:
-            mean, P = exiddm.state[PAYLOAD], exiddm.covariance[PAYLOAD, PAYLOAD]
+            mean = exiddm.state[PAYLOAD]
+            P = max([1.0, *exiddm.misfit.by_instrument().values()]) * exiddm.covariance[PAYLOAD, PAYLOAD]
             sigma = np.sqrt(np.diag(P))
             try:
                 possible = possible_body(mean, P)

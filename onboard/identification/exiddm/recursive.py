@@ -1,18 +1,18 @@
 """Recursive non-linear ExIDDM: onboard estimate of a free-flyer's payload from joints and base IMU.
 
 The same likelihood as :mod:`onboard.identification.exiddm.batch`, processed in batches of ticks by an extended Kalman
-filter with all unknowns as its state: angular momentum, payload, IMU errors, uncertain links. Linearisation far from
+filter with all unknowns as its state: the base's rate, payload, IMU errors, uncertain links. Linearisation far from
 the truth is wrong, so the first seconds are solved as one growing window (:mod:`onboard.identification.exiddm.window`);
 after that every batch is one filter step.
 
-At a change of the payload the estimates of momentum and payload are reset, all others are kept, and a new window
-begins. The hypothesis that fits that window classifies the change: nothing held, the same payload after a push, or a
-new one.
+At a change of the payload the estimates of rate and payload are reset, all others are kept, and a new window begins.
+The hypothesis that fits that window classifies the change: nothing held, the same payload after a push, or a new one.
 
 The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
 """
 
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -23,7 +23,8 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
 from onboard.identification.exiddm.imu_errors import whitened
-from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor, Prediction
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
+from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.window import Hypothesis, WindowFit
 
@@ -35,6 +36,14 @@ _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 _SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
+
+
+class _Innovation(NamedTuple):
+    """Whitened innovation of a batch; its covariance is ``S = H P H' + 1 = L L'``."""
+
+    W: FloatArray  # L^-1 H P
+    e: FloatArray  # L^-1 (measured less predicted)
+    L: FloatArray
 
 
 class RecursiveExiddm:
@@ -56,6 +65,9 @@ class RecursiveExiddm:
         ticks_used: with an IMU, taken in since the start or the last change.
         glitches: number of ticks left out as outliers.
         changes: changes detected or announced so far.
+        exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
+            the model changed, and the estimate contradicts what was known before.
+        misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
     """
 
     def __init__(
@@ -78,6 +90,8 @@ class RecursiveExiddm:
         self.covariance = np.zeros((p, p))
         self.ticks_used = self.glitches = 0
         self.changes: list[Change] = []
+        self.exchanged = False
+        self.misfit = InnovationMisfit()
         batches_per_hour = 3600.0 / (BATCH_TICKS * predictor.period_s)
         self._detector = ChangeDetector(false_alarms_per_hour, batches_per_hour, 6)
         self._snapshots: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_SNAPSHOTS)
@@ -103,7 +117,7 @@ class RecursiveExiddm:
             if len(self._pending.time_s):
                 gap_s = ticks.time_s[first] - self._pending.time_s[-1]
                 if abs(gap_s - self.predictor.period_s) > 0.5 * self.predictor.period_s:
-                    self._bridge(ticks.time_s[first] - self._pending.time_s[0])
+                    self._bridge(ticks.part(slice(first, first + 1)))
             breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s[first:]) / self.predictor.period_s - 1.0) > 0.5)
             last = min(first + self._wanted(), first + breaks[0] + 1 if breaks.size else len(ticks.time_s))
             self._pending = self._pending.and_then(ticks.part(slice(first, last)))
@@ -114,27 +128,25 @@ class RecursiveExiddm:
     def told(self, held: bool, time_s: float) -> None:
         """Take the announcement of a capture or a release; no effect if already known."""
         if held != self.held:
+            self.exchanged = False
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
             self._reopen((Hypothesis.NEW if held else Hypothesis.NOTHING,), 0)
 
     def estimate(self) -> BodyEstimate | None:
-        """The payload in its link's frame; None if none is held or it is still unknown.
-
-        Raises:
-            SignalError: a mass that is not positive.
-        """
-        if self.state is None or not self.held:
+        """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
+        if self.state is None or not self.held or not self.state[PAYLOAD][0] > 0.0:
             return None
         return body_estimate(self.state[PAYLOAD], self.covariance[PAYLOAD, PAYLOAD])
 
     # ------------------------------------------------------------------ a window, as a whole
 
     def _open(self, hypotheses: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
-        """Begin a window of which the momentum is not known, and of the rest this."""
+        """Begin a window of which the rate is not known, and of the rest this."""
         self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._pending = Ticks.none(len(self.predictor.vehicle.joints))
         self._detector.forget()
+        self.misfit.forget()
         self._snapshots.clear()
 
     def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int) -> None:
@@ -178,6 +190,8 @@ class RecursiveExiddm:
             and self._before == (hypothesis is Hypothesis.SAME)
         ):
             self.changes.append(Change("contact", now_s, float(ticks.time_s[0]), np.nan))
+        if len(self._hypotheses) > 1:
+            self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
         self.held = hypothesis is not Hypothesis.NOTHING
         self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
         self.ticks_used, self._hypotheses, self._wait = solved.used, (hypothesis,), 0
@@ -209,8 +223,8 @@ class RecursiveExiddm:
         use = np.logical_and.reduce(np.isfinite(measured), axis=1)  # (b,)
         state, covariance = self.state, self.covariance
         if use.any():
-            W, e = self._innovation(predicted, measured, sigma, use)
-            verdict = self._detector.check((e.reshape(-1, 6) ** 2).sum(axis=1))
+            innovation = self._innovation(predicted, measured, sigma, use)
+            verdict = self._detector.check((innovation.e.reshape(-1, 6) ** 2).sum(axis=1))
             if verdict.alarm:
                 self._alarm(verdict.score, verdict.batches)
                 return
@@ -220,11 +234,12 @@ class RecursiveExiddm:
                 self.glitches += int(verdict.glitches.sum())
                 use[np.flatnonzero(use)[verdict.glitches]] = False
                 if use.any():
-                    W, e = self._innovation(predicted, measured, sigma, use)
+                    innovation = self._innovation(predicted, measured, sigma, use)
+            if use.any() or verdict.suspect:
+                self._judge(innovation)
             if use.any():
-                change = W.T @ e
-                state = state + change
-                covariance = covariance - W.T @ W
+                state = state + innovation.W.T @ innovation.e
+                covariance = covariance - innovation.W.T @ innovation.W
                 self.ticks_used += int(use.sum())
         self._carry(state, covariance, predicted)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
@@ -232,15 +247,23 @@ class RecursiveExiddm:
 
     def _innovation(
         self, predicted: Prediction, measured: FloatArray, sigma: FloatArray, use: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """``L^-1 H P`` and ``L^-1 e``, with ``L L'`` the covariance of the whitened innovation e."""
+    ) -> "_Innovation":
         r, H = whitened(predicted.values, predicted.jacobian, measured, sigma, use)
         HP = H @ self.covariance
         S = HP @ H.T
         S.flat[:: len(S) + 1] += 1.0
-        factor = np.linalg.cholesky(S)
+        factor = np.asarray(np.linalg.cholesky(S), np.float64)
         solved = solve_triangular(factor, np.column_stack([HP, -r]), lower=True, check_finite=False)
-        return solved[:, :-1], solved[:, -1]
+        return _Innovation(solved[:, :-1], solved[:, -1], factor)
+
+    def _judge(self, innovation: "_Innovation") -> None:
+        """Add the batch's chi-squared, of each instrument and of both together, to the misfit."""
+        self.misfit.add("imu", float(innovation.e @ innovation.e), innovation.e.size)
+        rows = np.arange(innovation.e.size).reshape(-1, 6)
+        for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
+            L = innovation.L[own]
+            r = L @ innovation.e
+            self.misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)
 
     def _carry(self, state: FloatArray, covariance: FloatArray, predicted: Prediction) -> None:
         """Propagate to the last tick but one."""
@@ -264,8 +287,9 @@ class RecursiveExiddm:
         )
         self._reopen(hypotheses, batches + 1)
 
-    def _bridge(self, gap_s: float) -> None:
-        """Inflate the momentum's covariance after a gap of the joints: its direction in base axes is unknown."""
+    def _bridge(self, after: Ticks) -> None:
+        """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
+        gap_s = float(after.time_s[0] - self._pending.time_s[0])
         rates = np.linalg.norm(self._pending.measured[:, :3], axis=1)
         rates = rates[np.isfinite(rates)]
         if self._hypotheses or self.state is None:
@@ -273,7 +297,9 @@ class RecursiveExiddm:
         elif gap_s > _LONGEST_HOLE_s or rates.size == 0:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
-            turned = np.linalg.norm(self.state[MOMENTUM]) * rates.max() * gap_s
-            self.covariance = self.covariance.copy()
-            self.covariance[MOMENTUM, MOMENTUM] += turned**2 * np.eye(3)
+            both = self._pending.part(slice(0, 1)).and_then(after)
+            links = link_motions(self.predictor.vehicle, both.q, both.dq, both.ddq)
+            self.state, F, of_a_turn = self.predictor.bridge(links, self.state)
+            self.covariance = F @ self.covariance @ F.T
+            self.covariance[RATE, RATE] += (rates.max() * gap_s) ** 2 * of_a_turn
             self._pending = Ticks.none(len(self.predictor.vehicle.joints))

@@ -22,12 +22,12 @@ from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import Fit, fit
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, guesses
 from onboard.identification.exiddm.imu_errors import whitened
-from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40
-_FIRST_TICKS = 10  # for the initial momentum
+_FIRST_TICKS = 10  # for the initial rate
 _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _FEW = 0.03  # largest share of outliers
@@ -60,7 +60,7 @@ class WindowFit:
         imu_frame: the frame it measures in.
         payload_sigma: of a payload of which nothing is known, (10,).
         ticks: the window, in succession.
-        mean: (p,) what is known of the state at its first tick, the momentum aside.
+        mean: (p,) what is known of the state at its first tick, the rate aside.
         covariance: (p, p) of that.
     """
 
@@ -96,7 +96,7 @@ class WindowFit:
             information[own, own] = 1.0 / self._payload_sigma**2
             mean[PAYLOAD] = 0.0
         if hypothesis is Hypothesis.NOTHING:
-            active = np.concatenate([np.arange(p)[MOMENTUM], others])
+            active = np.concatenate([np.arange(p)[RATE], others])
         use = np.logical_and.reduce(np.isfinite(self._ticks.measured[1:-1]), axis=1)
         if use[:_FIRST_TICKS].sum() < _FIRST_TICKS // 2:
             return None
@@ -128,7 +128,7 @@ class WindowFit:
         for payload in self._guesses(hypothesis):
             x = problem.mean.copy()
             x[PAYLOAD] = payload
-            x[MOMENTUM] = self._first_momentum(x)
+            x[RATE] = self._first_rate(x)
             with contextlib.suppress(ConvergenceError, SingularError):
                 tried = self._fit(problem, x, use, 1.0)
                 if found is None or tried.residual_sum < found.residual_sum:
@@ -167,15 +167,15 @@ class WindowFit:
         rough = partial(rough_payload, vehicle, self._imu_frame, signals, ROUGH_WIDTH_s, self._payload_sigma)
         yield from (standard_of(guess) for guess in guesses(rough))
 
-    def _first_momentum(self, state: FloatArray) -> FloatArray:
-        """Momentum from the first gyro readings, with the payload of ``state``."""
+    def _first_rate(self, state: FloatArray) -> FloatArray:
+        """Rate of the base from the first gyro readings, with the payload of ``state``."""
         state = state.copy()
-        state[MOMENTUM] = 0.0
+        state[RATE] = self._predictor.rate_in_base(np.nanmean(self._ticks.measured[1 : _FIRST_TICKS + 1, :3], axis=0))
         predicted = self._predictor.predict(first_ticks(self._links, _FIRST_TICKS + 2), state)
         gap = self._ticks.measured[1 : _FIRST_TICKS + 1, :3] - predicted.values[:, :3]
         seen = np.isfinite(gap).all(axis=1)
-        J = predicted.jacobian[seen, :3, MOMENTUM].reshape(-1, 3)
-        return np.asarray(np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)
+        J = predicted.jacobian[seen, :3, RATE].reshape(-1, 3)
+        return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)
 
 
 class _Problem(NamedTuple):

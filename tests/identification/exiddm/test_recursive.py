@@ -8,13 +8,14 @@ import pytest
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.free_flight import predict_base
 from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
-from onboard.identification.exiddm.imu_prediction import MOMENTUM, PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
 from tests.dynamics.free_flyer_twin import BOX, URDF, twin
@@ -187,6 +188,24 @@ def test_a_push_is_a_contact_and_the_payload_is_kept(rng):
     assert abs(found.body.mass_kg - 5.0) < 4.0 * sigma
 
 
+def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
+    joint = np.array([1.0, 1.03, 1.0, 1.0, 1.0])
+    ticks = ticks_of(held)
+    wrong = np.arange(len(ticks.time_s))[:, None] >= 500
+    recursive = online(held)
+    recursive.update(
+        ticks._replace(
+            **{name: np.where(wrong, joint * getattr(ticks, name), getattr(ticks, name)) for name in ("dq", "ddq")}
+        )
+    )
+    assert [change.kind for change in recursive.changes][:1] == ["ejection"]
+    assert recursive.exchanged or recursive.estimate() is None
+    fine = online(mission, held=False)
+    fine.update(ticks_of(mission))
+    assert [change.kind for change in fine.changes] == ["capture", "ejection"]
+    assert not fine.exchanged
+
+
 def test_told_is_as_good_as_found(mission):
     recursive, ticks = online(mission, held=False), ticks_of(mission)
     at = int(np.searchsorted(ticks.time_s, CAPTURE_s + 0.02))
@@ -213,6 +232,25 @@ def test_ticks_without_an_imu_carry_the_momentum_on(held):
     assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
 
 
+def test_over_a_gap_of_the_joints_the_rate_follows_from_the_momentum(held):
+    predictor = online(held).predictor
+    ticks = ticks_of(held)
+    x = np.zeros(len(predictor.names))
+    x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    x[RATE] = [0.05, -0.02, 0.03]
+    near = ticks.part(slice(300, 312))
+    predicted = predictor.predict(link_motions(predictor.vehicle, near.q, near.dq, near.ddq), x)
+    ends = link_motions(predictor.vehicle, *(part[[0, 10]] for part in (near.q, near.dq, near.ddq)))
+    carried, transition, of_a_turn = predictor.bridge(ends, x)
+    by_a_tenth_of_a_second = 0.1 * 0.06 * np.sqrt(np.linalg.eigvalsh(of_a_turn)[-1])  # the momentum turned meanwhile
+    assert np.abs(carried[RATE] - predicted.state[RATE]).max() < by_a_tenth_of_a_second
+    assert np.abs(carried[RATE] - x[RATE]).max() > 3.0 * by_a_tenth_of_a_second
+    for k in (0, 1, 2, 3, 6, 12):
+        step = 1e-5 * np.eye(x.size)[k]
+        slope = (predictor.bridge(ends, x + step)[0] - predictor.bridge(ends, x - step)[0]) / 2e-5
+        np.testing.assert_allclose(transition[:, k], slope, atol=1e-6 * max(1.0, np.abs(slope).max()))
+
+
 def test_when_joints_and_imu_are_missing_nothing_is_said_until_the_momentum_is_found_again(held):
     ticks, recursive = ticks_of(held), online(held)
     ticks.q[504:510] = np.nan
@@ -236,7 +274,7 @@ def test_missing_joints_widen_the_momentum_and_nothing_else(held, lost):
     recursive.update(ticks.part(slice(502, 502 + lost + 1)))
     if recursive.state is not None:
         after = np.diag(recursive.covariance)
-        assert (after[MOMENTUM] > 1.5 * before[MOMENTUM]).all()
+        assert (after[RATE] > 1.5 * before[RATE]).all()
         np.testing.assert_array_equal(after[PAYLOAD], before[PAYLOAD])
     else:
         assert recursive.estimate() is None
@@ -258,6 +296,42 @@ def test_a_glitch_is_left_out_and_no_alarm(held):
     assert recursive.changes == []
     sigma = np.sqrt(np.diag(clean.covariance))
     assert (np.abs(recursive.state - clean.state) < 0.5 * sigma).all()
+
+
+def test_no_information_comes_from_where_no_motion_tells_any():
+    """The motion of a vehicle that holds nothing is the same if every link is heavier by the same share."""
+    rng = np.random.default_rng(21)
+    errors = ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
+    world = free_flyer.world(None)
+    flight = free_flyer.fly(world, free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3), 12.0)
+    signals = recorded(flight, rng, errors)
+    recursive = online(signals, held=False, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"])
+    recursive.update(ticks_of(signals))
+    assert recursive.held is False
+    assert recursive.changes == []
+    at = [k for k, name in enumerate(recursive.predictor.names) if name.startswith("links_")]
+    assert len(at) == 60
+    chi = recursive.predictor.vehicle.chi[:60].reshape(6, 10)
+    heavier = np.concatenate(
+        [np.linalg.solve(np.linalg.cholesky(standard_covariance(x, 0.01, 1e-3, 0.01)), x) for x in chi]
+    )
+    information = np.linalg.inv(recursive.covariance[np.ix_(at, at)])
+    of_the_prior = heavier @ information @ heavier / (heavier @ heavier)
+    assert of_the_prior < 1.01
+
+
+def test_an_innovation_that_is_too_large_shows_by_instrument(held):
+    ticks, clean = ticks_of(held), online(held)
+    clean.update(ticks)
+    assert set(clean.misfit.by_instrument()) == {"imu", "gyro", "accelerometer"}
+    assert all(0.9 < ratio < 1.1 for ratio in clean.misfit.by_instrument().values())
+    noisier = ticks.measured.copy()
+    noisier[450:, :3] += 0.35 * ticks.sigma[450:, :3] * np.random.default_rng(1).normal(size=(len(noisier) - 450, 3))
+    spoilt = online(held)
+    spoilt.update(ticks._replace(measured=noisier))
+    assert spoilt.changes == []
+    assert spoilt.misfit.by_instrument()["gyro"] > 1.08
+    assert spoilt.misfit.by_instrument()["accelerometer"] < 1.05
 
 
 def test_a_batch_that_is_suspect_is_not_taken_in(held):
@@ -352,15 +426,18 @@ def test_derivatives_of_the_prediction_are_finite_differences(held):
 def test_the_noise_of_the_joints_is_what_their_errors_make_of_the_prediction(held):
     predictor = online(held).predictor
     q, still = np.repeat(held.q[300:301], 4, axis=0), np.zeros((4, 5))
-    x = np.zeros(len(predictor.names))
-    x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    x, chi = np.zeros(len(predictor.names)), predictor.vehicle.chi.copy()
+    x[PAYLOAD] = chi[predictor.vehicle.payload_columns()] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
     rest = predictor.predict(link_motions(predictor.vehicle, q, still, still), x).values
     small, variance = 1e-6, np.zeros((4, 6))
     for kind, rows in enumerate([slice(0, 3), slice(3, 6)]):  # of a rate the gyro, of an acceleration the force
         for joint in range(5):
             sigma = np.zeros((4, 2, 5))
             sigma[:, kind, joint] = small
-            moved = predictor.predict(link_motions(predictor.vehicle, q, sigma[:, 0], sigma[:, 1]), x).values - rest
+            links = link_motions(predictor.vehicle, q, sigma[:, 0], sigma[:, 1])
+            turned = x.copy()  # the base takes up what momentum the joints seem to have: there is none in all
+            turned[RATE] = predict_base(links, predictor.period_s, chi, np.zeros(3), ()).rate[0]
+            moved = predictor.predict(links, turned).values - rest
             alone = predictor.joint_noise(q, sigma, x)
             np.testing.assert_allclose(alone[1:3, rows], np.abs(moved[:, rows]), rtol=1e-3, atol=1e-3 * small)
             variance += alone**2

@@ -1,0 +1,45 @@
+"""Misfit of a filter's innovations per instrument: chi-squared over its degrees of freedom, 1 for a consistent filter.
+
+Two values per instrument since the last window: the mean over all batches, and the worst block of batches as far as it
+exceeds chance. A fault that the filter adapts to causes large innovations for a short time only, which a mean over a
+flight hides.
+"""
+
+from collections.abc import Mapping
+
+from scipy.special import chdtri
+
+_BLOCK = 600  # degrees of freedom; a mean over them scatters by 6 %
+_CHANCE = 1e-5  # of a block: what is exceeded more rarely counts
+
+
+class InnovationMisfit:
+    """Sums of squares of whitened innovations by instrument."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[float, int]] = {}
+        self._blocks: dict[str, tuple[float, int]] = {}
+        self._worst: dict[str, float] = {}
+
+    def forget(self) -> None:
+        """Begin anew: the filter did."""
+        self._sums, self._blocks, self._worst = {}, {}, {}
+
+    def add(self, instrument: str, squares: float, freedom: int) -> None:
+        """Takes in one batch: ``r' S^-1 r`` of an instrument's innovation r, and how many numbers r has."""
+        total, seen = self._sums.get(instrument, (0.0, 0))
+        self._sums[instrument] = total + squares, seen + freedom
+        total, seen = self._blocks.get(instrument, (0.0, 0))
+        block = total + squares, seen + freedom
+        if block[1] >= _BLOCK:
+            beyond = block[0] / float(chdtri(block[1], _CHANCE))
+            self._worst[instrument] = max(self._worst.get(instrument, 0.0), beyond)
+            block = 0.0, 0
+        self._blocks[instrument] = block
+
+    def by_instrument(self) -> Mapping[str, float]:
+        """The larger of mean and worst block; 1 is what is expected. Empty while nothing was taken in."""
+        return {
+            instrument: max(total / freedom, self._worst.get(instrument, 0.0))
+            for instrument, (total, freedom) in self._sums.items()
+        }
