@@ -73,7 +73,7 @@ class Mission:
                 return RocketPlant(self.scenario, self._rng("rocket"))
             case FreeFlyerScenario():
                 return FreeFlyerPlant(self.scenario, self._rng("free_flyer"))
-        raise TypeError(f"nobody moves the bodies of a {type(self.scenario).__name__}")
+        raise TypeError(f"there is no plant for a {type(self.scenario).__name__}")
 
     def _rng(self, subsystem: str) -> np.random.Generator:
         """A stream of its own per subsystem: adding one leaves the others as they are."""

@@ -52,7 +52,7 @@ class ArmController(CanopenNode):
 
     @property
     def produced(self) -> int:
-        """Phases told: a TPDO1 on entering Operational, one for each change in it, and each SDO read answered."""
+        """Phases reported: a TPDO1 on entering Operational, one per change in it, and each answered SDO read."""
         return self._tpdo_1.produced + self.uploads[0x2000, 1]
 
     def _next_change(self) -> None:
@@ -67,7 +67,7 @@ class ArmController(CanopenNode):
 
 
 class ArmControllerTable(CanNodeEmulator):
-    """The arm controller that tells the phase."""
+    """The arm controller, which reports the phase."""
 
     quantities = ("phase",)
 

@@ -272,4 +272,4 @@ class Babbler:
             self.due_ns = NEVER
 
     def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
-        """It listens to nobody."""
+        """Ignores all frames."""

@@ -48,7 +48,7 @@ def emulator(kind: str) -> type[Emulator]:
     """The table of a kind; one of another package is imported now.
 
     Raises:
-        ScenarioError: nobody has that kind, or its package cannot be used.
+        ScenarioError: unknown kind, or its package cannot be used.
     """
     if kind in _PACKAGED:
         return _PACKAGED[kind]
@@ -59,10 +59,10 @@ def emulator(kind: str) -> type[Emulator]:
         table = point.load()
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
-        raise ScenarioError(f"kind {kind!r} is {point.value}, which cannot be imported ({why}); mend it") from error
+        raise ScenarioError(f"kind {kind!r} is {point.value}, which cannot be imported ({why}); correct it") from error
     if kind_of(table) != kind:
         raise ScenarioError(
-            f'kind {kind!r} is {point.value}, which is no Emulator with kind: Literal["{kind}"]; mend it'
+            f'kind {kind!r} is {point.value}, which is no Emulator with kind: Literal["{kind}"]; correct it'
         )
     found: type[Emulator] = table
     return found

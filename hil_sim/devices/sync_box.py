@@ -124,7 +124,7 @@ class SyncBox:
         self._pins.append(pin)
 
     def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
-        """It listens to nobody."""
+        """Ignores all frames."""
 
     def act(self, now_ns: int) -> None:
         """Send the SYNC that is due, and the edge that belongs to it."""

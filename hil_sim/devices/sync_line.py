@@ -18,7 +18,7 @@ class EdgeCapture:
         latency_ns: Fixed part of the latency.
         jitter_ns: Mean of the random part.
         miss_probability: Share of edges that are not seen.
-        spurious_rate_hz: Mean rate of edges that nobody sent.
+        spurious_rate_hz: Mean rate of spurious edges.
     """
 
     def __init__(

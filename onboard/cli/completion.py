@@ -1,4 +1,4 @@
-"""``heft completion`` prints what makes a shell complete heft's commands, options and files on the tab key."""
+"""``heft completion`` prints the shell script for tab completion of commands, options and files."""
 
 import argparse
 from pathlib import Path

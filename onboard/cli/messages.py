@@ -1,7 +1,7 @@
-"""What a flight says, on stderr: lines for people, with priorities where the journal reads them, or JSON.
+"""Messages of a flight on stderr: text lines, with priorities under systemd, or JSON.
 
-A terminal that was stopped or a journal that hangs must not hold a flight up: lines wait for it in a queue of their
-own thread, those that find it full are counted, and the count is said.
+A stopped terminal or a hanging journal must not delay a flight: lines are queued for a separate thread; those lost to a
+full queue are counted and the count is printed.
 """
 
 import contextlib
@@ -81,10 +81,10 @@ class Handler(logging.Handler):
         while (line := self._lines.get()) is not None:
             if self._unsaid:
                 line, self._unsaid = (
-                    f"{line}\n{self._unsaid} lines before this one were not written: no one took them",
+                    f"{line}\n{self._unsaid} lines before this one were lost: the output was blocked",
                     0,
                 )
-            with contextlib.suppress(OSError, ValueError):  # nobody reads it any more: the flight goes on
+            with contextlib.suppress(OSError, ValueError):  # the reader has gone: the flight continues
                 self._stream.write(f"{line}\n")
                 self._stream.flush()
 

@@ -1,4 +1,4 @@
-"""What no single table can tell: names that must point at something, and devices that must go together."""
+"""Checks across the tables of a vehicle file: references to names, and combinations of devices and methods."""
 
 import re
 from collections.abc import Callable
@@ -17,13 +17,13 @@ COMPULSORY = {"serial": "baud", "gpio": "line", "gpio-out": "line"}  # option of
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LONGEST_NAME = 32  # bytes of it in an event or a gap
 RESERVED = {"event", "gap", "clock", "row", "estimate", "quantity", "tick", "health"}
-OURS = ("event_", "recorder_", "recover_")  # how further channels of heft's own begin
-FASTEST_HZ, SLOWEST_HZ = 50_000.0, 1e-4  # of a device: the rings keep some seconds of it
-PLAIN = re.compile(r"[^\W_][\w .+-]{0,63}")  # names that become those of files
+OURS = ("event_", "recorder_", "recover_")  # prefixes of heft's own channels
+FASTEST_HZ, SLOWEST_HZ = 50_000.0, 1e-4  # limits of a device's rate: the rings hold some seconds
+PLAIN = re.compile(r"[^\W_][\w .+-]{0,63}")  # names used in file names
 
 
 def check(vehicle: Vehicle) -> None:
-    """Raise ConfigError for the first thing that does not fit."""
+    """Raise ConfigError for the first violation."""
 
     def fail(where: list[str], why: str) -> NoReturn:
         raise ConfigError(f"{vehicle.path}:{line_of(vehicle.text, where)}: {why}")
@@ -87,12 +87,12 @@ def _check_channels(vehicle: Vehicle, fail: Fail) -> None:
     for name, device in vehicle.file.device.items():
         if not SLOWEST_HZ <= vehicle.rate_hz(name) <= FASTEST_HZ:
             text = f"{vehicle.rate_hz(name):g} samples a second; {SLOWEST_HZ:g} to {FASTEST_HZ:g} can be flown"
-            fail(["device", name], f"{name!r} would make {text}: mend its rate or its period")
+            fail(["device", name], f"{name!r} would make {text}: correct its rate or its period")
         for channel in device.channels(name):
             where = ["device", name]
             if not NAME.fullmatch(channel) or len(channel) > LONGEST_NAME:
                 text = f"use a letter, then letters, digits and _, {LONGEST_NAME} at the most"
-                fail(where, f"channel {channel!r} is no name; {text}")
+                fail(where, f"channel {channel!r} is not a name; {text}")
             if channel in RESERVED or channel.startswith(OURS):
                 fail(where, f"channel {channel!r} is one of heft's own; rename the device")
             if owner.setdefault(channel, name) != name:
@@ -146,7 +146,7 @@ def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     if file.vehicle.base not in ("free", "planar"):
         fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = "free" or "planar"')
     if file.vehicle.payload_link is None:
-        fail(where, 'method "exiddm" finds the payload; name its payload_link')
+        fail(where, 'method "exiddm" estimates the payload; name its payload_link')
     others = {
         "base_rows": settings.base_rows,
         "masses": settings.masses,
@@ -160,7 +160,7 @@ def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
     if settings.phases and settings.phases.payload_taken is not None and settings.exiddm.held_at_start:
         fail(["estimation", "phases", "payload_taken"], "nothing is held before it; give exiddm.held_at_start = false")
     if file.free_body:
-        fail(["free_body"], 'a free body is told from rows; leave method = "exiddm" out')
+        fail(["free_body"], 'a free body is identified from rows; remove method = "exiddm"')
 
 
 def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
@@ -170,14 +170,14 @@ def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
             fail(["planar"], f'the base is {file.vehicle.base!r}; pucks and a table need base = "planar"')
         return
     if settings.method != "exiddm":
-        fail(["estimation", "method"], 'rows know nothing of drag: base = "planar" needs method = "exiddm"')
+        fail(["estimation", "method"], 'rows have no drag model: base = "planar" needs method = "exiddm"')
     if file.planar is None:
         fail(["vehicle", "base"], 'base = "planar" needs a section [planar] for the table and its pucks; add it')
     if settings.carried:
-        fail(["estimation", "carried"], "a run on a table is estimated as a whole; leave carried out")
+        fail(["estimation", "carried"], "a run on a table is estimated in one batch; remove carried")
     if settings.gates.joint_rate_min_rad_s:
         where = ["estimation", "gates", "joint_rate_min_rad_s"]
-        fail(where, "a slow arm is as good as a fast one where its motion is predicted; leave joint_rate_min_rad_s out")
+        fail(where, "joint_rate_min_rad_s does not apply to method exiddm; remove it")
     if not settings.exiddm.held_at_start and (settings.phases is None or settings.phases.payload_taken is None):
         where = ["estimation", "exiddm", "held_at_start"]
-        fail(where, "nobody finds a capture on a table; give phases.payload_taken, or leave held_at_start out")
+        fail(where, "captures on a table are not detected; give phases.payload_taken, or remove held_at_start")

@@ -1,4 +1,4 @@
-"""The one error of a vehicle file, and where in its text a key stands."""
+"""The error of a vehicle file, and the line of a key in its text."""
 
 import re
 

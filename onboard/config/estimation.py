@@ -8,7 +8,7 @@ from onboard.section import NotNegative, Positive, Section
 
 
 class Phases(Section):
-    """Which phases of the mission are for identification, as told by a channel.
+    """Phases of the mission for identification, from a phase channel.
 
     The payload is held from the phase ``payload_taken`` on, from the start where not given, to ``payload_gone``.
     """
@@ -22,7 +22,7 @@ class Phases(Section):
 
 
 class Gates(Section):
-    """When a row may not be used."""
+    """Limits beyond which a row is not used."""
 
     joint_limits_deg: tuple[float, float] | None = None
     joint_rate_min_rad_s: Positive | None = None
@@ -40,9 +40,9 @@ class Gates(Section):
 
 
 class Memory(Section):
-    """How long rows count: for ever, unless one of the two is given.
+    """Weighting of earlier rows: all count in full, unless one of the two is given.
 
-    ``forgetting_s``: a row's weight falls by 1/e in this time. ``window_s``: rows count for this long.
+    ``forgetting_s``: a row's weight falls by 1/e in this time. ``window_s``: rows are used for this long.
     """
 
     forgetting_s: Positive | None = None
@@ -51,19 +51,19 @@ class Memory(Section):
     @model_validator(mode="after")
     def _one_at_most(self) -> "Memory":
         if self.forgetting_s is not None and self.window_s is not None:
-            raise ValueError("rows fade by forgetting_s or leave a window after window_s; give one of the two")
+            raise ValueError("forgetting_s and window_s exclude each other; give one of the two")
         return self
 
 
 class Zero(Section):
-    """Where the accelerometer is zeroed: coasting at rest in ``phases``, ``ticks`` row periods of it at least."""
+    """Zeroing of the accelerometer: coasting at rest in ``phases``, for at least ``ticks`` row periods."""
 
     phases: list[int]
     ticks: Annotated[int, Field(ge=1)] = 100
 
 
 class Link(Section):
-    """How well a link was weighed, balanced and swung, 1 sigma; its inertia relative to half the tensor's trace."""
+    """Sigmas of a link's mass, centre of mass and inertia (the latter relative to half the tensor's trace)."""
 
     mass_relative: Annotated[float, Field(ge=1e-9, le=100)]
     centre_m: Annotated[float, Field(ge=1e-9, le=100)]
@@ -71,10 +71,10 @@ class Link(Section):
 
 
 class Prior(Section):
-    """What is known beforehand: relative sigma by link, absolute sigma of the other columns, SI units.
+    """Prior: relative sigma by link, absolute sigma of the other columns, SI units.
 
-    ``link`` is for the method "exiddm": links that are not in it are taken for certain.
-    A relative sigma of zero takes a link for exact: it leaves the estimate, and its part goes to the rows' other side.
+    ``link`` is for the method "exiddm": links not in it are exact. A relative sigma of zero makes a link exact: it is
+    not estimated, and its part moves to the rows' other side.
     """
 
     relative: dict[str, NotNegative] = Field(default_factory=dict)
@@ -83,14 +83,14 @@ class Prior(Section):
 
 
 class Masses(Section):
-    """Masses to report from inertia about ``joint``, under the URDF's radii of gyration."""
+    """Masses to report from the inertia about ``joint``, with the URDF's radii of gyration."""
 
     joint: str
     arm_link: str
 
 
 class ImuPrior(Section):
-    """Standard deviations by axis of the base IMU's errors; zero for what is certain.
+    """Prior on instrument errors of the base IMU: standard deviations per axis; zero: exact.
 
     Files written before the words changed say ``doubt`` and ``turn`` in place of ``imu_prior`` and ``misalignment``.
     """
@@ -118,10 +118,10 @@ class Motor(Section):
 
 
 class Carried(Section):
-    """What an earlier flight had learned when its log ended, in place of the prior; ``heft fly --continue`` writes it.
+    """Last estimate of an earlier flight, in place of the prior (warm start); written by ``heft fly --continue``.
 
-    ``covariance`` of the parameters in ``names``; ``sensitivity`` of each to what is considered (a load cell's scale,
-    its delay), which is no part of it.
+    ``covariance`` of the parameters in ``names``; ``sensitivity`` of each to the considered parameters (a load cell's
+    scale, its delay), which the covariance does not include.
     """
 
     log: str
@@ -132,7 +132,7 @@ class Carried(Section):
 
 
 class Exiddm(Section):
-    """The non-linear estimator: what is held at the start, how large a payload could be, how rare a false alarm is."""
+    """The non-linear estimator: payload state at the start, prior of the payload, rate of false alarms."""
 
     held_at_start: bool = True
     false_alarms_per_hour: Positive = 0.1
@@ -144,21 +144,21 @@ class Exiddm(Section):
 class Estimation(Section):
     """The estimator's ticks, its smoothing kernel, its rows, its gates.
 
-    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "instrumental" the same of a free base with
-    instrumental variables (rows rebuilt from predicted motion), which noise does not bias; "exiddm" predicts what the
-    base IMU of a free vehicle shows, finds the payload, its capture and its ejection; ``imu_prior``, ``exiddm`` and
-    ``prior.link`` are its.
+    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "instrumental" the same for a free base with
+        instrumental variables (rows of predicted motion), without bias by noise; "exiddm" predicts the base IMU of a
+        free vehicle, estimates the payload, detects capture and ejection; it uses ``imu_prior``, ``exiddm`` and
+        ``prior.link``.
     ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal),
     or its smoother; see :mod:`onboard.estimation.kinematics`.
-    ``block_ms``: rows further apart than this are taken to err independently; five times ``smoothing_ms`` if not given.
-    ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" widens intervals and nothing else;
-    "estimated" makes each a parameter, where several cells see the same load.
-    ``base_rows`` are rows of a wrench that is known to be zero, good to the two sigmas after it.
-    ``zero_force_sigma_m_s2`` is what zeroing leaves of a constant error of the specific force; estimated where given.
+    ``block_ms``: distance at which errors of rows are taken as independent; default: five times ``smoothing_ms``.
+    ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" only widens intervals;
+    "estimated" makes each a parameter, for several cells that measure the same load.
+    ``base_rows`` are rows of a wrench known to be zero, within the two sigmas after it.
+    ``zero_force_sigma_m_s2``: residual constant error of the specific force after zeroing; estimated if given.
     ``motor``: those of joint torques that turn with more than one joint, by name; each has parameters ``Ia_``, ``Fv_``
     and ``Fc_`` of its own.
-    ``carried`` is for a flight that goes on where another one ended, with the same payload.
-    ``nuisance`` names base parameters that take up what is not theirs: estimated, and never reported as supported.
+    ``carried``: warm start from an earlier flight with the same payload.
+    ``nuisance``: base parameters that absorb unmodelled effects: estimated, but never reported as supported.
     """
 
     method: Literal["rows", "instrumental", "exiddm"] = "rows"

@@ -1,4 +1,4 @@
-"""vehicle.toml to frozen objects. A key nobody knows is refused with its line and a remedy."""
+"""Reads vehicle.toml into frozen objects; an unknown key is refused with its line and a remedy."""
 
 import difflib
 import json
@@ -52,7 +52,7 @@ def load(path: Path, urdf: Path | None = None) -> Vehicle:
         urdf: another than it names.
 
     Raises:
-        ConfigError: no such file, no TOML, an unknown key, a wrong value, or a name that points nowhere.
+        ConfigError: no such file, not TOML, an unknown key, a wrong value, or an undefined name.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -62,7 +62,7 @@ def load(path: Path, urdf: Path | None = None) -> Vehicle:
 
 
 def parse(text: str, path: Path, urdf: Path | None = None) -> Vehicle:
-    """As :func:`load`, for a text that is at hand already (from a log, say)."""
+    """As :func:`load`, for a text already read (from a log, say)."""
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -111,7 +111,7 @@ def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any])
     if error["type"] == "extra_forbidden":
         known = list(_model_at(where[:-1], tree).model_fields)
         near = difflib.get_close_matches(where[-1], known, 1, 0.5)
-        remedy = f"did you mean {near[0]!r}? Units stand in the key" if near else f"known here: {', '.join(known)}"
+        remedy = f"did you mean {near[0]!r}? Units are in the key" if near else f"known here: {', '.join(known)}"
         return f"{path}:{line}: unknown key {name!r}; {remedy}"
     if error["type"] == "missing":
         return f"{path}:{line}: {name!r} is missing; add it"
@@ -119,7 +119,7 @@ def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any])
 
 
 def _place(loc: list[str], tree: dict[str, Any]) -> list[str]:
-    """The path of a key as the file has it: pydantic puts the kind of a table that has several into ``loc``."""
+    """The path of a key in the file; pydantic adds the kind of a table to ``loc``."""
     where: list[str] = []
     node: Any = tree
     for part in loc[:-1]:

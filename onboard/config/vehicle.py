@@ -1,4 +1,4 @@
-"""A whole vehicle file: its sections, and the file as it was read."""
+"""The vehicle file: its sections, and the parsed file."""
 
 import tomllib
 from functools import cached_property
@@ -24,7 +24,7 @@ else:  # the kinds that the registry has found
 
 
 class VehicleSection(Section):
-    """What flies. ``base``: what is known of the base's motion and of the wrench on it.
+    """The vehicle. ``base``: kind of base (motion and wrench known or unknown).
 
     ``gravity_m_s2``: in base axes; counts where the base is fixed and no device is an IMU, and where it is planar.
     ``essential``: devices without which a flight has failed: ``heft fly`` ends with 1 if one of them never said a word.
@@ -40,17 +40,18 @@ class VehicleSection(Section):
 
 
 class BusSection(Section):
-    """A bus by URL; ``drivers.transports`` says which there are."""
+    """A bus by URL; ``drivers.transports`` lists them."""
 
     url: str
 
 
 class Recording(Section):
-    """Where flights go, and how safe they are.
+    """Recording of flights.
 
-    ``sync_period_ms``: nothing recorded is ever longer than this off the medium. ``segment_s``, ``segment_mib``: a log
-    goes on in a new file after so much. ``min_free_mib``: the oldest segments of earlier flights make way while less is
-    free; 0 keeps them all. ``reserve_mib``: kept back for events and gaps when the disk is full.
+    ``sync_period_ms``: longest time until recorded data are on the medium. ``segment_s``, ``segment_mib``: a log
+        continues in a new file after this time or size. ``min_free_mib``: while less is free, the oldest segments of
+        earlier flights are removed; 0 keeps them all. ``reserve_mib``: reserved for events and gaps when the disk is
+        full.
     """
 
     directory: str = "flights"
@@ -74,7 +75,7 @@ class VehicleFile(Section):
 
 
 class Vehicle(BaseModel):
-    """A vehicle file that has been read: its text, its directory, its objects."""
+    """A parsed vehicle file: its text, directory and sections."""
 
     model_config = ConfigDict(frozen=True)
 

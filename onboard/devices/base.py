@@ -1,6 +1,6 @@
-"""What every kind of device has, and the shared bases of those that measure for the estimator.
+"""Base classes of all kinds of device.
 
-A kind is a :class:`DeviceSection` with ``kind: Literal["..."]``. Whatever it does not say has the answer given here.
+A kind is a :class:`DeviceSection` with ``kind: Literal["..."]``; methods not overridden have the defaults given here.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -24,7 +24,7 @@ Problem = tuple[list[str], str]
 
 
 class Surroundings(Protocol):
-    """What a device may ask of the vehicle that it is on."""
+    """Interface of the vehicle to its devices."""
 
     def url(self, bus: str) -> str:
         """URL of a bus that is there, as it is opened."""
@@ -70,15 +70,15 @@ class DeviceSection(Section):
         return None
 
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
-        """Everything that is taken off its samples' times; zeros may be among them."""
+        """Delays subtracted from its samples' times; may include zeros."""
         return []
 
     def roles(self, name: str, period_s: float) -> Roles:
-        """What it is to the estimator; ``period_s`` is the nominal time between samples."""
+        """Its roles in the estimator; ``period_s`` is the nominal sample period."""
         return Roles.none()
 
     def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
-        """What is wrong with this table that no single key shows."""
+        """Errors of this table beyond single keys."""
         return iter(())
 
 
@@ -92,7 +92,7 @@ class Closable(Protocol):
     """What every port has."""
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
 
 
 P = TypeVar("P", bound=Closable)
@@ -159,12 +159,12 @@ class BusDevice(DeviceSection):
 
     @property
     def tells_changes(self) -> bool:
-        """It says something when it changes, and has no rate."""
+        """Whether it sends on change and has no rate."""
         return False
 
     @property
     def tick_rate_hz(self) -> float | None:
-        """Nominal rate of its rows' ``tick``, where a preflight can hold the device to it."""
+        """Nominal rate of its rows' ``tick``, if a preflight can check it."""
         return None
 
     def marks(self, name: str, rows: Mapping[str, Rows]) -> int | None:
@@ -199,10 +199,10 @@ class ImuDevice(DeviceSection):
 
 
 class JointDevice(BusDevice):
-    """It measures the angle of ``joint``: ``zero_count`` is what it reads at angle zero.
+    """It measures the angle of ``joint``: ``zero_count`` is its reading at angle zero.
 
-    On the motor's side of a gear it errs with the motor's turns: ``eccentricity_rad`` once, ``transmission_error_rad``
-    twice in each.
+    On the motor side of a gear it has cyclic errors: ``eccentricity_rad`` once, ``transmission_error_rad`` twice per
+        motor revolution.
     """
 
     about_role = "joint angle"
@@ -226,9 +226,9 @@ class JointDevice(BusDevice):
 
 
 class LoadCellDevice(BusDevice, LoadCellKeys):
-    """A load cell that is a device of its own: its first channel is the force that is estimated with.
+    """A load cell as a separate device: its first channel is the force used by the estimator.
 
-    ``gravity_m_s2``: what one of its kilograms weighs, where it tells kilograms.
+    ``gravity_m_s2``: newton per kilogram of its readings, if its unit is kg.
     """
 
     about_role = "load cell"

@@ -1,4 +1,4 @@
-"""Channels of a recording from elsewhere (``heft import``): no bus, and host stamps that are the times of samples."""
+"""Channels of imported recordings (``heft import``): no bus; host stamps are sample times."""
 
 from typing import Annotated, Literal
 
@@ -52,7 +52,7 @@ class RecordedAngle(RecordedDevice):
 
 
 class RecordedRate(RecordedDevice):
-    """A joint rate; the joint turns a body of revolution, its angle is of no account."""
+    """A joint rate; the joint turns a body of revolution, so that its angle is not needed."""
 
     about_role = "joint rate"
     records = SCALAR
@@ -93,7 +93,7 @@ class RecordedTorque(RecordedDevice, TorqueKeys):
 
 
 class RecordedValue(RecordedDevice):
-    """A value of no role of its own: a phase, say."""
+    """A value without a role in the estimator: a phase, say."""
 
     about_role = "none, or the phases"
     records = SCALAR

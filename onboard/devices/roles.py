@@ -1,4 +1,4 @@
-"""What a device can be to the estimator: an IMU, the angle or rate of a joint, a load cell; and how its rows read."""
+"""Roles of a device in the estimator: IMU, joint angle or rate, load cell; conversion of its rows."""
 
 import math
 from collections.abc import Mapping
@@ -91,7 +91,7 @@ class TorqueKeys(Section):
 
 
 class SmoothedChannel(NamedTuple):
-    """A channel that is smoothed, and what that needs to know of it.
+    """A smoothed channel and its properties.
 
     Attributes:
         delays_s: of the filter of each of its columns.
@@ -100,7 +100,7 @@ class SmoothedChannel(NamedTuple):
         si: SI units in each unit that its rows may carry; empty for IMU rows, whose units are fixed.
         zero_count: raw value at zero.
         limit: values as large as this are saturated, SI.
-        absolute: it still measures from the same zero after its device was reset.
+        absolute: it keeps its zero over a reset of its device.
         ripple: its cyclic errors: periods of each in a radian of what it measures, times 2 pi, and its rms, SI.
     """
 
@@ -147,11 +147,11 @@ class Roles(NamedTuple):
 
     @classmethod
     def none(cls) -> "Roles":
-        """Of what is recorded only."""
+        """Roles of a device that is only recorded."""
         return cls([], [], [], {})
 
     def add(self, other: "Roles") -> None:
-        """Take in those of another device."""
+        """Add those of another device."""
         self.imus.extend(other.imus)
         self.joints.extend(other.joints)
         self.cells.extend(other.cells)

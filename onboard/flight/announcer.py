@@ -1,8 +1,7 @@
-"""What a flight says while it flies: its warnings and errors, phases, answers, and how it stands, through ``logging``.
+"""Announces warnings, errors, phases, estimates and status of a running flight through ``logging``.
 
-The announcer reads the rings as any other reader does, so whatever a worker reports is said and recorded alike. The
-logger is ``heft``; who wants to hear it puts a handler there, and one that never waits: the supervisor goes on only
-when it has spoken.
+It reads the rings like any other reader, so that every reported event is both announced and recorded. The logger is
+``heft``; its handlers must not block, because the supervisor calls them.
 """
 
 import logging
@@ -21,7 +20,7 @@ from onboard.ring import RingError, RingReader
 LOGGER = logging.getLogger("heft")
 LOGGER.addHandler(logging.NullHandler())
 RECORDER_SAID = "recorder_event.said"  # a ring of the recorder's own events: what is in a *.ring it records itself
-SILENT = 0.9  # of the nominal rate: a channel that brings less is named
+SILENT = 0.9  # fraction of the nominal rate below which a channel is listed
 _LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
 _RECORDS = {"gap": GAP, "quantity": QUANTITY}
 _SLOW_HZ = 2.0  # channels that come less often are not judged in every line
@@ -41,7 +40,7 @@ class Answer(NamedTuple):
 
 
 class Announcer:
-    """Speaks of one flight.
+    """Announces one flight.
 
     Args:
         vehicle: what flies.
@@ -67,7 +66,7 @@ class Announcer:
         }
 
     def step(self, now_s: float) -> None:
-        """Say what has happened since the last step."""
+        """Announce events since the last step."""
         for name in ("event_supervisor", "event", "event_estimation", RECORDER_SAID):
             self._events(self._read(name))
         gaps = self._read("gap")
@@ -83,12 +82,12 @@ class Announcer:
             self._say_status(now_s)
 
     def end(self, now_s: float) -> None:
-        """Say what is left to say, and what the flight has found."""
+        """Announce the remaining events and the final estimates."""
         self.step(now_s)
         for name, answer in self.answers.items():
             LOGGER.info("%s %s", name, answer, extra={"source": "answer", "code": "answer"})
         if not self.answers:
-            LOGGER.info("no answer: the data support none", extra={"source": "answer", "code": "no_answer"})
+            LOGGER.info("no estimate: not determined by the data", extra={"source": "answer", "code": "no_answer"})
 
     def rows(self) -> dict[str, int]:
         """Rows that each device channel has had, in all."""
@@ -107,7 +106,7 @@ class Announcer:
         name, unit = row["name"].decode(), row["unit"].decode()
         if not row["supported"]:
             if self.answers.pop(name, None) is not None:
-                LOGGER.warning("%s is not known any more", name, extra={"source": "answer", "code": "answer_gone"})
+                LOGGER.warning("%s is no longer determined", name, extra={"source": "answer", "code": "answer_gone"})
             return
         new = name not in self.answers
         self.answers[name] = Answer(float(row["value"]), float(row["low"]), float(row["high"]), unit)
@@ -155,7 +154,7 @@ class Announcer:
 
 
 def missing_all_flight(vehicle: config.Vehicle, rows: dict[str, int]) -> list[str]:
-    """What never came in a whole flight: buses without a row, and essential devices; a sentence each.
+    """Buses and essential devices without a row in a whole flight, one sentence each.
 
     Args:
         vehicle: what flew.

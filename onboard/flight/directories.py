@@ -1,10 +1,10 @@
-"""Directories in shared memory: for this user alone, locked while a process that uses them lives, removed afterwards.
+"""Private directories in shared memory, locked while a process uses them, removed afterwards.
 
-They lie in ``/dev/shm/heft-<uid>/``, or in ``$HEFT_RINGS``. Whoever can write there can make the flight's user read and
-write what he likes, so a directory that belongs to somebody else, or that others may enter, is refused.
+They are in ``/dev/shm/heft-<uid>/``, or in ``$HEFT_RINGS``. Other users with write access could make the flight read or
+write arbitrary data, so a directory of another user, or accessible to others, is refused.
 
-Each process that uses one holds a shared lock on the file ``lock`` in it, which the kernel takes back however the
-process ends: a directory whose lock is free belongs to nobody any more.
+Each process that uses one holds a shared lock on its file ``lock``, which the kernel releases when the process ends: a
+directory with a free lock is unused.
 """
 
 import contextlib
@@ -36,25 +36,25 @@ def root() -> Path:
 
 
 def require_private(directory: Path) -> None:
-    """Raises NotPrivateError unless ``directory`` is one that this user owns and nobody else may enter; OSError."""
+    """Raises NotPrivateError unless this user owns ``directory`` and no other may enter it; OSError."""
     about = directory.lstat()
     if not stat.S_ISDIR(about.st_mode):
         raise NotPrivateError(f"{directory} is not a directory; remove it, or set HEFT_RINGS to a directory of yours")
     if about.st_uid != os.getuid():
         raise NotPrivateError(
             f"{directory} belongs to user {about.st_uid}, who could read and alter the flight; "
-            "have it removed, or set HEFT_RINGS to a directory of yours"
+            "have it removed, or set HEFT_RINGS to a directory of your own"
         )
     if about.st_mode & 0o077:
         raise NotPrivateError(
             f"other users may enter {directory} (mode {stat.S_IMODE(about.st_mode):04o}); "
-            "see that nobody put anything into it, then chmod 700 it"
+            "check its content, then chmod 700 it"
         )
 
 
 @contextlib.contextmanager
 def _claimed(place: Path) -> Iterator[None]:
-    """Nobody else makes or removes directories in ``place`` meanwhile; it is made where it is missing."""
+    """Lock ``place`` (created if missing) against creation and removal of directories by others."""
     with contextlib.suppress(FileExistsError):
         place.mkdir(mode=0o700, parents=True)
     require_private(place)
@@ -115,7 +115,7 @@ def scratch() -> Iterator[Path]:
 
 
 def sweep(keep: str) -> None:
-    """Remove the directories in :func:`root` that nobody uses and that have no file ``keep``."""
+    """Remove the unused directories in :func:`root` without a file ``keep``."""
     if root().exists():
         with _claimed(root()):
             _sweep(root(), (keep,))
@@ -146,7 +146,7 @@ def is_free(directory: Path) -> bool:
 
 @contextlib.contextmanager
 def free(directories: list[Path]) -> Iterator[list[Path]]:
-    """Those of ``directories`` that no process uses; nobody else is given them meanwhile."""
+    """The unused ones of ``directories``, locked against others meanwhile."""
     with contextlib.ExitStack() as stack:
         found = []
         for directory in directories:

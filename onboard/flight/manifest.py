@@ -1,7 +1,7 @@
-"""What a flight's directory holds beside the rings: what a later start needs to bring them into the log.
+"""Manifest of a flight's directory: data needed by a later start to write the rings to the log.
 
-A manifest says where rows go and what the head of the log says. It removes nothing: which files may make way for a
-flight is said by that flight's own vehicle file.
+It has the log's path and the content of its head. It does not allow the removal of files; that is set by the vehicle
+file of the new flight.
 """
 
 import contextlib
@@ -115,7 +115,7 @@ def waiting() -> list[Manifest]:
 
 @contextlib.contextmanager
 def abandoned() -> Iterator[list[Path]]:
-    """Directories of this user's flights that have no process any more; nobody else is given them meanwhile.
+    """Directories of this user's flights without a process, locked against others meanwhile.
 
     What a start that was cut off before its manifest left is removed.
     """

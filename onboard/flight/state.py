@@ -1,9 +1,9 @@
 """Serialises the estimator's object tree as data (JSON and arrays), without executable content.
 
 Only values are written: numbers, text, arrays, containers, and the attributes of instances of our own numerical
-classes. What a new object of the same kind has anyway and cannot be written as values (the vehicle's file, its
-Pinocchio model, types, functions) is named by its place in that new object, and taken from there. Nothing is imported,
-and no constructor, ``__setstate__`` or ``__reduce__`` is called, when a state is read.
+classes. Parts that a new object of the same kind has anyway and that are not values (vehicle file, Pinocchio model,
+types, functions) are referred to by their place in that new object. Nothing is imported, and no constructor,
+``__setstate__`` or ``__reduce__`` is called, when a state is read.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ class StateError(ValueError):
 
 
 class Places:
-    """What of a new object is not written, and where in it that stands.
+    """Parts of a new object that are not written, and their places.
 
     Args:
         new: an object as its constructor made it.

@@ -39,7 +39,7 @@ CLOSE_S = 10.0  # for a disk that refuses at the end of a flight: what is left i
 class Supervised:
     """A worker's end of the pipe to its supervisor. The pipe also ends when the supervisor does.
 
-    An event shared between processes would do while nobody dies; one that is killed inside of it keeps it locked.
+    A pipe is used instead of a shared event, because a process killed while it holds the event leaves it locked.
 
     Args:
         pipe: this end.

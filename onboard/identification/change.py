@@ -1,12 +1,12 @@
-"""What an estimator has noticed of the payload: that it came, or went, or that neither was so."""
+"""Detected changes of the payload: capture, ejection, or a contact without a change."""
 
 from typing import NamedTuple
 
 
 class Change(NamedTuple):
-    """Something happened."""
+    """A detected or announced change."""
 
-    kind: str  # "capture", "ejection" as far as can be told at once; "contact" when nothing came or went after all
-    time_s: float  # when it was found, or told
-    since_s: float  # when it may have begun
-    score: float  # of the innovations, sum of squares per degree of freedom; NaN when told
+    kind: str  # "capture", "ejection" as first classified; "contact" if the payload turned out unchanged
+    time_s: float  # time of detection, or of the announcement
+    since_s: float  # earliest possible beginning
+    score: float  # sum of squared innovations per degree of freedom; NaN if announced

@@ -1,4 +1,4 @@
-"""What every estimator that flies looks like."""
+"""Interface of the onboard estimators."""
 
 from typing import Protocol
 
@@ -10,25 +10,25 @@ from onboard.regressor.signals import Signals
 
 
 class OnlineIdentifier(Protocol):
-    """Takes ticks in as they come, says at any time what is known."""
+    """Processes ticks as they arrive and gives the estimate at any time."""
 
     rows_used: int
     refused: dict[GateReason, int]
 
     @property
     def row_names(self) -> tuple[str, ...]:
-        """Of the columns of ``measured``."""
+        """Names of the columns of ``measured``."""
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Of the state."""
+        """Names of the state's parameters."""
 
     @property
     def quantity_names(self) -> tuple[str, ...]:
-        """Of what is reported besides."""
+        """Names of the further quantities."""
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """New ticks: reasons by tick and row, (n, rows)."""
+        """Process new ticks; returns gate reasons by tick and row, (n, rows)."""
 
     def estimate(self, level: float = 0.95) -> Estimate:
         """State and quantities with two-sided intervals of this level."""
@@ -37,4 +37,4 @@ class OnlineIdentifier(Protocol):
         """Square-root information ``[R z]``, (s, s); zeros where there is none."""
 
     def news(self) -> tuple[Change, ...]:
-        """What has been noticed since the last call."""
+        """Changes detected since the last call."""

@@ -1,4 +1,4 @@
-"""What is reported of the base parameters: combinations somebody wants to read, and their estimates."""
+"""Reported quantities: linear combinations of base parameters, and their estimates."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from onboard.estimation.gates import GateReason
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 
-# A rigid body's ten numbers as people say them: mass, centre of mass, inertia about it, in one frame's axes.
+# A rigid body's ten numbers: mass, centre of mass, inertia about it, in one frame's axes.
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
@@ -21,7 +21,7 @@ SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one
 
 
 class Quantity(NamedTuple):
-    """A linear combination of base parameters somebody wants to read."""
+    """A linear combination of base parameters to be reported."""
 
     name: str
     unit: str
@@ -44,7 +44,7 @@ class QuantityEstimate(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """All that is known after the rows so far."""
+    """Estimate after the rows so far."""
 
     names: tuple[str, ...]  # of the base parameters
     mean: FloatArray  # (p,)
@@ -58,10 +58,10 @@ class Estimate(NamedTuple):
 
 
 def inertia_about_joint(vehicle: VehicleModel, joint: str, q: FloatArray | None = None) -> FloatArray:
-    """Each link's part in the rotational inertia a joint feels, as a functional of the standard parameters, (links, P).
+    """Each link's part of the inertia about a joint, as a functional of the standard parameters, (links, P).
 
-    The torque of unit joint acceleration with all else at rest: ``row[l] @ chi`` is the inertia of link l about the
-    joint's axis, kg m^2 (its mass for a prismatic joint).
+    The torque of unit joint acceleration with all else at rest (Limparis 2.132): ``row[l] @ chi`` is the inertia of
+        link l about the joint's axis, kg m^2 (its mass for a prismatic joint).
 
     Args:
         vehicle: the model.
@@ -84,12 +84,12 @@ def inertia_about_joint(vehicle: VehicleModel, joint: str, q: FloatArray | None 
 
 
 def mass_quantities(model: RowModel, base: BaseParameters, joint: str, arm_link: str) -> tuple[Quantity, ...]:
-    """Inertias about the joint, and the masses they mean under the drawing's geometry.
+    """Inertias about the joint, and the masses that follow with the nominal geometry (Limparis 4.6).
 
     A single joint's motion shows inertia, not mass: ``m = ZZ / k^2`` with k the radius of gyration of the link about
-    the joint's axis, from the URDF. In order: ``ZZ_R`` held and released; arm, arm + payload, payload (masses); and
-    arm + payload from ``ZZ_R`` held alone, which needs no row without the payload but takes the *ratio* of the two
-    masses from the drawing too.
+    the joint's axis, from the URDF. In order: ``ZZ_R`` held and released; arm, arm + payload, payload (masses); and arm
+    + payload from ``ZZ_R`` held alone, which needs no rows without the payload but uses the nominal *ratio* of the two
+    masses.
 
     Args:
         model: the rows.

@@ -1,18 +1,18 @@
-"""What an estimate is good for, in one word and a reason.
+"""Verdict on an estimate: good, weak or do not use, with reasons.
 
-The rules, from worst to best; every one that applies is said:
+The rules, from worst to best; every applicable reason is listed:
 
-- *do not use*: no row could be used, or the estimator gave up; more than one row in twenty contradicts the others; a
-  body explains less than seven tenths of what was measured, and noise does not explain the rest; what was found is no
-  body, five sigmas from any that can exist; the motion determines nothing that was asked; one half of the motion is
-  predicted from the other no better than by nobody, beyond what noise does.
-- *weak*: something that was asked is not determined, and it is named; one half predicts the other to no better than a
-  half; the log is too short for any motion to be held out.
+- *do not use*: no row could be used, or the estimator failed; more than one row in twenty contradicts the others; the
+  estimate explains less than 70 % of the measured signal, and noise does not explain the rest; the estimate is five
+  sigmas or more from any physically possible body; no requested quantity is determined; one half of the motion is
+  predicted from the other no better than without an estimate, beyond the effect of noise.
+- *weak*: a requested quantity is not determined (it is named); one half predicts the other with an error above 50 %;
+  the log is too short to hold out a half.
 - *good*: none of these.
 
-What noise explains is told by the whitened residuals, the correlation of neighbouring rows taken out: a residual sum of
-four times the number of rows is no noise any more. Alone that is no reason: friction and gears leave more than noise,
-and the intervals are made of what they leave.
+Whether noise explains a residual follows from the whitened residual sum, corrected for the correlation of neighbouring
+rows: above four times the number of rows it is not noise. This alone is not a reason for refusal: friction and gears
+leave more than noise, and the jackknife intervals include it.
 """
 
 from collections.abc import Mapping
@@ -42,11 +42,11 @@ class Level(StrEnum):
 
 
 class Verdict(NamedTuple):
-    """A level, and why it is no better."""
+    """A level and its reasons."""
 
     level: Level
     reasons: tuple[str, ...]
-    weak: tuple[str, ...]  # what was asked and is not determined
+    weak: tuple[str, ...]  # requested quantities that are not determined
 
     @property
     def text(self) -> str:
@@ -57,7 +57,7 @@ class Verdict(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What a verdict is made of."""
+    """Input of a verdict."""
 
     rows_used: int
     refused: Mapping[str, int]  # rows by reason

@@ -1,12 +1,11 @@
-"""Base parameters as people write them: ``ZZ3R = ZZ3 + Ia3 + (M4 + M5) L3^2``.
+"""Symbolic groupings of base parameters: ``ZZ3R = ZZ3 + Ia3 + (M4 + M5) L3^2``.
 
-A coefficient in a grouping is a polynomial in the distances between joints: of degree two where masses join inertias,
-of degree one where they join first moments, and so on. Which polynomial is found, not guessed from a number that some
-product of lengths happens to have: the same base parameters are sought in vehicles of other, random proportions, and
-the polynomial that gives the coefficient in all of them is the one written down. What is none (a frame turned by an
-odd angle, a ratio of lengths) stays a number with its unit.
+A coefficient in a grouping is a homogeneous polynomial in the distances between joints: of degree two for masses in
+inertias, of degree one for masses in first moments, and so on. It is identified by computing the same base parameters
+for vehicles of other, random proportions and fitting the polynomial to all of them (derived here). Coefficients that
+are no polynomial (frames at other angles, ratios of lengths) remain numbers with units.
 
-Links are numbered by the joint that moves them, 0 for the base; what is fixed to such a link keeps its name.
+Links are numbered by the joint that moves them, 0 for the base; bodies fixed to a link keep their names.
 """
 
 import copy
@@ -32,7 +31,7 @@ _DEGREE = {"M": 0, "MX": 1, "MY": 1, "MZ": 1, **dict.fromkeys(STANDARD[4:], 2), 
 
 
 class Length(NamedTuple):
-    """A distance that coefficients are written with."""
+    """A distance that occurs in coefficients."""
 
     symbol: str
     value_m: float
@@ -40,7 +39,7 @@ class Length(NamedTuple):
 
 
 class Groupings(NamedTuple):
-    """A vehicle's base parameters for people."""
+    """A vehicle's base parameters in symbols."""
 
     names: tuple[str, ...]  # (p,) ``ZZ3R``: the ``R`` marks a regrouped one
     sums: tuple[str, ...]  # (p,) ``ZZ3 + Ia3 + (M4 + M5) L3^2``
@@ -49,7 +48,7 @@ class Groupings(NamedTuple):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """``ZZ3R = ZZ3 + ...`` for what is regrouped, the bare name for what stands alone."""
+        """``ZZ3R = ZZ3 + ...`` for regrouped parameters, the name alone for others."""
         return tuple(f"{n} = {s}" if n != s else n for n, s in zip(self.names, self.sums, strict=True))
 
 
@@ -76,8 +75,8 @@ def groupings(
     Args:
         model: the rows.
         base: their base parameters.
-        motion: as they were found with.
-        released: as they were found with.
+        motion: as in :func:`onboard.regressor.base_parameters.base_parameters`.
+        released: likewise.
     """
     vehicle = model.vehicle
     tags = _tags(vehicle)

@@ -1,4 +1,4 @@
-"""What the noise of the measured motion does to the rows."""
+"""Effect of the noise of the measured motion on the rows, by finite differences (derived here)."""
 
 from collections.abc import Sequence
 
@@ -13,13 +13,13 @@ _NOISE_TICKS = 8
 
 
 class RowNoise:
-    """Differences of a model's rows, one standard deviation of each signal wide.
+    """Finite differences of a model's rows over one standard deviation of each signal.
 
     Args:
         model: the rows.
         fold: the base parameters' columns, and last what is known.
         scales: row and column of every parameter that is a scale.
-        imu_frame: whose axes and place the noise of the base's motion is given for.
+        imu_frame: frame in which the noise of the base's motion is given.
 
     Raises:
         UnknownFrameError: the base does not have that frame.
@@ -34,7 +34,7 @@ class RowNoise:
     ) -> tuple[FloatArray, NDArray[np.intp]]:
         """Change of the rows and of their left-hand sides per standard deviation of each motion signal.
 
-        Signals change little over a few ticks, so one tick in the middle of every few stands for its neighbours.
+        Signals change little over a few ticks, so the differences are computed for one tick of each small group.
 
         Args:
             signals: smoothed.
@@ -71,7 +71,7 @@ class RowNoise:
         w, dw, f = (np.repeat(v[tick][None], s + 1, axis=0) for v in signals.motion)  # (s + 1, 3) each
         rate, acceleration, force = (slice(3 * nj + 3 * k, 3 * nj + 3 * k + 3) for k in range(3))
         dw_noise, w_noise = (R_BS * noise.acceleration[tick]).T, (R_BS * noise.rate[tick]).T  # row k: axis k of the IMU
-        # What the IMU gets wrong in rate or acceleration also goes into the lever arm's part of f.
+        # Errors of rate and angular acceleration also enter the lever-arm part of f.
         arm, turning = skew(p_BS), skew(w[-1])
         f[rate] -= w_noise @ skew(turning @ p_BS) - w_noise @ arm @ turning
         f[acceleration] -= dw_noise @ arm
@@ -83,7 +83,7 @@ class RowNoise:
         z = None if signals.friction is None else np.repeat(signals.friction[tick][None], s + 1, axis=0)
         Y = self._model.regressor(*joints_moved, BaseMotion(w, dw, f), flags, False, none, self._fold, z)
         change = (Y[:-1] - Y[-1]).transpose(1, 0, 2)
-        change[..., -1] *= -1.0  # what is known goes to the other side
+        change[..., -1] *= -1.0  # the known part moves to the other side
         if mean is not None:
             predicted = change @ [*mean, -1.0]  # (rows, s)
             for row, column in self._scales:

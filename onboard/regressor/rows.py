@@ -1,19 +1,19 @@
 """Measurement rows ``y = Y chi`` for a batch of ticks.
 
-Every row is the projection of a wrench on an axis: the wrench that must act through a cut of the vehicle, at a frame,
-to move everything beyond the cut as it moves.
+Every row is the projection on an axis of the wrench through a cut of the vehicle, at a frame, that produces the motion
+of everything beyond the cut (Limparis 2.115, 2.132; extended by base and payload as in 3.5).
 
 - Load cell: the cut is the cell, the axis is the cell's; a cell on a lever reads moment / lever.
 - Joint torque: the cut is the joint, the axis is the joint's; with columns of its motors if asked.
-- Base wrench: the cut is around the whole vehicle; what is known to be zero (free flight) gives rows ``0 = Y chi``.
+- Base wrench: the cut is around the whole vehicle; components known to be zero (free flight) give rows ``0 = Y chi``.
 
-A reading may be off by a scale that is not known, ``reading = (1 + scale) (Y chi + bias)``: the calibration of a cell,
-the torque constant of a motor. Its column is what the sensor should read by the estimate so far. The reading itself
-would not do: it explains its own noise best by a scale of one.
+A reading may have an unknown scale, ``reading = (1 + scale) (Y chi + bias)``: the calibration of a cell, the torque
+constant of a motor. Its column is the reading predicted by the estimate so far; the reading itself would explain its
+own noise by the scale and bias it.
 
 The base's motion comes from an IMU: angular rate, angular acceleration and specific force (a - g, not acceleration).
 With gravity zero in the model and the specific force as the base's acceleration, gravity, attitude and the base's
-velocity all cancel (Galilean invariance), so none of them has to be known.
+velocity all cancel (Galilean invariance) and need not be known.
 """
 
 import math
@@ -41,7 +41,7 @@ class BaseMotion(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WrenchRow:
-    """One row a tick: ``projection @ wrench``, the wrench (force, moment) at ``frame``, in its axes, on all beyond."""
+    """A row: ``projection @ wrench``, the wrench (force, moment) at ``frame``, in its axes, on all beyond."""
 
     name: str
     frame: str
@@ -126,7 +126,7 @@ def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
 
 
 def standing(vehicle: VehicleModel, ticks: int) -> BaseMotion:
-    """Motion of a fixed base: none, in its gravity."""
+    """Motion of a fixed base: at rest, specific force minus gravity."""
     still = np.zeros((ticks, 3))
     return BaseMotion(still, still, still - vehicle.spec.gravity_m_s2)
 
@@ -134,7 +134,7 @@ def standing(vehicle: VehicleModel, ticks: int) -> BaseMotion:
 def base_motion(
     vehicle: VehicleModel, imu_frame: str, rate: ArrayLike, acceleration: ArrayLike, specific_force: ArrayLike
 ) -> BaseMotion:
-    """Motion of the base frame from what an IMU fixed in the base measures, all in the IMU's axes.
+    """Motion of the base frame from an IMU fixed in the base: ``f_Bo = f_So - dw x p - w x (w x p)``.
 
     Args:
         vehicle: gives the IMU's pose.
@@ -164,7 +164,7 @@ def skew(v: FloatArray) -> FloatArray:
 
 
 class RowFold(NamedTuple):
-    """Combinations ``Y @ mix`` of a row model's columns, made at the price of what is wanted; :meth:`RowModel.fold`."""
+    """Prepared combination ``Y @ mix`` of a row model's columns; see :meth:`RowModel.fold`."""
 
     links: Fold
     extras: FloatArray  # (P - 10 x links, c)
@@ -232,7 +232,7 @@ class RowModel:
         self._turning = [(k, joint.q_index) for k, joint in enumerate(vehicle.joints) if joint.q_size == 2]
 
     def fold(self, mix: FloatArray) -> RowFold:
-        """Combinations of the columns, to be asked of :meth:`regressor` again and again.
+        """Prepare a combination of the columns for repeated use in :meth:`regressor`.
 
         Args:
             mix: (P, c).

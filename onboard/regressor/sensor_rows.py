@@ -1,4 +1,4 @@
-"""Motor currents, and IMUs on any link."""
+"""Rows of motor currents, and base motion from IMUs on any link."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +35,7 @@ def base_motion_from_link(
 def imu_on_link(
     vehicle: VehicleModel, imu_frame: str, joints: tuple[FloatArray, FloatArray, FloatArray], motion: BaseMotion
 ) -> BaseMotion:
-    """What an IMU on any link feels, (n, 3) each, in its axes: the inverse of :func:`base_motion_from_link`.
+    """True input of an IMU on any link, (n, 3) each, in its axes: the inverse of :func:`base_motion_from_link`.
 
     Raises:
         UnknownFrameError: no such frame.

@@ -1,4 +1,4 @@
-"""Smoothed signals as the rows take them."""
+"""Smoothed signals, input of the rows."""
 
 from typing import NamedTuple
 
@@ -30,8 +30,8 @@ class Signals(NamedTuple):
     ddq: FloatArray  # (n, joints)
     motion: BaseMotion  # (n, 3) each, of the base frame
     measured: FloatArray  # (n, rows) left-hand sides; zero for a wrench known to be zero
-    sigma: FloatArray  # (n, rows) of `measured`, correlation inflation included; zero for what is known exactly
+    sigma: FloatArray  # (n, rows) of `measured`, correlation inflation included; zero if exact
     measured_rate: FloatArray | None = None  # (n, rows) time derivative of `measured`; for delays considered
-    noise: SignalNoise | None = None  # of the motion; where not given, the regressor is taken for exact
+    noise: SignalNoise | None = None  # of the motion; None: the regressor is exact
     friction: FloatArray | None = None  # (n, motors) Coulomb friction over its level; the rate's sign where not given
     refused: NDArray[np.int64] | None = None  # (n, rows) reasons to leave a row out, besides those of its whole tick

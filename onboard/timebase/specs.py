@@ -1,4 +1,4 @@
-"""What kind of clock each channel has: a device's module says it, the timebase makes the clock of it."""
+"""Clock specifications of channels, given by a device's module and used by the timebase."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ class SampledChannel(NamedTuple):
 class MarkedChannel(NamedTuple):
     """A channel with a clock of its own that stamps sync pulses, in channel ``marks``.
 
-    ``latches_counts``: its ticks are coarse, and the count that it latches on the edge says more.
+    ``latches_counts``: its ticks are coarse, and the count latched on the edge refines them.
     """
 
     period_ns: float
@@ -31,7 +31,7 @@ class FreeChannel(NamedTuple):
 
 
 class PolledChannel(NamedTuple):
-    """A channel that is asked: ``tick`` is when, ``host_ns`` when the answer was in hand; their time on the wire."""
+    """A polled channel: ``tick`` is the time of the request, ``host_ns`` of the answer; their times on the wire."""
 
     question_ns: float = 0.0
     answer_ns: float = 0.0
@@ -51,7 +51,7 @@ class FollowerChannel(NamedTuple):
 
 
 class RecordedChannel(NamedTuple):
-    """A channel of somebody else's recording: its host stamps are its times."""
+    """A channel of an imported recording: its host stamps are its times."""
 
     sigma_ns: float
 
@@ -64,8 +64,8 @@ ChannelClock = (
 class SyncLine(NamedTuple):
     """The channel of the line's edges.
 
-    ``coded``: by the published code, and ``period_ns`` is that of SYNC; else the pulses' own. ``late_ns``: an edge is
-    stamped when the kernel's interrupt handler runs, seldom later than this after it.
+    ``coded``: with the published code, ``period_ns`` is that of SYNC; else of the pulses. ``late_ns``: typical largest
+        latency of the kernel's stamp.
     """
 
     channel: str

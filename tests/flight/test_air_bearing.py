@@ -161,7 +161,7 @@ def test_a_run_begins_where_the_base_is_let_go_and_not_after_a_gap() -> None:
         (
             "[estimation.imu_prior]",
             "[estimation.gates]\njoint_rate_min_rad_s = 0.1\n[estimation.imu_prior]",
-            "leave joint_rate",
+            "joint_rate_min_rad_s does not apply",
         ),
     ],
 )

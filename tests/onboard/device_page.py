@@ -58,18 +58,18 @@ MEANING = {  # of keys that belong to no one driver
     "noise_N": "Standard deviation of one sample.",
     "delay_ms": "Delay of its own filter, removed from its times.",
     "delay_sigma_ms": "Standard deviation of that delay.",
-    "gravity_m_s2": "What its kilogram weighs, where it tells kilograms.",
+    "gravity_m_s2": "Newton per kilogram of its readings, if its unit is kg.",
     "period_ms": "Nominal period.",
     "sync_period_ms": "SYNC period: pulse intervals are whole numbers of it.",
-    "sync_bus": "CAN bus that SYNC is sent on, through a second opening of it; none where not given.",
+    "sync_bus": "CAN bus on which SYNC is sent, through a second opening of it; default: none.",
     "tick_hz": "Nominal rate of the node's clock.",
     "rate_hz": "Nominal rate of its data frames.",
     "channel": "Its channels in the order of its descriptor: `[[device.NAME.channel]]`, below.",
     "noise_rad_s": "Standard deviation of one sample of the rate.",
     "noise_m_s2": "Standard deviation of one sample of specific force.",
     "name": "Name in the node's descriptor.",
-    "role": "What the estimator takes it for.",
-    "absolute": "After a reset of the node it still counts from `zero_count`; where not, its rows are refused then.",
+    "role": "Its role in the estimator.",
+    "absolute": "It keeps `zero_count` over a reset of the node; otherwise its rows are refused after one.",
 }
 SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, their heading, a kind that has them
     (LoadCellKeys, "A load cell", "cia404"),
@@ -77,11 +77,11 @@ SHARED: list[tuple[type[BaseModel], str, str]] = [  # keys of several kinds, the
 ]
 HEAD = """# Devices
 
-What a vehicle file can carry: each kind with an example, its channels, its clock and its keys. Written by
+The devices of a vehicle file: each kind with an example, its channels, its clock and its keys. Written by
 `python -m tests.onboard.device_page docs/devices.md` from the classes that read the file; the examples are those of
 `tests/flight/mixed.toml`, which flies against simulated devices in the tests.
 
-A device stands on a bus, `[bus.NAME]` with a `url`:
+A device is on a bus, `[bus.NAME]` with a `url`:
 
 | URL | carries |
 |---|---|
@@ -89,15 +89,15 @@ A device stands on a bus, `[bus.NAME]` with a `url`:
 | `can+socketcan://can0?bitrate=500000` | several CANopen nodes, and exactly one `canopen_sync` |
 | `can+slcan:///dev/ttyACM0?bitrate=500000` | the same, by an ASCII adapter |
 | `can+python:///pcan/PCAN_USBBUS1?bitrate=500000` | the same, by any interface that python-can knows |
-| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one serial device; speed and format stand here |
+| `serial:///dev/ttyUSB0?baud=115200` (`parity=E`, `stop_bits=2`) | one serial device; speed and format are given here |
 | `gpio:///dev/gpiochip0?line=17`, `pps:///dev/pps0` | one pulse input |
 | `gpio-out:///dev/gpiochip0?line=27` | one pulse output |
 | `i2c+unix`, `gpio+unix`, `gpio-out+unix` with a socket's path | the same of a simulator |
 
-`heft preflight VEHICLE` opens every bus, runs every device for a few seconds and says which of them is not what the
-file says (exit code 0: ready, 4: not). `heft fly` goes on without a bus that cannot be opened, and says so in the log.
+`heft preflight VEHICLE` opens every bus, runs every device for a few seconds and reports those that differ from
+the file (exit code 0: ready, 4: not). `heft fly` continues without a bus that cannot be opened, with an event in the log.
 
-Units stand in the keys. **Bold** keys have no default. A file that does not fit is refused with its line and a remedy.
+Units are in the keys. **Bold** keys have no default. A file that does not fit is refused with its line and a remedy.
 Records (IMU, SCALAR, ...) are those of `drivers/records.py` and `drivers/marks.py`. A vehicle needs an IMU, unless
 its base is fixed (the first in the file measures the base, further ones are recorded), and, for each moving joint of
 the URDF, one device that measures it. `[estimation.phases] channel` names any SCALAR channel.

@@ -154,7 +154,7 @@ NODE_GYRO = '[[device.wrist.channel]]\nname = "gyro_x"\nrole = "gyro"\naxis = "x
         # channels
         ("[device.second]", "[device.elbow_mark]", "channel 'elbow_mark' is that of 'elbow' too; rename one of them"),
         ("[device.second]", "[device.event]", "channel 'event' is one of heft's own"),
-        ("[device.second]", '[device."1pps"]', "channel '1pps' is no name; use a letter, then letters"),
+        ("[device.second]", '[device."1pps"]', "channel '1pps' is not a name; use a letter, then letters"),
         ("[device.second]", "[device.second_pulse_of_the_receiver_on_top]", "32 at the most"),
         ('channel = "wrist_mode"', 'channel = "wrist"', "no channel 'wrist' with values; there are: imu_tip_mag_x"),
         ('channel = "wrist_mode"', 'channel = "pulse"', "no channel 'pulse' with values"),

@@ -1,14 +1,15 @@
-"""Non-linear ExIDDM of a whole flight: the payload that makes the predicted gyro and accelerometer agree with theirs.
+"""Batch non-linear ExIDDM: maximum likelihood payload from predicted gyro and accelerometer signals of a flight.
 
-Least squares on measurement rows puts the measured base motion into the regressor, and its noise biases the answer.
-Here the base's motion is a prediction from the joints and from what is unknown: the payload, the motion's state at the
-first tick, and, as far as they are uncertain, the other links, the IMU's errors and its time. Maximum likelihood on
-that is unbiased to first order and reaches the Cramer-Rao bound.
+Least squares on measurement rows has the measured base motion in the regressor, whose noise biases the estimate. Here
+the base's motion is predicted from the joints and the unknowns: payload, state of the motion at the first tick and, if
+uncertain, the other links, the IMU's errors and its clock. The maximum likelihood estimate is unbiased to first order
+and reaches the Cramer-Rao bound. (The non-linear ExIDDM that Limparis proposes as further research; momentum equations
+2.84-2.93, 3.6-3.8.)
 
 A kind of base (:mod:`onboard.identification.exiddm.free_base`, :mod:`onboard.identification.exiddm.air_bearing`)
-contributes the prediction of its motion; unknowns, residuals, prior, guesses and held-out halves are the same for all.
+contributes the prediction of its motion; unknowns, residuals, prior, guesses and held-out halves are common.
 
-Known wart: the joints' own noise is not modelled; behind a 100:1 gear it is 1/300 of the gyro's at 1 Hz.
+Known limit: the joints' noise is not modelled; behind a 100:1 gear it is 1/300 of the gyro's at 1 Hz.
 """
 
 from collections.abc import Mapping
@@ -39,19 +40,19 @@ from onboard.identification.exiddm.imu_errors import (
 from onboard.identification.exiddm.parameters import Block, Layout, UncertainLinks
 from onboard.identification.rows.held_out import HeldOut, HeldOutFit
 
-_GOOD_FIT = 1.3  # whitened residual sum per row of a guess that needs no other
+_GOOD_FIT = 1.3  # whitened residual sum per row at which no further guess is tried
 _ITERATIONS = 60  # on a part of the flight
 _NOTHING = standard_of(RigidBody(1e-9, np.zeros(3), 1e-9 * np.eye(3)))
 _HELD_OUT_TOLERANCE = 1.0  # of the residual sum
 
 
 class Schedule(NamedTuple):
-    """How a fit goes from the first ticks, which every guess is tried on, over a third of them to all."""
+    """Stages of a fit: first ticks (every guess), a third of the flight, all ticks."""
 
     early: int  # ticks
     rough: float  # tolerance of the residual sum before the last fit
     fine: float  # of the last
-    iterations: int  # of the last: the valley of a payload on a weak motion is flat
+    iterations: int  # of the last: weak motion makes a flat minimum
 
 
 class BaseModel(Protocol):
@@ -60,8 +61,8 @@ class BaseModel(Protocol):
     vehicle: VehicleModel
     signals: FlightSignals
     start: Block  # the motion's state at the first tick
-    others: Mapping[str, Block]  # unknowns beside start, payload and links
-    of_a_run: tuple[str, ...]  # blocks that another part of the flight has other values of
+    others: Mapping[str, Block]  # unknowns besides start, payload and links
+    of_a_run: tuple[str, ...]  # blocks with different values in another part of the flight
     schedule: Schedule
 
     def predict(
@@ -70,10 +71,10 @@ class BaseModel(Protocol):
         """The first ticks' motion, with its derivatives by start, the ten columns of each of ``links``, others."""
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> FloatArray | None:
-        """The state at the first tick, as the gyro in base axes (n, 3) tells it; None where it does not."""
+        """State at the first tick from the gyro in base axes (n, 3); None if the gyro does not determine it."""
 
     def rough_payload(self, imu_frame: str, payload_sigma: FloatArray) -> RigidBody:
-        """The payload of a plain least squares on rows: a guess, biased."""
+        """Payload by plain least squares on rows: a biased initial guess."""
 
 
 class PayloadFit(NamedTuple):
@@ -88,18 +89,17 @@ class PayloadFit(NamedTuple):
 
     @property
     def misfit(self) -> float:
-        """Whitened residual sum over its degrees of freedom: 1 where nothing but noise is left."""
+        """Whitened residual sum over its degrees of freedom: 1 if only noise remains."""
         return self.fit.residual_sum / self.freedom
 
 
 class Exiddm:
-    """Predicts the base IMU of one flight; fits the payload to it.
+    """Predicts the base IMU of one flight and fits the payload to it.
 
     Args:
         base: predicts the base's motion.
         imu_frame: the IMU's frame S, fixed in the base B.
-        payload_sigma: how much of a payload there could be: standard deviations of its standard parameters about none
-            at all, (10,); wide.
+        payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
         link_covariance: see :class:`onboard.identification.exiddm.parameters.UncertainLinks`.
         imu_prior: on instrument errors.
 
@@ -149,20 +149,20 @@ class Exiddm:
             self.prior_information[np.ix_(block, block)] = np.linalg.inv(covariance)
 
     def start(self, body: RigidBody) -> FloatArray:
-        """Parameters to begin with: this payload, the state it means at the first ticks, all else as drawn, (p,)."""
+        """Initial parameters: this payload, the state it implies at the first ticks, all else nominal, (p,)."""
         return self._with_first_state(self.parameters(np.zeros(3), body))
 
     def parameters(self, start: FloatArray, body: RigidBody) -> FloatArray:
-        """The parameters of this payload and state at the first tick, (3,), all else as drawn, (p,)."""
+        """Parameters of this payload and state at the first tick, (3,), all else nominal, (p,)."""
         every = np.zeros(self.layout.size)
         every[self.layout["start"]], every[self.layout["payload"]] = start, standard_of(body)
         return np.asarray(every[self.layout.kept], np.float64)
 
     def fit(self) -> PayloadFit:
-        """Maximum likelihood: of the first seconds from one guess after the other, then of more, then of all.
+        """Maximum likelihood fit: of the first seconds from several guesses, then of longer parts, then of all ticks.
 
-        The first guess is a plain least squares. A wrong one drifts off over a long flight, and its fit with it; over a
-        short one it finds the way.
+        The first guess is a plain least squares. From a poor guess a fit of the whole flight diverges; a fit of a short
+        part converges.
 
         Raises:
             ConvergenceError, SingularError, RowError: see :func:`onboard.estimation.maximum_likelihood.fit`.
@@ -189,7 +189,7 @@ class Exiddm:
         return PayloadFit(body_estimate(chi, covariance), found, self.names, freedom, chi, covariance)
 
     def rough(self) -> RigidBody:
-        """The payload of a plain least squares on rows: a guess, biased.
+        """Payload by plain least squares on rows: a biased initial guess.
 
         Raises:
             SignalError: a mass that is not positive.
@@ -221,13 +221,13 @@ class Exiddm:
         return whitened(values, jacobian, self._measured[:n], self._sigma, self._valid[:n])
 
     def predicted(self, x: FloatArray, own: FloatArray) -> HeldOutFit:
-        """What parameters found elsewhere leave of this flight, beside what is left when the payload is taken away.
+        """Residual of this flight for parameters found elsewhere, relative to that without a payload.
 
-        What another part of the flight has other values of (the state at its first tick, biases) is found anew.
+        Unknowns specific to a part of the flight (initial state, biases) are re-estimated.
 
         Args:
             x: parameters, (p,).
-            own: those that this flight says by itself, to begin with, (p,).
+            own: initial values of the specific ones, (p,).
         """
         anew = self.layout.estimated("start", *self._base.of_a_run, *BIASES)
         tried = x.copy()
@@ -259,7 +259,7 @@ class Exiddm:
 
 
 def held_out(whole: Exiddm, earlier: Exiddm, later: Exiddm, found: PayloadFit) -> HeldOut:
-    """Each half of a flight predicted with what the other says.
+    """Prediction of each half of a flight with the parameters of the other.
 
     Args:
         whole: the flight.
@@ -275,7 +275,7 @@ def held_out(whole: Exiddm, earlier: Exiddm, later: Exiddm, found: PayloadFit) -
 
 
 def checked(signals: FlightSignals) -> FlightSignals:
-    """Signals of one flight, once their shapes are found to fit.
+    """Signals of one flight after a check of shapes and joints.
 
     Raises:
         SignalError: shapes that do not fit, or joints that are not finite.

@@ -24,9 +24,9 @@ IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for 
 class ExiddmIdentifier:
     """The recursive non-linear ExIDDM. Its rows are the six lines of the base IMU, means over each tick.
 
-    A quantity is supported when the data determine it, not the prior, and all but the mass only when the mass is known
-    well enough to divide by (a fifth of itself, one sigma). Variances are multiplied by the innovations' misfit, of the
-    instrument that has the largest, where that is above one (:mod:`onboard.identification.exiddm.misfit`).
+    A quantity is supported if the data, not the prior, determine it; all but the mass also require a sigma of the mass
+    of at most a fifth of it. Variances are multiplied by the innovations' misfit, of the instrument that has the
+    largest, where that is above one (:mod:`onboard.identification.exiddm.misfit`).
 
     Args:
         exiddm: the estimator.
@@ -44,9 +44,9 @@ class ExiddmIdentifier:
         self._told = 0
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Takes new ticks in; where ``attached`` changes somebody says that the payload was captured or let go.
+        """Takes new ticks; a change of ``attached`` announces a capture or a release of the payload.
 
-        A tick that is refused for its own glitch is counted, not marked: it is judged some ticks later.
+        A tick refused as an outlier is counted but not marked, because it is tested some ticks later.
 
         Raises:
             SignalError: shapes that do not fit.
@@ -118,7 +118,7 @@ class ExiddmIdentifier:
         )
 
     def triangle(self) -> FloatArray:
-        """Of the payload's ten standard parameters, (11, 11); zeros while nothing is known."""
+        """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
         if self.exiddm.state is not None and self.exiddm.held:
             R = cholesky(np.linalg.inv(self.exiddm.covariance[PAYLOAD, PAYLOAD]))

@@ -1,7 +1,7 @@
-"""A run on an air-bearing table as it is recorded: its ticks are judged, and nothing is estimated of them on board.
+"""Onboard part of a run on an air-bearing table: gates the ticks; nothing is estimated on board.
 
-What the joints do now tells what the velocity is only from the start of the run on, so the run is estimated as a whole
-when it is over (:mod:`onboard.identification.exiddm.air_bearing`).
+The velocity follows from the joints only from the start of the run on, so the run is estimated in one batch afterwards
+(:mod:`onboard.identification.exiddm.air_bearing`).
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from onboard.regressor.signals import Signals
 
 
 class TableRun:
-    """An :class:`onboard.identification.online.OnlineIdentifier` that judges ticks and estimates nothing.
+    """An :class:`onboard.identification.online.OnlineIdentifier` that gates ticks and estimates nothing.
 
     Its rows are the six lines of the base IMU, means over each tick.
 
@@ -32,7 +32,7 @@ class TableRun:
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Judges new ticks."""
+        """Gates new ticks."""
         found = np.repeat(np.asarray(excluded, np.int64)[:, None], len(self.row_names), axis=1)
         every = [signals.q, signals.dq, signals.ddq, signals.measured, signals.sigma]
         found[~np.isfinite(np.concatenate(every, axis=1)).all(axis=1)] |= GateReason.GAP
@@ -41,7 +41,7 @@ class TableRun:
         return found
 
     def estimate(self, level: float = 0.95) -> Estimate:
-        """Nothing but that."""
+        """An estimate without quantities."""
         nothing = np.full(len(self.parameter_names), np.nan)
         unsupported = np.zeros(len(self.parameter_names), np.bool_)
         return Estimate(
@@ -49,7 +49,7 @@ class TableRun:
         )
 
     def triangle(self) -> FloatArray:
-        """Of no information, (11, 11)."""
+        """Zero information, (11, 11)."""
         return np.zeros((len(self.parameter_names) + 1, len(self.parameter_names) + 1))
 
     def news(self) -> tuple[Change, ...]:

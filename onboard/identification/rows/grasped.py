@@ -1,7 +1,7 @@
-"""What rows say of the payload: mass, centre of mass, inertia about it, each with its interval or not at all.
+"""Payload from rows: mass, centre of mass, inertia about it, with intervals, where determined.
 
-The rows are linear in the standard parameters, the answer is not: its intervals are those of the combinations of
-standard parameters that it changes with, at the estimate (:func:`onboard.dynamics.payload.body_jacobian`).
+The rows are linear in the standard parameters; the intervals of the non-linear quantities are linearised at the
+estimate (:func:`onboard.dynamics.payload.body_jacobian`).
 """
 
 import numpy as np
@@ -21,12 +21,12 @@ from onboard.identification.quantities import (
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
-MOST_REFUSED = 0.05  # of the rows; beyond, rows and model contradict each other
+MOST_REFUSED = 0.05  # largest share of refused rows; beyond it rows and model contradict each other
 FARTHEST = 5.0  # prior sigmas that a parameter may move; beyond, the rows contradict what was known
 
 
 class GraspedPayload:
-    """The payload of rows that can tell all ten of its parameters.
+    """The payload of rows that determine all ten of its parameters.
 
     Args:
         model: the rows; their vehicle has a payload link.
@@ -51,7 +51,7 @@ class GraspedPayload:
         self._prior_sigma = np.sqrt(np.diag(prior_covariance))  # (p,)
 
     def weights(self, jackknife: JackknifeEstimate) -> FloatArray:
-        """The combinations of base parameters that the ten change with, (10, p); NaN where there is no mass."""
+        """Derivative of the ten quantities by the base parameters, (10, p); NaN without a positive mass."""
         mean = self._w @ jackknife.mean
         return body_jacobian(mean) @ self._w if mean[0] > 0.0 else np.full_like(self._w, np.nan)
 
@@ -93,7 +93,7 @@ class GraspedPayload:
         )
 
     def _contradiction(self, jackknife: JackknifeEstimate, used: int, refused: int) -> str:
-        """Why rows, or rows and prior, cannot all be right; empty if they can."""
+        """Reason why rows, or rows and prior, contradict each other; empty if they do not."""
         if refused > MOST_REFUSED * (used + refused):
             return f"{refused} of {used + refused} rows contradict the others; check the sensors against each other"
         moved = np.abs(jackknife.mean - self._prior) / self._prior_sigma
@@ -108,7 +108,7 @@ class GraspedPayload:
 
 
 def grasped_payload(model: RowModel, base: BaseParameters, prior_covariance: FloatArray) -> GraspedPayload | None:
-    """The payload of these rows, or None where there is none or they can never tell all of it."""
+    """The payload of these rows; None without a payload link or if the rows cannot determine all of it."""
     try:
         return GraspedPayload(model, base, prior_covariance)
     except SignalError:

@@ -1,9 +1,9 @@
 """HeldOutFit of motion that was not used: each half of the rows identified alone, the other half predicted from it.
 
-A fit says how well the rows agree with parameters that were chosen for them. Whether the parameters are the body's own
-or make up for something else (a flexible joint, a sensor that is off by a scale) shows on another motion. So the rows
-are kept as normal equations by blocks of time, which takes constant memory, and afterwards cut into two halves: the
-first half of those with the payload and of those without, and the second.
+A fit shows the agreement of rows with parameters chosen for them. Whether the parameters are the body's own or
+compensate for another error (a flexible joint, a wrong sensor scale) shows on other motion. The rows are kept as normal
+equations per block of time, in constant memory, and afterwards divided into an earlier and a later half, separately
+with and without the payload.
 """
 
 from typing import NamedTuple
@@ -18,22 +18,22 @@ _FEWEST_BLOCKS = 2  # of a kind of rows; fewer cannot be halved
 
 
 class HeldOutFit(NamedTuple):
-    """How well parameters of one half explain the other."""
+    """Prediction error of one half with parameters of the other."""
 
-    relative_error: float  # norm of what is left over the norm of what was there to explain, weighted
+    relative_error: float  # weighted norm of the residual over that of the measured side
     misfit: float  # whitened residual sum over the number of rows
 
 
 class HeldOut(NamedTuple):
-    """Each half predicted from the other, and all rows from all."""
+    """Prediction of each half from the other, and of all rows from all."""
 
     later: HeldOutFit  # from the earlier half
     earlier: HeldOutFit  # from the later half
-    fit: HeldOutFit  # nothing held out: what is left by the estimate of all rows
+    fit: HeldOutFit  # nothing held out: residual of the estimate of all rows
 
     @property
     def worst(self) -> HeldOutFit:
-        """Of the two predictions."""
+        """The worse of the two predictions."""
         return max(self.later, self.earlier)
 
 

@@ -1,9 +1,8 @@
-"""Smoothed signals in, parameters and masses with their intervals out: the one path of the flight and of the analyst.
+"""Recursive identification: smoothed signals in, base parameters and quantities with intervals out.
 
 ``chi = [arm, payload]``: rows made while the payload is held carry both links' columns, rows made without it carry the
-arm's only. One recursive least squares over both therefore gives the arm, the payload and their sum, with the
-covariance between them. Until both kinds of rows have come, what they cannot tell apart is not reported: a quantity is
-*supported* only when the data, not the prior, determine it.
+arm's only. One recursive least squares over both gives the arm, the payload and their sum, with their covariance. A
+quantity is reported as *supported* only if the data, not the prior, determine it.
 """
 
 from collections.abc import Sequence
@@ -35,11 +34,11 @@ from onboard.regressor.rows import BaseMotion, RowModel
 from onboard.regressor.signals import Signals
 
 _SCALE_ROUNDS = 2
-_BATCH_TICKS = 64  # rows judged by one estimate before they change it
+_BATCH_TICKS = 64  # ticks whose rows are gated with one estimate before they update it
 
 
 class Considered(NamedTuple):
-    """Something wrong by a known sigma in all of a row's readings, not estimated, and carried into the intervals."""
+    """A considered parameter: an error of known sigma common to all of a row's readings, not estimated."""
 
     name: str
     row: str
@@ -48,15 +47,15 @@ class Considered(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What another estimator of the same vehicle had learned, to go on from in place of the prior."""
+    """Estimate of another estimator of the same vehicle, for a warm start in place of the prior."""
 
     mean: FloatArray  # (p,)
     covariance: FloatArray  # (p, p)
-    sensitivity: FloatArray  # (p, k) to what is considered, of which the covariance holds nothing
+    sensitivity: FloatArray  # (p, k) to the considered parameters, which the covariance does not include
 
 
 class RowObserver(Protocol):
-    """Is shown every row that an identifier uses."""
+    """Receives every row that an identifier uses."""
 
     def __call__(
         self,
@@ -79,15 +78,15 @@ class Identifier:
         prior_sigma: standard deviations of the standard parameters about ``model.chi``, (P,).
         block_s: first block length of the jackknife covariance; five kernel widths or more.
         quantities: what to report besides the base parameters.
-        considered: what is wrong by a known sigma and not estimated.
+        considered: considered parameters.
         residual_sigma: threshold of the residual gate.
-        memory: how long rows count.
+        memory: weighting of earlier rows.
         huber_sigma: innovations beyond so many sigmas weigh less (Huber); none do, where not given.
         imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
         instruments_lag_s: with instrumental variables, for a free base: the smoothing kernel's width, so that motion
             predicted from what was measured so long ago shares no noise with what is measured. Plain least squares
             where not given.
-        start: where to begin; at the prior, where not given.
+        start: warm start; default: the prior.
 
     Raises:
         UnknownFrameError: a considered row that the model does not have, or an IMU frame that the base does not have.
@@ -160,21 +159,21 @@ class Identifier:
         return self.rls.state().triangle
 
     def news(self) -> tuple[Change, ...]:
-        """Nothing: rows do not tell that the payload has changed."""
+        """Empty: rows do not detect changes of the payload."""
         return ()
 
     @property
     def rls(self) -> SquareRootRls:
-        """The recursion that the rows went into."""
+        """The recursive least squares."""
         return self._recursion.rls
 
     @property
     def blocks(self) -> BlockScores:
-        """The same rows by blocks of time."""
+        """The rows per block of time."""
         return self._recursion.blocks
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Takes the rows of new ticks in.
+        """Processes the rows of new ticks.
 
         Args:
             signals: at the new ticks.

@@ -1,1 +1,1 @@
-"""What ``import heft`` gives: a log as channels, tables and estimates. Nothing is read before it is asked for."""
+"""The Python interface (``import heft``): a log as channels, tables and estimates, read on demand."""

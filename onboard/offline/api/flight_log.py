@@ -1,4 +1,4 @@
-"""A log as a notebook sees it: channels by name, what was estimated and told on board, signals on one time base."""
+"""A log for notebooks: channels by name, onboard estimates and events, signals on one time base."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
@@ -134,22 +134,22 @@ class FlightLog:
 
     @property
     def estimates(self) -> Table:
-        """Every quantity that the data supported when it was said on board: name, value, sigma, interval, unit."""
+        """Onboard estimates of all determined quantities: name, value, sigma, interval, unit."""
         rows = self._together(channels.QUANTITY)
         return self._told("estimates", rows[rows["supported"] == 1], "supported")
 
     @property
     def events(self) -> Table:
-        """What was told on board, of all workers, by time: severity, code, source, text."""
+        """Events of all workers by time: severity, code, source, text."""
         return self._told("events", self._together(EVENT))
 
     @property
     def gaps(self) -> Table:
-        """What is known to be missing: channel, first and last sequence number, cause."""
+        """Gap records: channel, first and last sequence number, cause."""
         return self._told("gaps", self._together(GAP))
 
     def resample(self, rate_hz: float, channels: Sequence[str] | None = None) -> Table:
-        """Every signal at the same instants of vehicle time, known filter delays taken off.
+        """Every signal at common instants of vehicle time, known filter delays removed.
 
         Args:
             rate_hz: of the instants.

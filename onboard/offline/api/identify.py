@@ -1,4 +1,4 @@
-"""``heft.identify``: the estimator that flies, on logs."""
+"""``heft.identify``: the onboard estimator on logs."""
 
 import tempfile
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""``README.txt`` beside a dump: what the files and columns are, and what each status bit and code stands for."""
+"""``README.txt`` beside a dump: explains files, columns, status bits and codes."""
 
 from collections.abc import Iterable, Mapping
 from enum import IntEnum, IntFlag
@@ -13,23 +13,23 @@ from onboard.timebase.clock import ClockState
 FILE = "README.txt"
 _STATUS = {
     SampleStatus.SATURATED: "at an end of the range",
-    SampleStatus.NOT_VALID: "the device says so, or what it says cannot be; an event tells why",
+    SampleStatus.NOT_VALID: "reported by the device, or impossible; an event gives the reason",
     SampleStatus.AFTER_RESET: "first sample after the device restarted: its tick began again",
 }
 _GATES = {
     GateReason.SATURATED: "a sample under the smoothing kernel is at the end of its range",
     GateReason.GAP: "samples are missing under the kernel",
-    GateReason.CONTACT: "a joint is where a stop can touch it",
-    GateReason.DRAG: "the base feels a force that is not its own motion",
-    GateReason.PHASE: "not a phase to identify in, or not settled in it",
+    GateReason.CONTACT: "a joint is near its mechanical stop",
+    GateReason.DRAG: "an external force acts on the base",
+    GateReason.PHASE: "not an identification phase, or not settled in it",
     GateReason.RESIDUAL: "the row contradicts the estimate",
-    GateReason.NOT_SYNCHRONISED: "a clock that the row depends on is not to be trusted",
+    GateReason.NOT_SYNCHRONISED: "a clock that the row depends on is not valid",
 }
 _CLOCKS = {
     ClockState.ACQUIRING: "not enough marks yet",
     ClockState.LOCKED: "on its marks",
-    ClockState.FLYWHEEL: "marks have stopped or contradict: going on at the last rate, sigma growing",
-    ClockState.INVALID: "not to be trusted",
+    ClockState.FLYWHEEL: "marks have stopped or contradict: extrapolated at the last rate, sigma growing",
+    ClockState.INVALID: "not valid",
 }
 _SEVERITY = {Severity.INFO: "", Severity.WARNING: "", Severity.ERROR: ""}
 
@@ -72,7 +72,7 @@ def _time_lines(times: Times) -> list[str]:
     utc = (
         "utc is that instant by the flight computer's wall clock, which was read once, when the flight began."
         if times.utc_offset_ns is not None
-        else "The log knows no wall clock (simulated, imported, or never set), so there is no utc."
+        else "The log has no wall clock (simulated, imported, or never set), so there is no utc."
     )
     return [
         f"time_s is vehicle time (CLOCK_MONOTONIC of the flight computer) less {times.start_ns} ns, the log's first",

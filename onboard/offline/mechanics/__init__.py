@@ -1,1 +1,1 @@
-"""``heft mechanics``: what a vehicle's arm does to its base, before anything flies."""
+"""``heft mechanics``: reaction of a floating base to its arm."""

@@ -14,7 +14,7 @@ from onboard.offline.report.theme import CYCLE, figures, subplots
 
 
 def render(found: Mechanics) -> RenderableType:
-    """What people see."""
+    """The results as tables."""
     at = ", ".join(f"{name} {np.rad2deg(value):.4g}" for name, value in zip(found.joints, found.q, strict=True))
     parts: list[RenderableType] = [
         Text(f"{found.name}: tip {found.tip}; joints at {at} deg"),

@@ -1,4 +1,4 @@
-"""A log's channels as rows with times, meanings and columns: what dumps and the Python interface stand on."""
+"""A log's channels as rows with times, meanings and columns, for dumps and the Python interface."""
 
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a channel's rows mean to somebody who has only the table: frame, zero, whose sample, by which clock."""
+"""Meaning of a channel's rows for a reader of the table alone: frame, zero, quantity, clock."""
 
 from typing import NamedTuple
 
@@ -74,12 +74,12 @@ def _of_rows(dtype: np.dtype[np.void]) -> Meaning:
         return Meaning("edges of the sync line", time="the edge, stamped by the kernel", time_field="edge_ns")
     if "vehicle_ns" in fields:
         scratch = frozenset({"triangle"} & set(fields))
-        return Meaning(time="the instant that it is about, on vehicle time", time_field="vehicle_ns", scratch=scratch)
+        return Meaning(time="the instant it refers to, on vehicle time", time_field="vehicle_ns", scratch=scratch)
     if {"first_sequence", "last_sequence", "consumed"} <= set(fields):
         return Meaning("what each step of the estimator consumed", scratch=frozenset(fields))
     if "tick" in fields:
         return Meaning()
-    return Meaning(time="when it was told")
+    return Meaning(time="when it was reported")
 
 
 def _measures(roles: Roles) -> dict[str, str]:
@@ -93,5 +93,5 @@ def _measures(roles: Roles) -> dict[str, str]:
         said[cell.channel] = cell.keys.meaning
     for name, zero in ((name, signal.zero_count) for name, signal in roles.signals.items()):
         if zero:
-            said[name] = f"{said.get(name, '')}; zero count {zero} is taken off the value"
+            said[name] = f"{said.get(name, '')}; zero count {zero} is subtracted from the value"
     return said
