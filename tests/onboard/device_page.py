@@ -95,7 +95,7 @@ A device is on a bus, `[bus.NAME]` with a `url`:
 | `i2c+unix`, `gpio+unix`, `gpio-out+unix` with a socket's path | the same of a simulator |
 
 `heft preflight VEHICLE` opens every bus, runs every device for a few seconds and reports those that differ from
-the file (exit code 0: ready, 4: not). `heft fly` continues without a bus that cannot be opened, with an event in the log.
+the file (exit code 0: ready, 4: not). `heft fly` continues without a bus that cannot be opened, with an event.
 
 Units are in the keys. **Bold** keys have no default. A file that does not fit is refused with its line and a remedy.
 Records (IMU, SCALAR, ...) are those of `drivers/records.py` and `drivers/marks.py`. A vehicle needs an IMU, unless
