@@ -236,7 +236,7 @@ def test_the_key_meant_is_found_in_every_table(vehicle: str, header: str, key: s
     with pytest.raises(config.ConfigError) as caught:
         config.parse("\n".join(lines), path)
     said = str(caught.value)
-    assert f"vehicle.toml:{place + 2}: unknown key '{named}.{key}'; did you mean {meant!r}? Units stand in" in said
+    assert f"vehicle.toml:{place + 2}: unknown key '{named}.{key}'; did you mean {meant!r}? Units are in" in said
 
 
 def test_a_missing_file_says_so(tmp_path: Path) -> None:
