@@ -24,23 +24,23 @@ class RigidBody(NamedTuple):
 
 
 def symmetric(elements: FloatArray) -> FloatArray:
-    """``XX XY YY XZ YZ ZZ``, (6,), as a tensor, (3, 3)."""
+    """Elements ``XX XY YY XZ YZ ZZ``, (6,), as a tensor, (3, 3); the order of :mod:`onboard.dynamics.vehicle`."""
     xx, xy, yy, xz, yz, zz = elements
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], np.float64)
 
 
 def elements(tensor: FloatArray) -> FloatArray:
-    """A symmetric tensor, (3, 3), as ``XX XY YY XZ YZ ZZ``, (6,)."""
+    """A symmetric tensor, (3, 3), as ``XX XY YY XZ YZ ZZ``, (6,): the inverse of :func:`symmetric`."""
     return np.array([tensor[i, j] for i, j in _TENSOR], np.float64)
 
 
 def parallel_axis(mass_kg: float, offset_m: FloatArray) -> FloatArray:
-    """Parallel axes: inertia of a point mass at ``offset_m``, (3,), (3, 3): ``m (r.r 1 - r r')``."""
+    """Parallel-axis theorem: inertia of a point mass at ``offset_m``, (3,), (3, 3): ``m (r.r 1 - r r')``."""
     return np.asarray(mass_kg * (offset_m @ offset_m * np.eye(3) - np.outer(offset_m, offset_m)), np.float64)
 
 
 def take_away(total: RigidBody, carrier: RigidBody) -> RigidBody:
-    """Body minus a rigidly joined part, both in the same frame (first moments and inertias about the origin subtract).
+    """Body minus a rigidly joined part, same frame: by the parallel-axis theorem about one origin.
 
     Args:
         total: the whole body.

@@ -61,13 +61,13 @@ def body_jacobian(chi: FloatArray) -> FloatArray:
 
 
 def body_estimate(chi: FloatArray, covariance: FloatArray) -> BodyEstimate:
-    """Mass, centre of mass and inertia with covariance ``J P J'`` (first order), of standard parameters with theirs."""
+    """Mass, centre of mass and inertia of standard parameters, covariances by :func:`body_jacobian`."""
     D = body_jacobian(chi)
     return BodyEstimate(body_of(chi), D @ covariance @ D.T)
 
 
 def standard_covariance(chi: FloatArray, mass_relative: float, centre_m: float, inertia_relative: float) -> FloatArray:
-    """Covariance of standard parameters, (10, 10), of a part with known errors of mass, centre of mass and inertia.
+    """Covariance of standard parameters, (10, 10), of a part: ``J S J'``, J the inverse of :func:`body_jacobian`.
 
     Args:
         chi: its standard parameters, (10,).

@@ -32,7 +32,7 @@ def tick_signals(
     samples: int,
     width_s: float,
 ) -> FlightSignals:
-    """Ticks of evenly sampled signals: means of the IMU's samples, and the joints smoothed at the middle of each tick.
+    """Ticks of evenly sampled signals: means of the IMU, joints by :mod:`onboard.estimation.smoothing`.
 
     The joints by :func:`onboard.estimation.smoothing.smooth`; a mean of D samples has ``1 / sqrt(D)`` of their noise.
 

@@ -23,7 +23,7 @@ class ObservedDirections(NamedTuple):
 
 
 def observed_directions(seen: Observability, names: Sequence[str]) -> ObservedDirections:
-    """Divides the directions into determined ones (sigma at most a fifth of the prior's) and others.
+    """Directions of :meth:`SquareRootRls.observability`, determined (sigma at most a fifth of the prior's) or not.
 
     Args:
         seen: of the estimator after its rows.

@@ -69,7 +69,7 @@ class Fold(NamedTuple):
 
 
 def body_parameters(vehicle: VehicleModel) -> FloatArray:
-    """Map from link parameters to those of the joints' bodies, about the joints' frames, (10 x bodies, 10 x links)."""
+    """Map from link parameters to those of the joints' bodies, ``T P T'`` per link, (10 x bodies, 10 x links)."""
     model = vehicle.model
     out = np.zeros((10 * (model.njoints - 1), 10 * len(vehicle.links)))
     for link, name in enumerate(vehicle.links):

@@ -66,7 +66,7 @@ def zero_wrench_rows(
 def rough_payload(
     vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, width_s: float, sigma: FloatArray
 ) -> RigidBody:
-    """Payload by plain least squares with the accelerometer's offset: an initial guess, biased by noise.
+    """Payload by least squares on :func:`zero_wrench_rows` with the accelerometer's offset: a biased initial guess.
 
     Args:
         vehicle: with a payload link.

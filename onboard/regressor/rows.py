@@ -63,7 +63,7 @@ def load_cell_row(
     bias: bool = True,
     scale: bool = False,
 ) -> WrenchRow:
-    """Row of a single-axis load cell, in the unit it reads: N for a force or a moment on a lever, N m with lever 1.
+    """Row of a single-axis load cell (2.132) in its unit: N for a force or a moment on a lever, N m with lever 1.
 
     Args:
         name: of the row; its bias column is ``bias_<name>``.
@@ -90,7 +90,7 @@ def load_cell_row(
 
 
 def joint_torque_row(vehicle: VehicleModel, joint: str, friction: bool = True) -> WrenchRow:
-    """Row of the torque (or force) of a joint's actuator; with ``Ia``, ``Fv``, ``Fc`` columns if ``friction``.
+    """Row of the torque (or force) of a joint's actuator (2.115), with ``Ia``, ``Fv``, ``Fc`` if ``friction`` (2.112).
 
     Raises:
         UnknownFrameError: no such joint.
@@ -102,7 +102,7 @@ def joint_torque_row(vehicle: VehicleModel, joint: str, friction: bool = True) -
 
 
 def base_force_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
-    """The rows of the force on the whole vehicle, in base axes: three, x and y alone on a planar bed."""
+    """The rows of the force on the whole vehicle (Limparis 3.5), in base axes: three, x and y alone on a planar bed."""
     frame = vehicle.spec.base_link
     unit = np.eye(6)
     axes = "xy" if vehicle.spec.base is BaseKind.PLANAR else "xyz"
@@ -110,7 +110,7 @@ def base_force_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
 
 
 def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
-    """The rows of the moment on the whole vehicle, in base axes: three, z alone on a planar bed.
+    """The rows of the moment on the whole vehicle (Limparis 3.5), in base axes: three, z alone on a planar bed.
 
     They are about the base frame's origin, unless the base is free and its joints turn balanced rotors only. Such a
     vehicle's centre of mass is fixed in the base and feels no specific force, so the rows are taken about it: exact,
@@ -126,7 +126,7 @@ def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
 
 
 def standing(vehicle: VehicleModel, ticks: int) -> BaseMotion:
-    """Motion of a fixed base: at rest, specific force minus gravity."""
+    """Motion of a fixed base: at rest, ``f = -g``."""
     still = np.zeros((ticks, 3))
     return BaseMotion(still, still, still - vehicle.spec.gravity_m_s2)
 
@@ -158,7 +158,7 @@ def base_motion(
 
 
 def skew(v: FloatArray) -> FloatArray:
-    """Cross-product matrix, (3, 3): times a vector from the left it is v cross x, from the right x cross v."""
+    """Cross-product matrix, (3, 3): ``skew(v) @ x = v x x``."""
     x, y, z = v
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], np.float64)
 

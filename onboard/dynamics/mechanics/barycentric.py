@@ -89,7 +89,7 @@ def reduced_inertia(chain: Chain, q: FloatArray) -> ReducedInertia:
 
 
 def body_rates(chain: Chain, q: FloatArray) -> FloatArray:
-    """Angular velocity of every body in inertial space per joint rate at zero momentum, (n + 1, 3, n), base axes."""
+    """Inertial angular velocity of every body per joint rate at zero momentum, (n + 1, 3, n), base axes (2.35)."""
     inertia, R, n = reduced_inertia(chain, q), rotations(chain, q), len(chain.axis)
     axes = np.einsum("iab,ib->ia", R[1:], chain.axis)
     base = -np.linalg.solve(inertia.D, inertia.D_q)

@@ -33,7 +33,7 @@ def first_cluster(chain: Chain) -> int:
 
 
 def fixed_base_count(chain: Chain, gravity: FloatArray) -> Count | None:
-    """Of an arm on a fixed base, gravity (3,) in base axes; None for an arm with another joint than revolute."""
+    """Count for an arm on a fixed base (2.64-2.67), gravity (3,) in base axes; None if a joint is not revolute."""
     if not all(chain.revolute):
         return None
     n, cluster = len(chain.axis), first_cluster(chain)
@@ -44,6 +44,6 @@ def fixed_base_count(chain: Chain, gravity: FloatArray) -> Count | None:
 
 
 def free_base_count(chain: Chain) -> Count | None:
-    """Of an arm on a free base of known wrench; None for an arm with another joint than revolute."""
+    """Count for an arm on a free base of known wrench (derived here: 10 + 7 per joint); None if not all revolute."""
     n = len(chain.axis)
     return Count(10 + 7 * n, f"10 + 7 x {n}") if all(chain.revolute) else None

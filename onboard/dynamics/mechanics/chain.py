@@ -26,7 +26,7 @@ class Chain(NamedTuple):
 
 
 def chain_of(arm: FloatingArm) -> Chain:
-    """The serial chain from the base to the arm's tip.
+    """The serial chain from the base to the arm's tip (notation of Limparis 2.1.2, 2.1.3).
 
     Raises:
         SignalError: a joint that is not on the way to the tip; these methods are for serial arms.
@@ -57,7 +57,7 @@ def chain_of(arm: FloatingArm) -> Chain:
 
 
 def rotations(chain: Chain, q: FloatArray) -> FloatArray:
-    """Axes of every body in the base's, (n + 1, 3, 3)."""
+    """Axes of every body in the base's, (n + 1, 3, 3), by Rodrigues' formula."""
     R = np.empty((len(chain.mass), 3, 3))
     R[0] = np.eye(3)
     for i, (axis, revolute) in enumerate(zip(chain.axis, chain.revolute, strict=True)):

@@ -44,7 +44,7 @@ def follow(
     near_m: float = 0.05,
     gain_1_s: float = 10.0,
 ) -> TipMotion:
-    """Joint motion that takes the tip along a path while the base floats.
+    """Joint motion that moves the tip along a path while the base floats (2.94, damped).
 
     Args:
         arm: the vehicle.

@@ -67,7 +67,7 @@ def reorient(
     harmonics: int = 2,
     seed: int = 0,
 ) -> Reorientation:
-    """Arm cycles after which the base has turned by ``rotation_vector`` and the arm is where it was.
+    """Arm cycles that turn the base by ``rotation_vector`` and return the arm (2.100; search derived here).
 
     The fewest cycles, doubled from one, for which a path within the joints' limits is found; Newton's method with the
     smallest step in the coefficients.

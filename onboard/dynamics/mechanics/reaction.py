@@ -25,7 +25,7 @@ class Reaction(NamedTuple):
 
 
 def reaction(arm: FloatingArm, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> Reaction:
-    """Moment and force of a moving arm on a base whose attitude is held.
+    """Moment and force of a moving arm on a base whose attitude is held (2.19-2.23).
 
     Args:
         arm: the vehicle.

@@ -17,7 +17,7 @@ from onboard.estimation.arrays import FloatArray
 
 
 def mass_shares(chain: Chain) -> FloatArray:
-    """``mu_i``, (n + 1,): the share of the vehicle's mass in bodies 0..i."""
+    """``mu_i``, (n + 1,): the share of the vehicle's mass in bodies 0..i (2.25-2.28)."""
     return np.asarray(np.cumsum(chain.mass) / chain.mass.sum(), np.float64)
 
 

@@ -32,7 +32,7 @@ class SingularityMap(NamedTuple):
 
 
 def tip_distance(arm: FloatingArm, q: FloatArray) -> float:
-    """Of the tip from the vehicle's centre of mass, m."""
+    """Distance of the tip from the vehicle's centre of mass, m (Papadopoulos and Dubowsky)."""
     return float(np.linalg.norm(arm.tip_pose(q)[1] - arm.centre_of_mass(q)))
 
 
@@ -42,7 +42,7 @@ def least_singular_value(arm: FloatingArm, q: FloatArray) -> float:
 
 
 def pair_measure(arm: FloatingArm, q: FloatArray, pair: tuple[int, int]) -> float:
-    """How far two joints are from a dynamic singularity, m^2; zero there.
+    """Measure of a dynamic singularity of two joints, m^2, zero there: determinant or area of J* (2.93).
 
     For parallel axes the determinant of J* in the plane across them, with its sign; else the area that the two columns
     of J* span, which has none.
@@ -60,7 +60,7 @@ def pair_measure(arm: FloatingArm, q: FloatArray, pair: tuple[int, int]) -> floa
 def singularity_map(
     arm: FloatingArm, q: FloatArray, pair: tuple[int, int], samples: int = 91, span: Span | None = None
 ) -> SingularityMap:
-    """Singularities and workspaces over two joints.
+    """Singularities and workspaces over two joints (Limparis 2.1.3; Papadopoulos and Dubowsky).
 
     Args:
         arm: the vehicle.

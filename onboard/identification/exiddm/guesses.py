@@ -22,7 +22,7 @@ GUESSES = tuple(_ball(mass_kg) for mass_kg in (3.0, 0.5, 15.0))
 
 
 def guesses(rough: Callable[[], RigidBody]) -> Iterator[RigidBody]:
-    """A least squares on rows, and three spheres.
+    """A least squares on rows, and three spheres (chosen here).
 
     Args:
         rough: the least squares; skipped if its result is not a body.

@@ -106,7 +106,7 @@ def tick_mean(x: FloatArray, samples: int) -> FloatArray:
 def whitened(
     values: FloatArray, jacobian: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Predicted less measured in units of its noise, (6 u,), and its derivative, (6 u, p), of the u ticks to use.
+    """``r = (predicted - measured) / sigma``, (6 u,), and its derivative, (6 u, p), of the u ticks to use.
 
     Args:
         values: predicted, (n, 6).

@@ -75,7 +75,9 @@ class RotorCalibration(NamedTuple):
 
 
 def free_body_quantities(model: RowModel, base: BaseParameters, prior_sigma: FloatArray) -> tuple[Quantity, ...]:
-    """The whole vehicle's centre of mass, m in base axes, and its inertia about it, kg m^2, joints locked at zero.
+    """Centre of mass, m in base axes, and inertia about it, kg m^2, of the whole vehicle, joints locked at zero.
+
+    Functionals of the base parameters by :func:`onboard.dynamics.inertia.composite_functional`.
 
     Args:
         model: force and moment rows of a free base.
@@ -131,7 +133,7 @@ def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95) -> W
 def without_carrier(
     whole: Whole, carrier: KnownBody | None, rotor_sigma: float = 0.0
 ) -> tuple[RigidBody, PrincipalMoments]:
-    """A vehicle minus its carrier, and the principal moments of the rest.
+    """A vehicle minus its carrier (:func:`onboard.dynamics.inertia.take_away`), and the principal moments of the rest.
 
     Args:
         whole: carrier and load.

@@ -31,7 +31,7 @@ class LinkEstimate(NamedTuple):
 
 
 def link_estimate(link: str, mean: FloatArray, covariance: FloatArray) -> LinkEstimate:
-    """Standard parameters with their body, or the most likely possible one."""
+    """Standard parameters with their body, by :func:`onboard.dynamics.payload.possible_body`."""
     if not mean[0] > 0.0:
         return LinkEstimate(link, mean, covariance, None, np.inf)
     body = possible_body(mean, covariance)
@@ -67,7 +67,7 @@ def without_rotors(vehicle: VehicleModel, whole: RigidBody) -> RigidBody:
 
 
 def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> tuple[LinkEstimate, ...]:
-    """The links that contribute to determined base parameters or quantities.
+    """The links in determined base parameters or quantities, by the equation at the head of this module.
 
     Args:
         identifier: after its rows.
