@@ -14,7 +14,7 @@ import foxglove
 import numpy as np
 
 from drivers.records import Rows
-from onboard.recording.schema import CDR_HEADER, message_name, ros2msg
+from onboard.recording.schema import CDR_HEADER, message_bytes, message_name, ros2msg
 from onboard.ring import RingReader
 
 DEFAULT_ADDRESS = "127.0.0.1:8765"
@@ -125,7 +125,7 @@ def _cut_off_after(port: int, stall_s: float) -> None:
 
 def messages(rows: Rows) -> Iterator[tuple[int, bytes]]:
     """Stamp (ns) and CDR message of each row (n,), as in the log."""
-    size = rows.dtype.itemsize
+    size, used = rows.dtype.itemsize, message_bytes(rows.dtype)
     data = np.ascontiguousarray(rows).tobytes()
     for number, at_ns in enumerate(rows["host_ns"].tolist()):
-        yield at_ns, CDR_HEADER + data[number * size : (number + 1) * size]
+        yield at_ns, CDR_HEADER + data[number * size : number * size + used]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows
 from onboard.recording import mcap_format
 from onboard.recording.errors import ChannelError
-from onboard.recording.schema import CDR_HEADER
+from onboard.recording.schema import CDR_HEADER, message_bytes
 
 BODY_AT = mcap_format.MESSAGE_HEAD.size + len(CDR_HEADER)  # of the row's own bytes in a message record
 
@@ -24,15 +24,22 @@ class PackedRows(NamedTuple):
 class PackedChannel:
     """One channel of a log: its definitions as records, and how its rows become message records.
 
-    Padding bytes are zeroed, so that two logs of one flight are identical.
+    Padding bytes are zeroed, so that two logs of one flight are identical. Log time is ``host_ns + utc_offset_ns``.
     """
 
-    def __init__(self, schema: mcap_format.Schema, channel: mcap_format.Channel, dtype: np.dtype[np.void]) -> None:
+    def __init__(
+        self,
+        schema: mcap_format.Schema,
+        channel: mcap_format.Channel,
+        dtype: np.dtype[np.void],
+        utc_offset_ns: int = 0,
+    ) -> None:
+        self._utc_offset_ns = np.int64(utc_offset_ns)
         self.schema, self.channel, self.dtype = schema, channel, dtype
         self.number = channel.number
         self.definitions = {("schema", schema.number): schema.pack(), ("channel", channel.number): channel.pack()}
-        item = dtype.itemsize
-        size = BODY_AT + item - mcap_format.RECORD_HEAD.size
+        self._body = message_bytes(dtype)
+        size = BODY_AT + self._body - mcap_format.RECORD_HEAD.size
         head = mcap_format.MESSAGE_HEAD.pack(Opcode.MESSAGE, size, channel.number, 0, 0, 0) + CDR_HEADER
         self._head = np.frombuffer(head, np.uint8)
         # mcap.dev/spec, message: the fields that differ from row to row
@@ -41,7 +48,7 @@ class PackedChannel:
                 "names": ["sequence", "log_time", "publish_time"],
                 "formats": ["<u4", "<u8", "<u8"],
                 "offsets": [11, 15, 23],
-                "itemsize": BODY_AT + item,
+                "itemsize": BODY_AT + self._body,
             }
         )
         self._padding = _padding(dtype)
@@ -49,7 +56,7 @@ class PackedChannel:
     @property
     def record_bytes(self) -> int:
         """Size of one message record."""
-        return BODY_AT + self.dtype.itemsize
+        return BODY_AT + self._body
 
     def require(self, rows: Rows) -> None:
         """Raises ChannelError unless ``rows`` are one-dimensional rows of the channel's dtype."""
@@ -61,26 +68,25 @@ class PackedChannel:
 
     def pack(self, rows: Rows) -> PackedRows:
         """Message records of contiguous ``rows`` (n,) of the channel's dtype."""
-        count, item = len(rows), self.dtype.itemsize
-        log_times = rows["host_ns"].astype(np.uint64)
-        records = np.empty((count, BODY_AT + item), np.uint8)
+        count = len(rows)
+        log_times = (rows["host_ns"] + self._utc_offset_ns).astype(np.uint64)
+        records = np.empty((count, BODY_AT + self._body), np.uint8)
         records[:, :BODY_AT] = self._head
         varying = records.view(self._varying)[:, 0]
         varying["sequence"] = rows["sequence"]
         varying["log_time"] = varying["publish_time"] = log_times
-        records[:, BODY_AT:] = rows.view(np.uint8).reshape(count, item)
+        records[:, BODY_AT:] = rows.view(np.uint8).reshape(count, self.dtype.itemsize)[:, : self._body]
         for first, last in self._padding:
             records[:, BODY_AT + first : BODY_AT + last] = 0
         return PackedRows(records, log_times)
 
 
 def _padding(dtype: np.dtype[np.void]) -> list[tuple[int, int]]:
-    """Ranges of padding bytes in a row: first byte and byte after the last."""
+    """Ranges of padding bytes before a row's last field: first byte and byte after the last."""
     assert dtype.fields is not None
     used = sorted((offset, offset + field.itemsize) for field, offset, *_ in dtype.fields.values())
     starts = [0, *(end for _, end in used)]
-    ends = [*(start for start, _ in used), dtype.itemsize]
-    return [(start, end) for start, end in zip(starts, ends, strict=True) if start < end]
+    return [(start, end) for start, (end, _) in zip(starts, used, strict=False) if start < end]
 
 
 class SealedChunk(NamedTuple):

@@ -11,7 +11,7 @@ from drivers.records import Rows
 from onboard.recording import mcap_format
 from onboard.recording.chunk import BODY_AT
 from onboard.recording.errors import LogFormatError, SchemaError
-from onboard.recording.schema import CDR_HEADER, dtype_from_ros2msg, units_from_ros2msg
+from onboard.recording.schema import CDR_HEADER, dtype_from_ros2msg, message_bytes, units_from_ros2msg
 
 _HEAD = mcap_format.RECORD_HEAD
 _KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: equal for all messages of a run
@@ -38,7 +38,11 @@ class MessageRun(NamedTuple):
 
 def rows_of(runs: list[MessageRun]) -> Rows:
     """The rows (n,) of ``runs``, which are all of one channel."""
-    bodies = np.concatenate([run.records[:, BODY_AT:] for run in runs])
+    bodies = np.zeros((sum(len(run.records) for run in runs), runs[0].channel.dtype.itemsize), np.uint8)
+    at = 0
+    for _, records in runs:
+        bodies[at : at + len(records), : records.shape[1] - BODY_AT] = records[:, BODY_AT:]
+        at += len(records)
     rows: Rows = bodies.view(runs[0].channel.dtype).reshape(len(bodies))
     return rows
 
@@ -107,7 +111,7 @@ class Decoder:
         channel = self._by_number.get(number)
         if channel is None:
             raise LogFormatError(f"message of channel {number}, which the chunk does not define")
-        if size != BODY_AT + channel.dtype.itemsize:
+        if size - BODY_AT not in (message_bytes(channel.dtype), channel.dtype.itemsize):  # older logs fill rows up
             raise LogFormatError(f"channel {channel.name!r}: message and definition differ in size")
         if records[at + BODY_AT - len(CDR_HEADER) : at + BODY_AT] != CDR_HEADER:
             raise LogFormatError(f"channel {channel.name!r}: message is not little-endian CDR")

@@ -2,7 +2,7 @@
 
 A row of an ``align=True`` little-endian dtype has the CDR layout (OMG DDS-XTypes 1.3, section 7.4.1, plain CDR version
 1) of the same fields: natural alignment counted from the end of the 4-byte encapsulation header. So the message is the
-header and the row's own bytes. Trailing padding stays; CDR readers ignore it.
+header and the row's own bytes up to the end of its last field: readers refuse messages with more than three bytes over.
 
 What ``ros2msg`` cannot express is in the comment after a field, and the dtype is rebuilt from the text alone::
 
@@ -44,6 +44,12 @@ _FIELD = re.compile(
     r"(?P<type>[a-z0-9]+)(?:\[(?P<count>\d+)\])? (?P<name>[a-z][a-z0-9_]*)"
     r"(?: #(?: (?P<text>S\d+))?(?: shape=(?P<shape>\d+(?:x\d+)*))?(?: \[(?P<unit>[^\[\],#]+)\])?)?"
 )
+
+
+def message_bytes(dtype: np.dtype[np.void]) -> int:
+    """Bytes of a row in a message: all up to the end of its last field."""
+    assert dtype.fields is not None
+    return max(offset + field.itemsize for field, offset, *_ in dtype.fields.values())
 
 
 def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) -> str:

@@ -25,6 +25,7 @@ from onboard.recording.errors import ChannelError, RecordingError
 from onboard.recording.schema import message_name, ros2msg
 from onboard.recording.sink import FileSink, Sink
 from onboard.recording.summary import SummarySection
+from onboard.recording.wall_clock import FLIGHT_METADATA, utc_offset_ns
 
 CHUNK_BYTES = 16384
 _HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()
@@ -48,6 +49,7 @@ class LogWriter:
 
     def __init__(self, sink: Sink, *, chunk_bytes: int = CHUNK_BYTES, sync_interval_ns: int = SYNC_INTERVAL_NS) -> None:
         self._sink, self._sync_interval_ns = sink, sync_interval_ns
+        self._utc_offset_ns = 0
         self._chunk = ChunkBuilder(chunk_bytes)
         self._staged: dict[str, list[bytes]] = {}
         self._staged_bytes, self._stage_bytes = 0, _STAGED_CHUNKS * chunk_bytes
@@ -145,7 +147,8 @@ class LogWriter:
             raise ChannelError(f"channel {channel!r} needs the fields sequence (u8) and host_ns (i8) of every record")
         packed_schema = self._schema(schema or message_name(channel, dtype), text)
         number = len(self._channels) + 1
-        packed = PackedChannel(packed_schema, mcap_format.Channel(number, packed_schema.number, channel), dtype)
+        definition = mcap_format.Channel(number, packed_schema.number, channel)
+        packed = PackedChannel(packed_schema, definition, dtype, self._utc_offset_ns)
         self._channels[channel] = packed
         self._summary.define(packed.definitions)
         if not self._chunk.define(packed):
@@ -236,10 +239,14 @@ class LogWriter:
     def add_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Add a named map of strings to the log, after the data written so far.
 
+        The flight's own tells what UTC is: log times of channels that are registered after it are UTC.
+
         Raises:
             OSError: the write failed; it is kept.
         """
         self._refuse_after_end()
+        if name == FLIGHT_METADATA:
+            self._utc_offset_ns = utc_offset_ns({name: items}) or 0
         metadata = mcap_format.Metadata(name, dict(items))
         packed = metadata.pack()
         self._seal_messages()

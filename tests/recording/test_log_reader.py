@@ -161,3 +161,14 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
     finally:
         tracemalloc.stop()
     assert peak < 2_000_000
+
+
+def test_a_log_whose_rows_are_filled_up_reads_as_one_whose_are_not(small, tmp_path, monkeypatch):
+    """Logs written before messages ended with their last field."""
+    monkeypatch.setattr("onboard.recording.chunk.message_bytes", lambda dtype: dtype.itemsize)
+    older = write_small(tmp_path / "older.mcap")
+    assert older.stat().st_size > small.stat().st_size
+    log = LogReader(older)
+    assert same_fields(log.read("reading"), reading_rows(0, SMALL))
+    assert same_fields(log.read("label"), small_labels())
+    assert log.complete

@@ -20,6 +20,7 @@ from drivers import records
 from onboard import channels
 from onboard.recording.errors import ChannelError, RecordingError, SchemaError
 from onboard.recording.reader import LogReader
+from onboard.recording.schema import message_bytes
 from onboard.recording.sink import FileSink
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import (
@@ -171,7 +172,7 @@ def test_chunks_are_filled():
             writer.write("reading", reading_rows(first, 3))
 
     found = chunks(written(build))
-    message = 31 + 4 + READING.itemsize
+    message = 31 + 4 + message_bytes(READING)
     assert len(found) > 10
     assert all(16384 - message < len(chunk.data) <= 16384 for chunk in found[:-1])
 
@@ -472,3 +473,22 @@ def test_file_sink_goes_on_after_a_short_write(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="no bytes"):
         full.write_at(0, b"x")
     full.close()
+
+
+def test_log_time_is_utc_where_the_wall_clock_was_set():
+    wall_ns = 1_795_190_705_000_000_000
+
+    def times(facts):
+        def build(writer):
+            writer.add_metadata("flight", facts)
+            writer.register("reading", READING)
+            writer.write("reading", reading_rows(0, 20))
+
+        messages = SeekingReader(io.BytesIO(written(build))).iter_messages()
+        return np.array([(message.log_time, message.publish_time) for _, _, message in messages])
+
+    host_ns = reading_rows(0, 20)["host_ns"]
+    told = {"wall_clock_ns": str(wall_ns), "monotonic_ns": "1000"}
+    assert np.array_equal(times(told), np.stack([host_ns + wall_ns - 1000] * 2, axis=1))
+    for unset in ({}, {**told, "wall_clock_ns": "1234567"}):  # simulated; a computer that began at 1970
+        assert np.array_equal(times(unset), np.stack([host_ns] * 2, axis=1))

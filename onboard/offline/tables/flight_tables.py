@@ -13,9 +13,9 @@ from onboard.offline.tables.meaning import Meaning, meanings
 from onboard.offline.tables.selection import Selection, inside, span_of
 from onboard.offline.tables.vehicle_file import attached_vehicle
 from onboard.offline.tables.vehicle_time import UNKNOWN, clocked, timed
-from onboard.offline.tables.wall_clock import utc_offset_ns
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
+from onboard.recording.wall_clock import utc_offset_ns
 
 
 class FlightTables:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+FLIGHT_METADATA = "flight"
 _EARLIEST_NS = int(np.datetime64("2020-01-01", "ns").astype(np.int64))
 _LATEST_NS = 1 << 62
 
@@ -14,7 +15,7 @@ def utc_offset_ns(metadata: Mapping[str, Mapping[str, str]]) -> int | None:
     None for a log without a wall clock (a simulated flight), and where the reading is from before 2020: a computer
     without a battery begins at 1970 and had not been set.
     """
-    facts = metadata.get("flight", {})
+    facts = metadata.get(FLIGHT_METADATA, {})
     try:
         wall_ns, monotonic_ns = int(facts["wall_clock_ns"]), int(facts["monotonic_ns"])
     except (KeyError, ValueError):
