@@ -102,7 +102,7 @@ class MemorySerial:
         return len(data)
 
     def close(self) -> None:
-        """Bytes that nobody read are gone."""
+        """Discards unread bytes."""
         self.waiting = b""
 
     def _call(self) -> None:

@@ -105,7 +105,7 @@ def write_flight(path: Path, count: int) -> Seconds:
 
 
 def record_flight(path: Path, count: int) -> Seconds:
-    """Seconds of the recorder for the same, out of rings that somebody else fills between its steps."""
+    """Seconds of the recorder for the same, from rings filled between its steps."""
     rows, steps = flight_rows(count)
     seconds = np.zeros(2)
     with tempfile.TemporaryDirectory(dir="/dev/shm") as directory:

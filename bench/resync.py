@@ -1,8 +1,8 @@
 """Flights rescued: an IMU log and an encoder log of two recorders without a common pulse, aligned and identified.
 
 Run ``python -m bench.resync``. Every seed is a parabola of its own, recorded as the dissertation recorded its own
-(section 4.4): the IMU has times; the encoder log has none, runs up to 2 % off its nominal rate and starts nobody knows
-when. MuJoCo is the truth, the IMU has real errors (its own delay of 0.1 ms, 1 sigma, counts as an error of the offset).
+(section 4.4): the IMU has times; the encoder log has none, runs up to 2 % off its nominal rate and starts at an unknown
+time. MuJoCo is the truth, the IMU has real errors (its own delay of 0.1 ms, 1 sigma, counts as an error of the offset).
 Bars: offset within 1 ms and rate within 50 ppm in 95 % of the seeds; error of the rescued payload at most 1.5 times
 that of the same flight synchronised.
 """

@@ -111,7 +111,7 @@ def field_devices(seeds: int, seconds: float = 40.0) -> None:
         show(Line(what, f"{rms(error):.1f} us", f"{bar:.0f} us", stated, rms(error) <= bar))
     error, sigma = gathered("tip")
     show(Line("nIMU, by arrival alone: mean, spread about it", f"{error.mean():.0f}, {error.std():.0f} us", "",
-              f"what it waits before it speaks is told by nobody; sigma {rms(sigma):.0f} us"))  # fmt: skip
+              f"the device's delay before sending is unknown; sigma {rms(sigma):.0f} us"))  # fmt: skip
     error, sigma = gathered("cell")
     show(Line("Modbus cell, by question and answer: mean, spread", f"{error.mean():.0f}, {error.std():.0f} us", "",
               f"bracket's sigma {rms(sigma):.0f} us; on top its own conversion, 0-3.3 ms old"))  # fmt: skip

@@ -6,7 +6,7 @@ Run ``python -m bench.identification CASE ...``:
 - ``real``: the same with scale 0.3 %, axes 0.2 deg, bias and its drift, time, base mass 0.3 % and inertia 1 %, links
   1 %, the shapes of the workshop tools scaled to 1 to 20 kg (data sets in $HEFT_DATASETS or ../shared/datasets);
 - ``recursive``: the flights of both through the recursive estimator, beside the maximum likelihood; time of a tick;
-- ``capture``: a payload captured at a time that nobody tells, and hours in which nothing happens;
+- ``capture``: a payload captured at an unknown time, and false alarms over hours without one;
 - ``linear``: the flights of ``noise`` by rows: plain least squares, less the known noise, instrumental variables;
 - ``tools``: the 20 workshop tools in the gripper of an arm on a fixed base in gravity, a load cell in its wrist; as
   many runs of each tool as there are seeds;

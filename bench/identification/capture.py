@@ -1,4 +1,4 @@
-"""A capture at a time that nobody tells, with the real-life errors; and hours in which nothing happens.
+"""Detection of a capture at an unknown time with instrument errors; false alarms over hours without one.
 
 Every flight begins without a payload. At a random time a workshop tool of 1, 5 or 20 kg is captured that comes with
 some velocity and rate of its own (1 sigma: 2 cm/s, 0.02 rad/s by axis; every third comes with none), the arm moving on.

@@ -1,7 +1,7 @@
 """A payload on a free-flyer's arm, against the Cramer-Rao bound; the truth is MuJoCo's.
 
 Every seed is a flight of its own: motion, momentum at release, errors, noise. The bound is Cramer and Rao's for the
-motion flown, at the truth, with all unknown that the case doubts.
+motion flown, at the truth, with every quantity estimated that the case leaves unknown.
 """
 
 import argparse

@@ -26,7 +26,7 @@ REALTIME_PRIORITY = 60  # above the flight computer's own: hardware waits for no
 
 
 class Unpowered:
-    """Buses on which nobody answers, until the pulse sockets are there."""
+    """Buses without devices, until the pulse sockets exist."""
 
     end_ns = 1 << 62
 

@@ -145,7 +145,7 @@ def encode_sdo_write(index: int, subindex: int, data: bytes) -> bytes:
 
 
 def encode_sdo_abort(index: int, subindex: int, code: int) -> bytes:
-    """SDO abort: tells the server that the client ends the transfer."""
+    """SDO abort from the client."""
     return _ABORT.pack(0x80, index, subindex, code)
 
 

@@ -94,7 +94,7 @@ class I2cBus:
         """One transaction.
 
         Raises:
-            OSError: EREMOTEIO when nobody acknowledges, or what the slave or a fault says.
+            OSError: EREMOTEIO without an acknowledge, or what the slave or a fault says.
         """
         self.transfers += 1
         slave = self._slaves.get(address)
@@ -144,7 +144,7 @@ class CanLink(Protocol):
 
 @runtime_checkable
 class ReportsCanErrors(Protocol):
-    """An interface that also tells what its controller notices; an slcan adapter does not."""
+    """An interface that also reports its controller's errors; an slcan adapter does not."""
 
     def give_error(self, end_ns: int, classes: int) -> None:
         """An error frame, its classes as in linux/can/error.h."""
@@ -296,7 +296,7 @@ class PulseLine:
     def __init__(self, link: EdgeLink, seed: int = 0, capture: EdgeCapture | None = None) -> None:
         self.capture = capture or EdgeCapture(seed)
         self.seen = 0
-        self.heard = 0  # of these, taken by somebody
+        self.heard = 0  # of these, taken by a receiver
         self._link = link
         self._source: CanTalker | None = None
 
@@ -349,7 +349,7 @@ class EdgeDatagrams:
         except (ConnectionError, FileNotFoundError):
             self.lost += 1
             return False
-        except BlockingIOError:  # somebody is there, and does not keep up
+        except BlockingIOError:  # a receiver is there, and its queue is full
             self.lost += 1
         return True
 

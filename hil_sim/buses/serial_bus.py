@@ -30,7 +30,7 @@ class HostLink(Protocol):
 
     @property
     def line(self) -> LineFormat | None:
-        """Speed and format of the open port; None when nobody has it open."""
+        """Speed and format of the open port; None when no process has it open."""
 
     def take(self) -> bytes:
         """Characters the flight computer sent since the last call."""

@@ -46,7 +46,7 @@ class VirtualSerial:
 
     @property
     def line(self) -> LineFormat | None:
-        """Speed and format of the open port; None when nobody has it open."""
+        """Speed and format of the open port; None when no process has it open."""
         return None if self._port is None else self._port.line
 
     def open(self, line: LineFormat) -> "VirtualPort":
@@ -287,7 +287,7 @@ class PtySerial:
 
     @property
     def line(self) -> LineFormat | None:
-        """Speed that the user has set; None while nobody has the terminal open."""
+        """Speed that the user has set; None while no process has the terminal open."""
         if self._master < 0 or self._is_hung_up():
             return None
         settings = _TERMIOS2.unpack(fcntl.ioctl(self._master, _TCGETS2, bytes(_TERMIOS2.size)))
@@ -295,7 +295,7 @@ class PtySerial:
 
     @property
     def files(self) -> list[int]:
-        """File descriptors worth waiting for; none while nobody has the terminal open."""
+        """File descriptors worth waiting for; none while no process has the terminal open."""
         return [] if self._master < 0 or self._is_hung_up() else [self._master]
 
     def take(self) -> bytes:
@@ -308,7 +308,7 @@ class PtySerial:
         except BlockingIOError:
             return b""
         except OSError as error:
-            if error.errno != errno.EIO:  # EIO: nobody has it open
+            if error.errno != errno.EIO:  # EIO: no process has it open
                 raise
             self._output.clear()
             return b""

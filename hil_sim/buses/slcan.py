@@ -38,7 +38,7 @@ class SlcanAdapter:
         self.path = os.ttyname(slave)
         self._slave: int | None = slave  # held until the first client is there
         self.lost = 0
-        self.hung_up = False  # nobody has the terminal open
+        self.hung_up = False  # no process has the terminal open
         self._bus_bit_rate = bit_rate
         self._bit_rate = 0
         self._open = self._listen_only = self._stamps = False

@@ -1,6 +1,6 @@
 """A CiA 402 servo drive as a data logger meets it: state machine, position, velocity, torque (IEC 61800-7-201).
 
-Somebody else moves the axis: the plant gives angle and torque, and the drive's motion controller gives its controlwords
+The plant moves the axis and gives angle and torque, and the drive's motion controller gives its controlwords
 at the times of ``commands``, beside those that arrive over SDO or in RPDO1. What the axis does is not affected by
 them; the torque reads 0 unless the operation is enabled.
 

@@ -157,7 +157,7 @@ class Mpu6050Twin:
             self._reg[reg.I2C_MST_STATUS] |= 0x80
 
     def advance(self, now_ns: int) -> None:
-        """Time goes on; samples are made in batches, when somebody looks or 50 ms have gathered."""
+        """Time goes on; samples are made in batches, on a read or after 50 ms."""
         self._now_ns = max(now_ns, self._now_ns)
         if now_ns - self._settled_ns >= _LAZY_NS:
             self._settle(now_ns)

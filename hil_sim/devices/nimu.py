@@ -156,7 +156,7 @@ class NimuTwin(SerialTwin):
         self._at("sample", max(self._clock.time_ns(self._powered_chip_ns + own_ns), not_before_ns), self._sample)
 
     def _sample(self, now_ns: int) -> None:
-        """Make this sample and all that follow until somebody else has something to do."""
+        """Make this sample and all that follow until the next event of another device."""
         until_ns = max(now_ns, min(self._until_ns, self.due_ns - 1))
         own_until_ns = self._clock.chip_ns(until_ns) - self._powered_chip_ns
         n = max(1, math.ceil((own_until_ns + 1 - self._boot_ns) / self._period_ns) - self._next)

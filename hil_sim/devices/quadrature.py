@@ -1,6 +1,6 @@
 """The LS7366R quadrature counter inside a QSB: CNTR, DTR, OTR, its mode registers, its status (LS7366R data sheet).
 
-The encoder is known by its position in quarter cycles at the instants at which somebody looks; between two of them it
+The encoder is known by its position in quarter cycles at the instants at which it is read; between two of them it
 is taken to have gone straight, and the flags that it would have raised on the way are raised then. There is no index
 line, and the input filter takes no time.
 """

@@ -122,7 +122,7 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "imu_prior": _M('Table: standard deviations of the base IMU\'s errors, for method "exiddm".'),
     },
     Phases: {
-        "channel": _M("SCALAR channel that tells the phase."),
+        "channel": _M("SCALAR channel whose value is the phase."),
         "identify": _M("Codes of the phases that are for identification."),
         "payload_taken": _M("The payload is held from this phase on; from the start where not given."),
         "payload_gone": _M("From this phase on it is no longer held."),

@@ -16,7 +16,7 @@ from onboard.devices.registry import DEVICES
 from onboard.devices.roles import STANDARD_GRAVITY_M_S2
 from onboard.section import Section, Vector3
 
-UNTOLD_BAUD = 1e9  # of a line whose URL tells none: nothing is taken off for it
+UNSTATED_BAUD = 1e9  # bit/s of a line whose URL gives no speed: its transmission time counts as none
 if TYPE_CHECKING:
     AnyDevice = DeviceSection
 else:  # the kinds that the registry has found
@@ -111,7 +111,7 @@ class Vehicle(BaseModel):
         """Of a serial line, by the file as it was written: a replay has no other, wherever the bus flew."""
         url = tomllib.loads(self.text)["bus"][bus]["url"]
         told = parse_qs(urlsplit(url).query).get("baud")
-        return float(told[0]) if told else UNTOLD_BAUD
+        return float(told[0]) if told else UNSTATED_BAUD
 
     def rate_hz(self, device: str) -> float:
         """Nominal rate of a device's samples."""

@@ -83,7 +83,7 @@ class NimuDevice(SerialLineDevice, ImuDevice):
         return wire_ns + latency_ns, sigma_ns
 
     def _latency_ns(self) -> tuple[float, float]:
-        """From a sample to its packet: some time before the next sample, where nobody has measured it."""
+        """From a sample to its packet: within one sample period where not measured."""
         if self.latency_ms is not None:
             return 1e6 * self.latency_ms, 1e6 * self.latency_sigma_ms
         period_ns = 1e9 / self.sample_rate_hz

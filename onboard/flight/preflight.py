@@ -30,7 +30,7 @@ LONGEST_SECONDS = 30.0
 PUMP_S = 1e-3
 FEWEST_ROWS = 5
 TICK_TOLERANCE = 0.1
-LOSS_TOLERANCE = 0.05  # a QSB loses 2 % while it tells of pulses
+LOSS_TOLERANCE = 0.05  # a QSB loses 2 % while it reports pulses
 SILENT_S = 1.0
 FLIGHT_S = 3600.0
 OVERHEAD = 1.15  # of a log over its rows
@@ -50,7 +50,7 @@ class Check(NamedTuple):
         bus: its bus.
         identity: who it says it is.
         rows: of its first channel.
-        nominal_hz: what its rate should be; None: it tells changes.
+        nominal_hz: what its rate should be; None: it reports changes only.
         rate_hz: of its first channel, lost samples included; None: too few rows to tell.
         marks: sync pulses seen in its own stream; None: it has no input for them.
         self_test: how its own test came out; empty where it has none.
@@ -151,7 +151,7 @@ def _self_tests(vehicle: config.Vehicle, clock: Clock, wait: Wait) -> dict[str, 
 def _self_test(device: SelfTesting, wait: Wait) -> tuple[str, str]:
     try:
         result = device.self_test(wait)
-    except ConfigurationError as error:  # a clone, whose factory trim nobody knows
+    except ConfigurationError as error:  # a clone, whose factory trim is unknown
         return f"not made: {error}", ""
     except DriverError as error:
         return "failed", str(error)

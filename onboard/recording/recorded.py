@@ -32,7 +32,7 @@ def marks_of(items: Mapping[str, str]) -> dict[str, ChannelProgress]:
 
 
 def note(recorded: dict[str, ChannelProgress], channel: str, rows: Rows) -> None:
-    """Bring ``recorded`` up to date with ``rows`` (n,) of ``channel``; what a gap of ours tells counts too."""
+    """Bring ``recorded`` up to date with ``rows`` (n,) of ``channel``; rows lost in the recorder (gaps) count too."""
     if not len(rows):
         return
     recorded[channel] = ChannelProgress(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))

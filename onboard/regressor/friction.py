@@ -3,7 +3,7 @@
 A motor's rate is ``dq_m = sum_j r_j dq_j``; by virtual work its torque comes to joint j times ``r_j``, so that its
 three columns are ``r_j [ddq_m, dq_m, z_m]`` in the row of joint j's torque (the wrist of the Staubli TX series, whose
 last motor also turns with the joint before it). Coulomb friction z_m is the sign of the rate, or
-Dahl's: ``dz = dx / length (1 - z sign(dx))``, which needs a few lengths of motion to come round after a reversal.
+Dahl's: ``dz = dx / length (1 - z sign(dx))``, which reverses over a few lengths of motion.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from onboard.dynamics.errors import UnknownFrameError
 from onboard.estimation.arrays import FloatArray
 
 COLUMNS = ("Ia", "Fv", "Fc")  # kg m^2, N m s/rad, N m
-_COME_ROUND = 5.0  # lengths of motion after which Dahl's friction has forgotten what it began with, to 0.7 %
+_SETTLED = 5.0  # lengths of motion after which Dahl's friction depends on its start by 0.7 % (exp(-5))
 
 
 class Motor(NamedTuple):
@@ -57,7 +57,7 @@ class CoulombFriction:
     def follow(self, q: FloatArray, dq: FloatArray) -> FloatArray:
         """Friction at n ticks that follow those before, (n, motors), between -1 and 1.
 
-        NaN while nobody can know it: Dahl's, until the motor has moved by five of its lengths. A tick that is not
+        NaN while unknown: Dahl's, until the motor has moved by five of its lengths. A tick that is not
         finite leaves it as it was. Between ticks the motion is taken for monotonic.
 
         Args:
@@ -74,5 +74,5 @@ class CoulombFriction:
                 self._z[dahl] = end + (self._z[dahl] - end) * np.exp(-np.abs(steps))
                 self._moved[dahl] += np.abs(steps)
                 self._x = position
-            found[tick, dahl] = np.where(self._moved < _COME_ROUND, np.nan, self._z)[dahl]
+            found[tick, dahl] = np.where(self._moved < _SETTLED, np.nan, self._z)[dahl]
         return found

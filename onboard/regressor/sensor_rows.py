@@ -13,7 +13,7 @@ from onboard.regressor.rows import BaseMotion
 def base_motion_from_link(
     vehicle: VehicleModel, imu_frame: str, joints: tuple[FloatArray, FloatArray, FloatArray], imu: BaseMotion
 ) -> BaseMotion:
-    """Motion of the base frame from an IMU on any link, the joints between them measured.
+    """Motion of the base frame from an IMU on any link, by relative kinematics (:func:`frame_motions`).
 
     Args:
         vehicle: gives the IMU's place.

@@ -1,4 +1,4 @@
-"""Known delays: filters of sensors and transmitters, and frames on the wire; each kind of device tells its own.
+"""Known delays: filters of sensors and transmitters, and frames on the wire; each kind of device gives its own.
 
 The flight removes them when samples are put on vehicle time; ``heft info`` lists them.
 """

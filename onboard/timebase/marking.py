@@ -133,13 +133,13 @@ class TickSource:
         else:
             self._late = 0
 
-    def _believed(self, mark: Mark) -> bool:
-        """Take in a mark; whether it was believed. One that locks the clock may be older than a jump of the ticks."""
+    def _accepted(self, mark: Mark) -> bool:
+        """Take in a mark; whether it was accepted. One that locks the clock may be older than a jump of the ticks."""
         was_trusted = self.clock.trusted
-        believed = self.clock.mark(mark)
-        if believed and not was_trusted and self._newest is not None:
+        accepted = self.clock.mark(mark)
+        if accepted and not was_trusted and self._newest is not None:
             self._plausible(*self._newest)
-        return believed
+        return accepted
 
     def _is_told(self, edge: EdgeBounds | None, window_ns: float) -> TypeGuard[EdgeBounds]:
         """Whether the line has an edge for a mark; repeated misses count against the clock."""
@@ -196,7 +196,7 @@ class FlaggingSource(TickSource):
         return self._match(edges)
 
     def _match(self, edges: NewestEdges) -> bool:
-        believed = False
+        accepted = False
         while self._flagged:
             tick = self._flagged[0]
             estimate = self._estimate(tick - 0.5)
@@ -205,8 +205,8 @@ class FlaggingSource(TickSource):
             self._flagged.popleft()
             edge = edges.near(estimate)
             if self._is_told(edge, edges.window_ns):
-                believed |= self._believed(Mark(tick - 1, tick, *edge))
-        return believed
+                accepted |= self._accepted(Mark(tick - 1, tick, *edge))
+        return accepted
 
 
 class LatchingSource(TickSource):
@@ -241,7 +241,7 @@ class LatchingSource(TickSource):
             # a device that restarted may have marked an edge before
             since = marks["tick"].astype(np.int64) <= self._newest[0] + round(1e9 / self.clock.nominal_period_ns)
             self._marks.extend(zip(marks["tick"][since].tolist(), marks["value_raw"][since].tolist(), strict=True))
-        believed = False
+        accepted = False
         while self._marks:
             tick, value = self._marks[0]
             estimate = self._estimate(tick + 0.5)
@@ -256,8 +256,8 @@ class LatchingSource(TickSource):
             self._marks.popleft()
             edge = edges.near(estimate)
             if self._is_told(edge, edges.window_ns):
-                believed |= self._believed(Mark(low, high, *edge))
-        return believed
+                accepted |= self._accepted(Mark(low, high, *edge))
+        return accepted
 
     def waited(self, ticks: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which samples (n,) were due while the line was busy with an edge, and so were taken later."""
@@ -297,7 +297,7 @@ class SyncSource(TickSource):
         self._recent.extend(
             zip(rows["tick"].tolist(), rows["sync_counter"].tolist(), rows["host_ns"].tolist(), strict=True)
         )
-        believed = False
+        accepted = False
         while self._unmatched:
             edge, place = self._unmatched[0]
             if self._recent[-1][2] < edge.latest_ns + 0.3e9:
@@ -306,8 +306,8 @@ class SyncSource(TickSource):
             tick = self._sync_of(edge, place)
             if tick is not None:
                 at = tick + place.dither_ns / self.period_ns
-                believed |= self._believed(Mark(at, at, *edge))
-        return believed if self.is_marked else moved
+                accepted |= self._accepted(Mark(at, at, *edge))
+        return accepted if self.is_marked else moved
 
     def _sync_of(self, edge: EdgeBounds, place: PulsePlace) -> int | None:
         """Tick of the SYNC in whose period the pulse rose."""

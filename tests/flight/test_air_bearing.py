@@ -113,7 +113,7 @@ def test_a_fit_that_is_not_usable_says_why(log: Path) -> None:
 def test_an_answer_that_half_of_the_run_cannot_check_is_weak(read: Samples, tmp_path: Path) -> None:
     (found,) = identify(VEHICLE, [write(tmp_path / "half.mcap", read, 5.0)]).logs
     assert found.verdict.level is Level.WEAK
-    assert "not checked on motion that was not used: half of the run tells too little (more" in found.verdict.text
+    assert "not checked on motion that was not used: half of the run determines too little (more" in found.verdict.text
     (mass,) = (answer for answer in found.answers if answer.name == "m_payload")
     assert mass.supported
     assert mass.low < BOX.mass_kg < mass.high

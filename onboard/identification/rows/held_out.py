@@ -1,4 +1,4 @@
-"""HeldOutFit of motion that was not used: each half of the rows identified alone, the other half predicted from it.
+"""Prediction of motion that was not used: each half of the rows identified alone, the other half predicted from it.
 
 A fit shows the agreement of rows with parameters chosen for them. Whether the parameters are the body's own or
 compensate for another error (a flexible joint, a wrong sensor scale) shows on other motion. The rows are kept as normal

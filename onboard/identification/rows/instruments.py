@@ -97,9 +97,7 @@ class Instruments:
     ) -> None:
         self._recursion, self._model, self._fold, self._base = recursion, model, fold, base
         if model.vehicle.spec.base is not BaseKind.FREE:
-            raise SignalError(
-                f"a {model.vehicle.spec.base.value} base is moved by what nobody predicts; free ones only"
-            )
+            raise SignalError(f"a {model.vehicle.spec.base.value} base has no predicted motion; free bases only")
         self._motion = PredictedMotion(model.vehicle, lag_s)
         spread = base.grouping * prior_sigma**2  # (p, P)
         self._standard = np.linalg.solve(spread @ base.grouping.T, spread).T  # (P, p) standard of base parameters

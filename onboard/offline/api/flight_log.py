@@ -187,7 +187,7 @@ class FlightLog:
 
     @cached_property
     def _clocked(self) -> dict[str, NDArray[np.int64]]:
-        """Vehicle time of every row of the channels that have clocks: one run of the timebase tells all."""
+        """Vehicle time of every row of the channels that have clocks: one run of the timebase for all."""
         parts: dict[str, list[NDArray[np.int64]]] = {name: [np.empty(0, np.int64)] for name in self.tables.clocked}
         for name, time_ns in self.tables.times_of(self.tables.clocked):
             parts[name].append(time_ns)

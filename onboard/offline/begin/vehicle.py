@@ -96,7 +96,7 @@ def _require(wanted: Wanted) -> None:
     if wanted.imu == "none" and wanted.base != "fixed":
         raise config.ConfigError(f"a base that is {wanted.base} has to be measured: give --imu")
     if wanted.load_cell == "none" and wanted.base in ("prescribed", "fixed"):
-        raise config.ConfigError(f"a base that is {wanted.base} tells nothing of the payload: give --load-cell")
+        raise config.ConfigError(f"a base that is {wanted.base} shows nothing of the payload: give --load-cell")
 
 
 def _devices(wanted: Wanted) -> list[NewDevice]:
@@ -128,7 +128,7 @@ viscous_sigma_N_s_m = 5.0      # how much it may drag
 coulomb_sigma_N = 0.5
 """
     return f"""{schema.FIRST_LINE}
-# Made by heft init. Numbers that are "yours" are those of nobody's arm: put your own there. Every key: docs/vehicle.md,
+# Made by heft init. Numbers that are "yours" are placeholders: put your own there. Every key: docs/vehicle.md,
 # those of devices: docs/devices.md. `heft preflight vehicle.toml` says what does not fit.
 
 [vehicle]

@@ -86,7 +86,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
             earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
             halves = held_out(exiddm, earlier, later, found)
         except (EstimationError, ModelError) as error:
-            unchecked = f"not checked on motion that was not used: half of the run tells too little ({error})"
+            unchecked = f"not checked on motion that was not used: half of the run determines too little ({error})"
     link = link_estimate(kept.payload, found.chi, wider * found.chi_covariance)
     body = found.payload._replace(body=link.body or found.payload.body)
     answers = (*body_answers(names, *body, wider), *judged.answers)

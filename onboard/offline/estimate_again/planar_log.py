@@ -63,7 +63,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     """
     asked = vehicle.file.planar
     if asked is None:
-        raise config.ConfigError(f"{vehicle.path}: no section [planar]; it tells table and pucks")
+        raise config.ConfigError(f"{vehicle.path}: no section [planar], which names table and pucks")
     _, model = build_planar(vehicle)
     payload = str(model.spec.payload_link)
     recorder = _Recorder(payload, len(model.joints))

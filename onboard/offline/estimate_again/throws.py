@@ -223,7 +223,7 @@ def calibrate(vehicle: config.Vehicle, calibration: Mapping[str, Identifier]) ->
     """The rotors and the carrier, from throws of known bodies only.
 
     Args:
-        vehicle: tells the masses and the proof body.
+        vehicle: gives the masses and the proof body.
         calibration: by role ("carrier", "proof"), an identifier that has seen all the throws of that role.
 
     Returns:

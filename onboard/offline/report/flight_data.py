@@ -136,7 +136,7 @@ class _Reader:
     """Second pass over the log."""
 
     def __init__(self, flight: FlightData, log: LogReader) -> None:
-        self._story = flight
+        self._flight = flight
         self._zero = {
             signal: roles.zero_count for signal, roles in (flight.roles.signals if flight.roles else {}).items()
         }
@@ -168,14 +168,14 @@ class _Reader:
         match self._kind[batch.channel]:
             case "signal":
                 self._signal(batch)
-            case "gap" if sum(map(len, self._story.gaps)) < _GAPS_KEPT:
-                self._story.gaps.append(batch.rows)
+            case "gap" if sum(map(len, self._flight.gaps)) < _GAPS_KEPT:
+                self._flight.gaps.append(batch.rows)
             case "event":
                 changes = batch.rows[np.isin(batch.rows["code"], _CHANGES)]
-                self._story.changes += [(int(row["host_ns"]), row["code"].decode()) for row in changes]
+                self._flight.changes += [(int(row["host_ns"]), row["code"].decode()) for row in changes]
                 loud = batch.rows[batch.rows["severity"] >= Severity.WARNING]
-                if sum(map(len, self._story.events)) < _EVENTS_KEPT and len(loud):
-                    self._story.events.append(loud)
+                if sum(map(len, self._flight.events)) < _EVENTS_KEPT and len(loud):
+                    self._flight.events.append(loud)
             case "clock":
                 _by_name(self._clocks, batch.rows, "channel")
             case "quantity":
@@ -186,7 +186,7 @@ class _Reader:
                 self._estimates(batch.rows)
 
     def _signal(self, batch: Batch) -> None:
-        name, rows, flight = batch.channel, batch.rows, self._story
+        name, rows, flight = batch.channel, batch.rows, self._flight
         values = si.imu(rows) if rows.dtype == IMU else si.scalar(rows, self._zero.get(name, 0))[:, None]
         bad = ~si.usable(rows)
         if bad.any():
@@ -209,7 +209,7 @@ class _Reader:
                 self._sweep_envelopes[key].add(at_ns[inside], values[inside])
 
     def _rows(self, rows: Rows) -> None:
-        flight = self._story
+        flight = self._flight
         flight.rows_total += rows["gate"].size
         flight.rows_used += int(np.count_nonzero(rows["gate"] == 0))
         for bit in range(32):
@@ -224,7 +224,7 @@ class _Reader:
     def _estimates(self, rows: Rows) -> None:
         """Collect the estimator states at the start of, during and at the end of each sweep."""
         at_ns = rows["vehicle_ns"]
-        for sweep in self._story.sweeps:
+        for sweep in self._flight.sweeps:
             first, last = sweep.phase.start_ns, sweep.phase.end_ns
             if at_ns[0] < first:
                 sweep.before = rows[np.searchsorted(at_ns, first) - 1].copy()
@@ -239,7 +239,7 @@ class _Reader:
         """Process the remaining rows and store the results in the flight's data."""
         for channel in [channel for channel, waiting in self._waiting.items() if waiting]:
             self._flush(channel)
-        flight = self._story
+        flight = self._flight
         zero_ns = flight.info.start_ns
         flight.traces = {name: envelope.trace(zero_ns) for name, envelope in self._envelopes.items()}
         for (number, name), envelope in self._sweep_envelopes.items():

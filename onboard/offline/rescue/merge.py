@@ -28,7 +28,7 @@ NAME_BYTES = min(GAP["channel"].itemsize, CLOCK["channel"].itemsize)  # of a cha
 class Part(NamedTuple):
     """One recorder's log, and its mapping to the first one's clock: ``host_ns x rate + shift_ns``.
 
-    ``label`` tells its channels apart from those of the others; the name of the log where it is empty.
+    ``label`` distinguishes its channels from the others'; the name of the log where it is empty.
     """
 
     segments: Sequence[Path]
@@ -38,7 +38,7 @@ class Part(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What tells it apart."""
+        """Prefix of its channels."""
         return self.label or self.segments[0].stem
 
 

@@ -31,7 +31,7 @@ from onboard.offline.tables import si
 from onboard.recording.reader import LogReader
 from onboard.timebase.resync import Alignment, ResyncError, Stream, align, shocks
 
-# An IMU that nobody calibrated: MPU-6050 product specification 3.4, sections 6.1 and 6.2, halved to 1 sigma; drift of
+# An IMU without calibration: MPU-6050 product specification 3.4, sections 6.1 and 6.2, halved to 1 sigma; drift of
 # its zeros over the warm-up of a flight.
 UNCALIBRATED = ImuPrior(0.17, 1e-3, 0.015, 0.01, 0.4, 1e-2, 0.015, 0.01, 0.0)
 # Of a payload that could be anything an arm holds: kg, kg m, kg m^2, about none at all.
@@ -95,10 +95,10 @@ def resync(
 
     Args:
         logs: two or more.
-        vehicle: tells which channel is what, and the model where there is one; else every scalar channel in rad or
+        vehicle: says which channel is what, and the model where there is one; else every scalar channel in rad or
             rad/s is taken for a joint.
         peak_Hz: where the motion is liveliest, see :func:`onboard.timebase.resync.align`.
-        rate_limit: largest believable relative error of a clock.
+        rate_limit: largest accepted relative error of a clock.
         by_shocks: compare taps of a mallet, which every recorder feels, and nothing else; good to some milliseconds.
 
     Raises:

@@ -50,7 +50,7 @@ class FlightTables:
         self.clocked = clocked(self.log, self.vehicle) if self.vehicle else []
 
     def columns(self, channel: str, sample: Rows) -> list[Column]:
-        """Every column of a channel's rows with times; ``sample`` tells units that rows name themselves."""
+        """Every column of a channel's rows with times; ``sample`` gives the units that rows name themselves."""
         dtype = self.log.channels[channel]
         made = columns(dtype, self.log.units[channel], sample, self.meanings[channel])
         return [*time_columns(self.times), *made]

@@ -11,7 +11,7 @@ from onboard.flight.roles import roles_of
 from onboard.offline.tables.vehicle_time import clocked
 from onboard.recording.reader import LogReader
 
-_NO_CLOCK = "not known, without a vehicle that tells which clock it has"
+_NO_CLOCK = "not known without the vehicle file, which names its clock"
 
 
 class Meaning(NamedTuple):
@@ -38,7 +38,7 @@ class Meaning(NamedTuple):
 
 
 def meanings(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, Meaning]:
-    """The meaning of every channel of ``log``, as ``vehicle`` tells it; None: as the rows alone do."""
+    """The meaning of every channel of ``log``, from ``vehicle``; None: from the rows alone."""
     found = {name: _of_rows(dtype) for name, dtype in log.channels.items()}
     if vehicle is None:
         sampled = Meaning(time=_NO_CLOCK, time_field="")

@@ -21,7 +21,7 @@ def vehicle_of(log: LogReader, directory: Path) -> config.Vehicle:
         (directory / Path(name).name).write_bytes(attachment.data)
     try:
         return config.load(directory / VEHICLE_ATTACHMENT)
-    except config.ConfigError as error:  # nobody has the directory
+    except config.ConfigError as error:  # no vehicle directory of that name
         raise config.ConfigError(str(error).replace(f"{directory}/", f"{log.path}: its ")) from error
 
 
