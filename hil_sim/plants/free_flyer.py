@@ -188,6 +188,9 @@ class FreeFlight:
     Attributes:
         payload: what is held now.
         step_s: between samples.
+        model: MuJoCo's, of what flies now.
+        data: its state at the newest sample.
+        impulse_m_s: velocity that the IMU gained in a capture since then, IMU axes (3,).
     """
 
     def __init__(
@@ -201,10 +204,10 @@ class FreeFlight:
     ) -> None:
         self._motion, self._base, self._arm = motion, base, arm
         self.payload, self.step_s = payload, step_s
-        self._model = world(payload, base, arm, step_s)
-        self._data = _released(self._model, motion, rate_rad_s)
+        self.model = world(payload, base, arm, step_s)
+        self.data = _released(self.model, motion, rate_rad_s)
         self._samples = 0
-        self._impulse_m_s = np.zeros(3)
+        self.impulse_m_s = np.zeros(3)
         self._flown: list[FreeFlightSignals] = []
 
     @property
@@ -219,9 +222,9 @@ class FreeFlight:
 
     def advance(self, samples: int) -> FreeFlightSignals:
         """The next ``samples`` samples, one or more."""
-        flown = _advance(self._model, self._data, self._motion, self._samples, samples)
-        flown.specific_force_m_s2[0] += self._impulse_m_s / self.step_s
-        self._impulse_m_s = np.zeros(3)
+        flown = _advance(self.model, self.data, self._motion, self._samples, samples)
+        flown.specific_force_m_s2[0] += self.impulse_m_s / self.step_s
+        self.impulse_m_s = np.zeros(3)
         self._samples += samples
         self._flown.append(flown)
         return flown
@@ -244,8 +247,8 @@ class FreeFlight:
         """
         if self.payload is not None:
             raise ValueError("a payload is held already; release it first")
-        mujoco.mj_forward(self._model, self._data)
-        momentum = _mass_matrix(self._model, self._data)[:6] @ self._data.qvel  # linear: world; angular: base, its axes
+        mujoco.mj_forward(self.model, self.data)
+        momentum = _mass_matrix(self.model, self.data)[:6] @ self.data.qvel  # linear: world; angular: base, its axes
         model, data = self._swap(payload)
         R_WB, held = data.body("base").xmat.reshape(3, 3), data.body("payload")
         R_WP, origin, centre = held.xmat.reshape(3, 3), held.xpos, held.xipos
@@ -265,12 +268,12 @@ class FreeFlight:
         jump = twist - data.qvel[:6]
         imu = data.site("imu")
         swing = R_WB @ np.cross(jump[3:], IMU_POSITION_m)
-        self._impulse_m_s = imu.xmat.reshape(3, 3).T @ (jump[:3] + swing)
+        self.impulse_m_s = imu.xmat.reshape(3, 3).T @ (jump[:3] + swing)
         data.qvel[:6] = twist
         mujoco.mj_forward(model, data)
         through = _momentum(model, data, "link_5", wrist) + _momentum(model, data, "payload", wrist) - before
         force, moment = through.reshape(2, 3) @ data.site("wrist").xmat.reshape(3, 3)
-        return Jump(self._impulse_m_s, imu.xmat.reshape(3, 3).T @ R_WB @ jump[3:], force, moment)
+        return Jump(self.impulse_m_s, imu.xmat.reshape(3, 3).T @ R_WB @ jump[3:], force, moment)
 
     def release(self) -> None:
         """Release the payload without an impulse.
@@ -283,13 +286,13 @@ class FreeFlight:
         self._swap(None)
 
     def _swap(self, payload: Body | None) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        before = self._data
+        before = self.data
         self.payload = payload
-        self._model = world(payload, self._base, self._arm, self.step_s)
-        self._data = mujoco.MjData(self._model)
-        self._data.qpos[:], self._data.qvel[:] = before.qpos, before.qvel
-        mujoco.mj_forward(self._model, self._data)
-        return self._model, self._data
+        self.model = world(payload, self._base, self._arm, self.step_s)
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:], self.data.qvel[:] = before.qpos, before.qvel
+        mujoco.mj_forward(self.model, self.data)
+        return self.model, self.data
 
 
 class Capture(NamedTuple):

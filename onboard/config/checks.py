@@ -7,7 +7,7 @@ from typing import NoReturn
 
 from drivers.errors import DriverError
 from drivers.transports import url
-from onboard.config.errors import ConfigError, line_of
+from onboard.config.errors import ConfigError
 from onboard.config.vehicle import Vehicle
 from onboard.devices.base import BusDevice
 
@@ -26,7 +26,7 @@ def check(vehicle: Vehicle) -> None:
     """Raise ConfigError for the first violation."""
 
     def fail(where: list[str], why: str) -> NoReturn:
-        raise ConfigError(f"{vehicle.path}:{line_of(vehicle.text, where)}: {why}")
+        raise ConfigError(f"{vehicle.origin.place(where)}: {why}")
 
     _check_names(vehicle, fail)
     for name, device in vehicle.file.device.items():

@@ -1,6 +1,7 @@
-"""The error of a vehicle file, and the line of a key in its text."""
+"""The error of a vehicle file, and the place of a key in it."""
 
 import re
+from typing import NamedTuple
 
 
 class ConfigError(ValueError):
@@ -26,3 +27,14 @@ def line_of(text: str, where: list[str]) -> int:
         if here == where[: len(here)] and len(here) > depth:
             best, depth = number, len(here)
     return best
+
+
+class Origin(NamedTuple):
+    """Where a tree of settings comes from: what messages call it, and its text; empty where it has none."""
+
+    label: str
+    text: str = ""
+
+    def place(self, where: list[str]) -> str:
+        """The label, and the line of the key at ``where`` in a text."""
+        return f"{self.label}:{line_of(self.text, where)}" if self.text else self.label

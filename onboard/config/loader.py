@@ -12,7 +12,7 @@ from pydantic import AliasChoices, BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from onboard.config.checks import check
-from onboard.config.errors import ConfigError, line_of
+from onboard.config.errors import ConfigError, Origin
 from onboard.config.vehicle import Vehicle, VehicleFile
 from onboard.devices.registry import BROKEN
 
@@ -63,32 +63,49 @@ def load(path: Path, urdf: Path | None = None) -> Vehicle:
 
 def parse(text: str, path: Path, urdf: Path | None = None) -> Vehicle:
     """As :func:`load`, for a text already read (from a log, say)."""
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
-    _refuse_broken(path, text, tree)
+    tree = tree_of(text, str(path))
     if urdf is not None and isinstance(tree.get("vehicle"), dict):
         tree["vehicle"]["urdf"] = str(urdf.absolute())
+    return parse_tree(tree, path, Origin(str(path), text))
+
+
+def tree_of(text: str, label: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        ConfigError: it is no TOML; the message begins with ``label``.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{label}: not TOML: {error}") from error
+
+
+def parse_tree(tree: dict[str, Any], path: Path, origin: Origin) -> Vehicle:
+    """As :func:`load`, for tables that are read already, and stand for the file at ``path``.
+
+    Messages begin with the label of ``origin``, and name lines where it has a text.
+    """
+    _refuse_broken(origin, tree)
     try:
         file = VehicleFile.model_validate(tree)
     except ValidationError as error:
-        raise ConfigError("\n".join(_explain(path, text, tree, dict(one)) for one in error.errors())) from error
+        raise ConfigError("\n".join(_explain(origin, tree, dict(one)) for one in error.errors())) from error
     for where, why in _coerced(tree, file, []):
-        raise ConfigError(f"{path}:{line_of(text, where)}: {'.'.join(where)!r}: {why}")
-    vehicle = Vehicle(path=path, text=text, file=file)
+        raise ConfigError(f"{origin.place(where)}: {'.'.join(where)!r}: {why}")
+    vehicle = Vehicle(path=path, origin=origin, tree=tree, file=file)
     check(vehicle)
     return vehicle
 
 
-def _refuse_broken(path: Path, text: str, tree: dict[str, Any]) -> None:
+def _refuse_broken(origin: Origin, tree: dict[str, Any]) -> None:
     """A device of a kind that another package claims, and that cannot be used, is refused with the reason."""
     devices = tree.get("device")
     for name, table in devices.items() if isinstance(devices, dict) else ():
         kind = table.get("kind") if isinstance(table, dict) else None
         if isinstance(kind, str) and kind in BROKEN:
-            line = line_of(text, ["device", name, "kind"])
-            raise ConfigError(f"{path}:{line}: 'device.{name}': kind {kind!r}: {BROKEN[kind]}")
+            place = origin.place(["device", name, "kind"])
+            raise ConfigError(f"{place}: 'device.{name}': kind {kind!r}: {BROKEN[kind]}")
 
 
 def _coerced(given: Any, read: Any, where: list[str]) -> Iterator[tuple[list[str], str]]:
@@ -104,18 +121,17 @@ def _coerced(given: Any, read: Any, where: list[str]) -> Iterator[tuple[list[str
         yield where, f"a number is wanted here (found {json.dumps(given)}); write it without quotes"
 
 
-def _explain(path: Path, text: str, tree: dict[str, Any], error: dict[str, Any]) -> str:
+def _explain(origin: Origin, tree: dict[str, Any], error: dict[str, Any]) -> str:
     where = _place([str(part) for part in error["loc"]], tree)
-    line = line_of(text, where)
-    name = ".".join(where)
+    place, name = origin.place(where), ".".join(where)
     if error["type"] == "extra_forbidden":
         known = list(_model_at(where[:-1], tree).model_fields)
         near = difflib.get_close_matches(where[-1], known, 1, 0.5)
         remedy = f"did you mean {near[0]!r}? Units are in the key" if near else f"known here: {', '.join(known)}"
-        return f"{path}:{line}: unknown key {name!r}; {remedy}"
+        return f"{place}: unknown key {name!r}; {remedy}"
     if error["type"] == "missing":
-        return f"{path}:{line}: {name!r} is missing; add it"
-    return f"{path}:{line}: {name!r}: {error['msg']} (found {error['input']!r})"
+        return f"{place}: {name!r} is missing; add it"
+    return f"{place}: {name!r}: {error['msg']} (found {error['input']!r})"
 
 
 def _place(loc: list[str], tree: dict[str, Any]) -> list[str]:

@@ -1,13 +1,13 @@
 """The vehicle file: its sections, and the parsed file."""
 
-import tomllib
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 from urllib.parse import parse_qs, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
 from onboard.config.planar import Planar
@@ -75,13 +75,27 @@ class VehicleFile(Section):
 
 
 class Vehicle(BaseModel):
-    """A parsed vehicle file: its text, directory and sections."""
+    """A parsed vehicle file: its origin, tree and sections.
+
+    ``path``: the file, or the one it replaces; other files are found beside it. ``tree``: as it was written.
+    """
 
     model_config = ConfigDict(frozen=True)
 
     path: Path
-    text: str
+    origin: Origin
+    tree: dict[str, Any]
     file: VehicleFile
+
+    @property
+    def text(self) -> str:
+        """Of the vehicle file."""
+        return self.origin.text
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return self.origin.label
 
     @cached_property
     def urdf_path(self) -> Path:
@@ -109,7 +123,7 @@ class Vehicle(BaseModel):
 
     def baud(self, bus: str) -> float:
         """Of a serial line, by the file as it was written: a replay has no other, wherever the bus flew."""
-        url = tomllib.loads(self.text)["bus"][bus]["url"]
+        url = self.tree["bus"][bus]["url"]
         told = parse_qs(urlsplit(url).query).get("baud")
         return float(told[0]) if told else UNSTATED_BAUD
 

@@ -102,8 +102,8 @@ class Estimator:
         """
         if isinstance(self.online, Identifier):
             return self.online
-        path, method = self.vehicle.path, self.vehicle.file.estimation.method
-        raise config.ConfigError(f'{path}: this needs rows; the method is "{method}"')
+        label, method = self.vehicle.label, self.vehicle.file.estimation.method
+        raise config.ConfigError(f'{label}: this needs rows; the method is "{method}"')
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

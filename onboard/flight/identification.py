@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.config.errors import line_of
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.errors import ModelError, UrdfError
 from onboard.dynamics.payload import standard_covariance
@@ -89,7 +88,7 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
             predictor, roles.imu.frame, payload_sigma, asked.held_at_start, asked.false_alarms_per_hour, known
         )
     except (ModelError, EstimationError) as error:
-        raise config.ConfigError(f"{vehicle.path}: {error}") from error
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
     return ExiddmIdentifier(exiddm), model
 
 
@@ -104,7 +103,7 @@ def samples_per_tick(vehicle: config.Vehicle) -> int:
     samples = round(1.0 / (period_s * vehicle.file.estimation.row_rate_hz))
     if samples < 2:
         text = f"{period_s * 1e3:g} ms between samples of {channel!r}"
-        raise config.ConfigError(f"{vehicle.path}: {text}: lower row_rate_hz until two and more make a tick")
+        raise config.ConfigError(f"{vehicle.label}: {text}: lower row_rate_hz until two and more make a tick")
     return samples
 
 
@@ -122,13 +121,13 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
         model.pose_in_base(roles.imu.frame)
         exiddm_prior(vehicle, model)
     except ModelError as error:
-        raise config.ConfigError(f"{vehicle.path}: {error}") from error
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
     for index, puck in enumerate(vehicle.file.planar.puck if vehicle.file.planar else ()):
         try:
             model.pose_in_base(puck.frame)
         except ModelError as error:
-            line = line_of(vehicle.text, ["planar", "puck", str(index), "frame"])
-            raise config.ConfigError(f"{vehicle.path}:{line}: {error}") from error
+            place = vehicle.origin.place(["planar", "puck", str(index), "frame"])
+            raise config.ConfigError(f"{place}: {error}") from error
     return TableRun(str(model.spec.payload_link)), model
 
 
@@ -201,7 +200,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             start=_start(vehicle, base.names) if settings.carried else None,
         )
     except (ModelError, EstimationError) as error:
-        raise config.ConfigError(f"{vehicle.path}: {error}") from error
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
     return identifier, model
 
 
@@ -210,7 +209,7 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
     assert carried is not None
     if tuple(carried.names) != names:
         text = f"what {carried.log} had learned is of {', '.join(carried.names)}; here there are {', '.join(names)}"
-        raise config.ConfigError(f"{vehicle.path}: {text}. Go on with the vehicle that flew then")
+        raise config.ConfigError(f"{vehicle.label}: {text}. Go on with the vehicle that flew then")
     sensitivity = np.array(carried.sensitivity, np.float64).reshape(len(names), -1)
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
 

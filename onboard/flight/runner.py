@@ -127,7 +127,7 @@ def _fly(
         text = one.problem or f"{one.rows} rows brought in"
         tell(Severity.ERROR if one.problem else Severity.WARNING, "harvest", one.log.name, text)
     announcer = Announcer(vehicle, directory, time.monotonic(), status_s)
-    end = _EndOfMission(vehicle, directory)
+    end = EndOfMission(vehicle, directory)
     try:
         for worker in everyone:
             worker.start()
@@ -191,7 +191,7 @@ class _StopSignals:
             signal.signal(number, handler)
 
 
-class _EndOfMission:
+class EndOfMission:
     """Watches the phase channel for the phase that ends the flight; what is under way then still comes in."""
 
     def __init__(self, vehicle: config.Vehicle, directory: Path) -> None:
@@ -207,6 +207,7 @@ class _EndOfMission:
         return self._first is not None and self._first == self._end
 
     def reached(self) -> bool:
+        """Whether the ending phase has come, and what was under way then has had its time."""
         if self._reader is None or self._end is None:
             return False
         rows, _ = self._reader.read()

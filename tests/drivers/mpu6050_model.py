@@ -61,7 +61,7 @@ class Mpu6050Model:
         """Number of sample instants that have passed."""
         return int((self.clock() - self.phase_ns) // self.period_ns)
 
-    def _sample(self) -> None:
+    def sample(self) -> None:
         now = self._grid_now()
         running = self.registers.get(0x23) == 0xF8 and self.registers.get(0x6A, 0) & 0x40
         if running and not self.registers[0x6B] & 0x40 and not self.broken:
@@ -110,7 +110,7 @@ class Mpu6050Model:
 
     def _begin(self, size: int) -> None:
         self.clock.advance(self.byte_ns * size)
-        self._sample()
+        self.sample()
 
     def write(self, address: int, data: bytes) -> None:
         self.transfers.append(("write", *data))

@@ -30,7 +30,7 @@ class QsbModel:
         self.zero_ns = self.clock()
         self.zero_count = self.encoder(self.clock())
         self._input = ""
-        self._line_tick = 0
+        self.line_tick = 0
         self._level = 0
         self._last_capture = 0
         return b"QSB-D  0E!\r\n"
@@ -78,7 +78,7 @@ class QsbModel:
             return self.line("r", register, self._value(register))
         if kind == "S":
             self.streams.append(register)
-            self._line_tick = self.tick
+            self.line_tick = self.tick
             return self.line("s", register, self._value(register)) if self._acknowledges(register) else b""
         if register in READ_ONLY:
             return self.line("e", register, data)
@@ -123,10 +123,10 @@ class QsbModel:
         interval = self.registers[0x0C]
         if 0x0E not in self.streams or interval == 0xFFFF:
             return lines
-        while self._line_tick + interval <= self.tick:
-            self._line_tick += interval
-            at_ns = self.zero_ns + self._line_tick * self.tick_ns
+        while self.line_tick + interval <= self.tick:
+            self.line_tick += interval
+            at_ns = self.zero_ns + self.line_tick * self.tick_ns
             now, self.clock = self.clock, lambda at=at_ns: at
-            lines.append(self.line("s", 0x0E, self.counter(), self._line_tick))
+            lines.append(self.line("s", 0x0E, self.counter(), self.line_tick))
             self.clock = now
         return lines

@@ -474,7 +474,7 @@ def test_a_slipped_fifo_is_reset_before_it_lies(flight, bytes_gone):
     flight.start()
     flight.fly(100)
     flight.clock.advance(5 * MS)
-    flight.chip._sample()
+    flight.chip.sample()
     del flight.chip.fifo[:bytes_gone]
     made = flight.fly(3)
     assert "misaligned" in codes(made)
@@ -571,7 +571,7 @@ def test_a_stop_while_the_bus_is_away_names_what_is_missing(flight):
     flight.chip.fail = lambda number: errno.EREMOTEIO
     flight.fly(100)
     flight.stop()
-    flight.chip._sample()
+    flight.chip.sample()
     rows = whole(flight.batches, NAME)
     (gap,) = of(flight.batches, "gap")
     assert gap["cause"] == b"bus_error"

@@ -152,7 +152,7 @@ def test_the_count_is_unwrapped_over_its_32_bits(clock):
 
 def test_the_timestamp_is_unwrapped_over_its_32_bits(flight):
     flight.qsb.zero_ns = flight.clock() - (2**32 - 200) * flight.qsb.tick_ns
-    flight.qsb._line_tick = flight.qsb.tick
+    flight.qsb.line_tick = flight.qsb.tick
     flight.fly(100)
     rows = flight.rows()
     assert rows["tick"][-1] > 2**32
@@ -326,7 +326,7 @@ def test_an_adapter_that_only_lost_its_stream_goes_on_counting(flight):
 def test_a_timestamp_that_jumps_is_told(flight):
     flight.fly(100)
     flight.qsb.zero_ns -= 100 * S
-    flight.qsb._line_tick = flight.qsb.tick
+    flight.qsb.line_tick = flight.qsb.tick
     flight.fly(50)
     rows = flight.rows()
     assert codes(flight.batches).count("clock_jump") == 1

@@ -12,7 +12,7 @@ from onboard import channels, config
 from onboard.flight import rings
 from onboard.flight.announcer import RECORDER_SAID, Announcer, missing_all_flight
 from onboard.flight.publisher import Publisher
-from onboard.flight.runner import _EndOfMission
+from onboard.flight.runner import EndOfMission
 from onboard.ring import RingWriter
 
 
@@ -120,7 +120,7 @@ def test_a_mission_that_was_over_before_the_start_is_known(
 ) -> None:
     phases = vehicle.file.estimation.phases
     assert phases is not None
-    end = _EndOfMission(vehicle, tmp_path)
+    end = EndOfMission(vehicle, tmp_path)
     for number, code in enumerate(codes):
         row = scalars(number, 1)
         row["value_raw"] = phases.end if code == 77 else code

@@ -1,10 +1,13 @@
 """The free-flyer catches something in mid-flight, short and in virtual time: from bus bytes to what it is."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hil_sim.mission import open_in_process
+from hil_sim.scenario.load import load
 from onboard import config
 from onboard.flight import hil
 from onboard.offline.estimate_again.replay import replay
@@ -62,6 +65,26 @@ def test_the_intervals_hold_what_was_caught(flown: Result) -> None:
     told = [row for group in ("masses", "centres", "inertias") for row in flown.table[group]]
     assert len(told) == 10
     assert all(row["supported"] for row in told)
+    assert sum(row["covered"] for row in told) >= 8
+
+
+def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(flown: Result, tmp_path: Path) -> None:
+    """The kernel of dymaflex_parabolic, half down at 30 Hz: its poles are those of filterpy's steady-state filter."""
+    packaged, path = config.packaged("dymaflex"), tmp_path / "flight.mcap"
+    kernel = 'smoothing = "smoother"\nsmoothing_ms = 300'
+    text, count = re.subn(r"(?m)^smoothing_ms = 250\b", kernel, packaged.read_text(encoding="utf-8"))
+    assert count == 1
+    world, urls = open_in_process(load("dymaflex", SHORT), SEED)
+    with world:
+        smoothed = hil.fly_simulated(config.parse(text, packaged), world, urls, path)
+    again = Result(path, smoothed, table.result(smoothed))
+    assert again.table["capture"]["said_s"] == pytest.approx(flown.table["capture"]["said_s"], abs=0.2)
+    mass, by_spline = again.mass("m_payload"), flown.mass("m_payload")
+    assert mass["covered"]
+    assert mass["value"] == pytest.approx(by_spline["value"], abs=3 * by_spline["sigma"])
+    assert mass["value"] != by_spline["value"]
+    told = [row for group in ("masses", "centres", "inertias") for row in again.table[group]]
+    assert len(told) == 10
     assert sum(row["covered"] for row in told) >= 8
 
 

@@ -4,9 +4,6 @@ The new settings are a TOML file with only the keys that change; they override t
 estimator makes the same steps as in flight, so that every difference is due to the settings.
 """
 
-import json
-import re
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -93,17 +90,8 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
 
 
 def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
-    try:
-        over = tomllib.loads(settings.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise config.ConfigError(f"{settings}: not TOML: {error}") from error
-    tree = _over(tomllib.loads(flown.text), over)
-    text = "".join(f"{key} = {_inline(value)}\n" for key, value in tree.items())
-    try:
-        return config.parse(text, flown.path)
-    except config.ConfigError as error:  # its line numbers are of the merged file
-        message = re.sub(rf"{re.escape(str(flown.path))}(:\d+)?", str(settings), str(error))
-        raise config.ConfigError(message) from error
+    over = config.tree_of(settings.read_text(encoding="utf-8"), str(settings))
+    return config.parse_tree(_over(flown.tree, over), flown.path, config.Origin(str(settings)))
 
 
 def _over(tree: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
@@ -113,19 +101,6 @@ def _over(tree: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
         both = isinstance(value, dict) and isinstance(tree.get(key), dict)
         made[key] = _over(tree[key], value) if both else value
     return made
-
-
-def _inline(value: object) -> str:
-    """``value`` as TOML on one line."""
-    match value:
-        case dict():
-            return "{" + ", ".join(f"{json.dumps(key)} = {_inline(one)}" for key, one in value.items()) + "}"
-        case list():
-            return "[" + ", ".join(map(_inline, value)) + "]"
-        case str() | bool():
-            return json.dumps(value)
-        case _:
-            return repr(value)
 
 
 def _changes(flown: config.Vehicle, now: config.Vehicle) -> Iterator[Difference]:

@@ -6,17 +6,17 @@ re-estimated and printed as tables of the vehicle file.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomli_w
 
 from onboard import config
 from onboard.dynamics.inertia import RigidBody, elements, symmetric
-from onboard.estimation.arrays import FloatArray
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows.free_body import (
     FREE_BODY,
@@ -123,24 +123,17 @@ class Calibration(NamedTuple):
         """The tables of the vehicle file; the rotors' inertia in the URDF is to be multiplied by the factor."""
         body, sigma = self.carrier
 
-        def numbers(values: FloatArray, digits: int) -> str:
-            said = [f"{value:.{digits}g}" for value in values]
-            lines = [", ".join(said[first : first + 3]) for first in range(0, len(said), 3)]
-            return "[" + ",\n    ".join(lines) + "]"
+        def rounded(values: Iterable[float], digits: int) -> list[float]:
+            return [float(f"{value:.{digits}g}") for value in values]
 
-        return "\n".join(
-            [
-                "[free_body]",
-                f"rotor_sigma = {self.rotor.sigma:.2g}",
-                "",
-                "[free_body.carrier]",
-                f"mass_kg = {body.mass_kg:g}",
-                f"centre_of_mass_m = {numbers(body.centre_of_mass_m, 4)}",
-                f"centre_of_mass_sigma_m = {numbers(sigma[:3], 2)}",
-                f"inertia_kg_m2 = {numbers(elements(body.inertia_kg_m2), 4)}",
-                f"inertia_sigma_kg_m2 = {numbers(sigma[3:], 2)}",
-            ]
-        )
+        carrier = {
+            "mass_kg": float(f"{body.mass_kg:g}"),
+            "centre_of_mass_m": rounded(body.centre_of_mass_m, 4),
+            "centre_of_mass_sigma_m": rounded(sigma[:3], 2),
+            "inertia_kg_m2": rounded(elements(body.inertia_kg_m2), 4),
+            "inertia_sigma_kg_m2": rounded(sigma[3:], 2),
+        }
+        return tomli_w.dumps({"free_body": {"rotor_sigma": float(f"{self.rotor.sigma:.2g}"), "carrier": carrier}})
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 from scipy.special import ndtri
 
 from drivers.records import Rows
@@ -102,13 +103,7 @@ def _last_step(log: LogReader, answers: int) -> tuple[np.void, Rows]:
 
 
 def _with(vehicle: config.Vehicle, log: Path, start: Start, names: Sequence[str]) -> config.Vehicle:
-    listed = ", ".join(f'"{name}"' for name in names)
-    lines = [
-        vehicle.text.rstrip("\n"),
-        "",
-        "[estimation.carried]",
-        f'log = "{log.name}"',
-        f"names = [{listed}]",
-        *(f"{name} = {values.tolist()}" for name, values in start._asdict().items()),
-    ]
-    return config.parse("\n".join(lines) + "\n", vehicle.path, vehicle.urdf_path)
+    carried = {"log": log.name, "names": list(names)}
+    carried |= {name: values.tolist() for name, values in start._asdict().items()}
+    table = tomli_w.dumps({"estimation": {"carried": carried}})
+    return config.parse(f"{vehicle.text.rstrip()}\n\n{table}", vehicle.path, vehicle.urdf_path)

@@ -82,6 +82,9 @@ class Board:
 
     Args:
         title: heading.
+
+    Attributes:
+        answers: the newest by name, and their trends.
     """
 
     def __init__(self, title: str) -> None:
@@ -91,7 +94,7 @@ class Board:
         self.lost = 0  # rows overwritten in a ring before they were read here; the log has them
         self._channels: dict[str, _Channel] = {}
         self._clocks: dict[str, np.void] = {}
-        self._answers: dict[str, _Answer] = {}
+        self.answers: dict[str, _Answer] = {}
         self._gates: deque[tuple[int, np.ndarray]] = deque()
         self._used = self._total = 0
         self._events: deque[tuple[int, int, str]] = deque(maxlen=_EVENTS)
@@ -115,7 +118,7 @@ class Board:
             self._say(rows)
         elif rows.dtype == channels.QUANTITY:
             for row in rows:
-                self._answers.setdefault(printable(row["name"]), _Answer(row, _TREND_NS)).add(row)
+                self.answers.setdefault(printable(row["name"]), _Answer(row, _TREND_NS)).add(row)
         elif {"period_ns", "state", "channel"} <= fields:
             self._clocks.update((printable(row["channel"]), row) for row in rows)
         elif name == "row" and "gate" in fields:
@@ -134,9 +137,9 @@ class Board:
     def render(self) -> RenderableType:
         """The board as a renderable."""
         side = Table.grid(padding=(0, 3))
-        side.add_row(self._channel_table(), Group(self._clock_table(), Text(), self._gate_lines()))
+        side.add_row(self.channel_table(), Group(self._clock_table(), Text(), self._gate_lines()))
         parts: list[RenderableType] = [self._head(), Text(), side]
-        if self._answers:
+        if self.answers:
             parts += [Text(), self._answer_table()]
         parts += [Text(), *self._event_lines()] if self._events else []
         return Group(*parts)
@@ -148,7 +151,8 @@ class Board:
             head.append(f"   this viewer was too slow for {self.lost:,} rows", "yellow")
         return head
 
-    def _channel_table(self) -> Table:
+    def channel_table(self) -> Table:
+        """Rates, counts and what is missing, a line a channel."""
         table = _table("channel", "Hz", "rows", "missing", "flagged")
         for name, channel in sorted(self._channels.items()):
             if not channel.rows and not channel.told:
@@ -191,7 +195,7 @@ class Board:
 
     def _answer_table(self) -> Table:
         table = _table("estimate", "value", "95 % ±", "", "", "interval so far")
-        for name, answer in self._answers.items():
+        for name, answer in self.answers.items():
             row = answer.last
             unit = printable(row["unit"])
             if not unit and not row["supported"]:

@@ -22,7 +22,7 @@ def still():
 
 def momentum(flight):
     """Linear, and angular about the origin of the world, of all that is welded or jointed together; (6,)."""
-    model, data = flight._model, flight._data
+    model, data = flight.model, flight.data
     mujoco.mj_forward(model, data)
     linear, angular = np.zeros(3), np.zeros(3)
     for body in range(1, model.nbody):
@@ -49,20 +49,20 @@ def test_a_capture_adds_the_payloads_momentum_and_nothing_else(motion):
     flight = free_flyer.FreeFlight(motion, (0.03, -0.02, 0.04))
     flight.advance(100)
     before = momentum(flight)
-    mujoco.mj_forward(flight._model, flight._data)
-    tip = flight._data.body("link_5")
-    R, w, R_B = tip.xmat.reshape(3, 3), np.zeros(6), flight._data.body("base").xmat.reshape(3, 3)
-    mujoco.mj_objectVelocity(flight._model, flight._data, mujoco.mjtObj.mjOBJ_XBODY, tip.id, w, 0)
+    mujoco.mj_forward(flight.model, flight.data)
+    tip = flight.data.body("link_5")
+    R, w, R_B = tip.xmat.reshape(3, 3), np.zeros(6), flight.data.body("base").xmat.reshape(3, 3)
+    mujoco.mj_objectVelocity(flight.model, flight.data, mujoco.mjtObj.mjOBJ_XBODY, tip.id, w, 0)
     grasp = R @ free_flyer.GRASP_m
     rate = w[:3] + R_B @ CAPTURE.rate_rad_s
     lever = R @ BOX.centre_of_mass_m
     velocity = w[3:] + np.cross(w[:3], grasp) + R_B @ CAPTURE.velocity_m_s + np.cross(rate, lever)
     own = BOX.mass_kg * velocity
     brought = np.r_[own, R @ BOX.inertia_kg_m2 @ R.T @ rate + np.cross(tip.xpos + grasp + lever, own)]
-    joints = flight._data.qvel[6:].copy()
+    joints = flight.data.qvel[6:].copy()
     flight.capture(BOX, CAPTURE.velocity_m_s, CAPTURE.rate_rad_s)
     np.testing.assert_allclose(momentum(flight), before + brought, atol=1e-12)
-    np.testing.assert_array_equal(flight._data.qvel[6:], joints)
+    np.testing.assert_array_equal(flight.data.qvel[6:], joints)
     flight.advance(200)
     np.testing.assert_allclose(momentum(flight), before + brought, atol=1e-6)
 
@@ -71,7 +71,7 @@ def test_a_payload_at_rest_in_the_gripper_joins_without_a_jolt(motion):
     flight = free_flyer.FreeFlight(motion, (0.03, -0.02, 0.04))
     rate = flight.advance(100).rate_rad_s[-1]
     flight.capture(BOX, np.zeros(3), np.zeros(3))
-    np.testing.assert_allclose(flight._impulse_m_s, 0.0, atol=1e-12)
+    np.testing.assert_allclose(flight.impulse_m_s, 0.0, atol=1e-12)
     np.testing.assert_allclose(flight.advance(1).rate_rad_s[0], rate, atol=2e-3)
 
 
@@ -79,10 +79,10 @@ def test_the_accelerometer_shows_what_the_imu_gains_in_a_capture():
     """Nothing moves but the payload that comes: the IMU's velocity afterwards is the sum of its specific forces."""
     flight = free_flyer.FreeFlight(still(), np.zeros(3))
     flown = free_flyer.fly_with_capture(flight, CAPTURE, 0.402)
-    data = flight._data
-    mujoco.mj_forward(flight._model, data)
+    data = flight.data
+    mujoco.mj_forward(flight.model, data)
     velocity = np.zeros(6)
-    mujoco.mj_objectVelocity(flight._model, data, mujoco.mjtObj.mjOBJ_SITE, data.site("imu").id, velocity, 1)
+    mujoco.mj_objectVelocity(flight.model, data, mujoco.mjtObj.mjOBJ_SITE, data.site("imu").id, velocity, 1)
     assert np.linalg.norm(velocity[3:]) > 1e-3
     np.testing.assert_allclose(flown.specific_force_m_s2.sum(axis=0) * 2e-3, velocity[3:], atol=1e-5)
 

@@ -173,7 +173,7 @@ def test_a_light_payload_is_not_taken_for_a_push(rng):
 def test_a_push_is_a_contact_and_the_payload_is_kept(rng):
     flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3), BOX)
     flight.advance(2500)
-    flight._data.qvel[3:6] += [0.02, -0.03, 0.01]
+    flight.data.qvel[3:6] += [0.02, -0.03, 0.01]
     flight.advance(1500)
     signals = recorded(flight.history, rng)
     recursive, ticks = online(signals), ticks_of(signals)

@@ -52,7 +52,7 @@ def test_missing_rows_are_loud_until_a_gap_record_names_them():
     assert line(board, "joint")[3] == "5"
 
     def style():
-        table = board._channel_table()
+        table = board.channel_table()
         return str(next(iter(table.columns[3].cells)).style)
 
     assert "red" in style()
@@ -64,7 +64,7 @@ def test_a_channel_that_went_quiet_is_marked():
     board = Board("x")
     board.add(Batch("joint", scalars(0, 100)))
     board.add(Batch("cell", scalars(0, 100, 10_000)))
-    names = {str(cell): str(cell.style) for cell in board._channel_table().columns[0].cells}
+    names = {str(cell): str(cell.style) for cell in board.channel_table().columns[0].cells}
     assert "red" in names["joint"]
     assert "red" not in names["cell"]
 
@@ -109,7 +109,7 @@ def test_the_trend_has_always_the_whole_flight():
     for second in range(1000):
         said["host_ns"], said["sequence"], said["high"] = (second + 1) * SECOND, second, 1000.0 - second
         board.add(Batch("quantity", said.copy()))
-    widths = board._answers["m"].widths
+    widths = board.answers["m"].widths
     assert widths[0] == 1000.0
     assert widths[-1] < 100.0
     assert len(widths) <= 32
