@@ -30,12 +30,20 @@ QUANTITY = np.dtype(
         ("sigma", "<f8"),
         ("low", "<f8"),  # 95 % interval
         ("high", "<f8"),
-        ("supported", "u1"),  # 0: the data do not determine this quantity (yet); do not show the value
+        ("drawn", "<f8"),  # part of sigma that comes from the tolerances of the drawing
+        ("supported", "u1"),  # 0: the data do not hold this quantity (yet), or it is not to be used: not to be shown
+        ("level", "u1"),  # 0 good, 1 weak, 2 do not use
+        ("why", "S128"),  # it is no better
         ("unit", "S15"),
         ("name", "S32"),
     ],
     align=True,
 )
+
+
+def is_quantity(dtype: np.dtype[np.void]) -> bool:
+    """Whether rows are QUANTITY, of this version or of one before it."""
+    return {"value", "sigma", "low", "high", "supported", "unit", "name"} <= set(dtype.names or ())
 
 
 def tick_dtype(channels: int) -> np.dtype[np.void]:

@@ -82,11 +82,23 @@ class Prior(Section):
     link: dict[str, Link] = Field(default_factory=dict)
 
 
+class LinkTolerance(Section):
+    """How far a link may be from its drawing, 1 sigma: its mass, its centre of mass, its inertia about that."""
+
+    mass_relative: NotNegative = 0.03
+    centre_m: NotNegative = 0.001
+    inertia_relative: NotNegative = 0.01
+
+
 class Masses(Section):
-    """Masses to report from the inertia about ``joint``, with the URDF's radii of gyration."""
+    """Masses to report from the inertia about ``joint``, with the URDF's radii of gyration.
+
+    ``drawing``: by link, how far it may be from its drawing; 1 mm, 1 % of inertia and 3 % of mass where not given.
+    """
 
     joint: str
     arm_link: str
+    drawing: dict[str, LinkTolerance] = Field(default_factory=dict)
 
 
 class ImuPrior(Section):

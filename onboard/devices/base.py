@@ -178,12 +178,17 @@ class BusDevice(DeviceSection):
 
 
 class ImuDevice(DeviceSection):
-    """It measures specific force and angular rate in the axes of the URDF's ``frame``; noise is that of one sample."""
+    """It measures specific force and angular rate in the axes of the URDF's ``frame``; noise is that of one sample.
+
+    ``accel_scale_sigma`` and ``gyro_scale_sigma``: of its calibration, relative; intervals by rows carry them.
+    """
 
     about_role = "IMU"
     frame: str
     accel_noise_m_s2: Positive
     gyro_noise_rad_s: Positive
+    accel_scale_sigma: NotNegative = 0.0
+    gyro_scale_sigma: NotNegative = 0.0
 
     @property
     def filter_delays_s(self) -> tuple[float, float]:
@@ -195,14 +200,16 @@ class ImuDevice(DeviceSection):
         gyro_delay_s, accel_delay_s = self.filter_delays_s
         noise = (self.gyro_noise_rad_s,) * 3 + (self.accel_noise_m_s2,) * 3
         signal = SmoothedChannel((gyro_delay_s,) * 3 + (accel_delay_s,) * 3, noise, period_s, {})
-        return Roles([ImuRole((name,), self.frame)], [], [], {name: signal})
+        return Roles(
+            [ImuRole((name,), self.frame, self.gyro_scale_sigma, self.accel_scale_sigma)], [], [], {name: signal}
+        )
 
 
 class JointDevice(BusDevice):
     """It measures the angle of ``joint``: ``zero_count`` is its reading at angle zero.
 
     On the motor side of a gear it has cyclic errors: ``eccentricity_rad`` once, ``transmission_error_rad`` twice per
-        motor revolution.
+    motor revolution. ``scale_sigma``: of its counts per revolution, relative; the intervals of rows contain it.
     """
 
     about_role = "joint angle"
@@ -211,6 +218,7 @@ class JointDevice(BusDevice):
     counts_per_revolution: int
     zero_count: int = 0
     noise_rad: Positive
+    scale_sigma: NotNegative = 0.0
     gear_ratio: Positive = 1.0
     eccentricity_rad: NotNegative = 0.0
     transmission_error_rad: NotNegative = 0.0
@@ -222,7 +230,7 @@ class JointDevice(BusDevice):
         signal = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(
             zero_count=self.zero_count, absolute=self.keeps_zero, ripple=tuple(tone for tone in ripple if tone[1])
         )
-        return Roles([], [JointRole(self.joint, name)], [], {name: signal})
+        return Roles([], [JointRole(self.joint, name, scale_sigma=self.scale_sigma)], [], {name: signal})
 
 
 class LoadCellDevice(BusDevice, LoadCellKeys):

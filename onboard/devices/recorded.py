@@ -8,7 +8,7 @@ from drivers.records import IMU, SCALAR
 from onboard.devices import roles
 from onboard.devices.base import DeviceSection, ImuDevice, Surroundings
 from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
-from onboard.section import Positive
+from onboard.section import NotNegative, Positive
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
 
@@ -44,11 +44,12 @@ class RecordedAngle(RecordedDevice):
     joint: str
     zero_count: Annotated[int, Field(description="Raw value at angle zero.")] = 0
     noise_rad: Positive
+    scale_sigma: NotNegative = 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         angle = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(zero_count=self.zero_count)
-        return Roles([], [JointRole(self.joint, name)], [], {name: angle})
+        return Roles([], [JointRole(self.joint, name, scale_sigma=self.scale_sigma)], [], {name: angle})
 
 
 class RecordedRate(RecordedDevice):
@@ -59,11 +60,12 @@ class RecordedRate(RecordedDevice):
     kind: Literal["recorded_rate"]
     joint: str
     noise_rad_s: Positive
+    scale_sigma: Annotated[float, Field(ge=0.0, description="Of its scale, relative; intervals carry it.")] = 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         rate = roles.scalar(0.0, self.noise_rad_s, period_s, roles.RATE)
-        return Roles([], [JointRole(self.joint, name, is_rate=True)], [], {name: rate})
+        return Roles([], [JointRole(self.joint, name, is_rate=True, scale_sigma=self.scale_sigma)], [], {name: rate})
 
 
 class RecordedLoadCell(RecordedDevice, LoadCellKeys):

@@ -113,12 +113,19 @@ class SmoothedChannel(NamedTuple):
     absolute: bool = True
     ripple: tuple[tuple[float, float], ...] = ()
 
+    @property
+    def travels(self) -> bool:
+        """Whether it is the angle of a joint, whose noise is quantisation: at rest it repeats."""
+        return b"rad" in self.si
+
 
 class ImuRole(NamedTuple):
     """Channels of gyro x, y, z, accel x, y, z in this order, in one or one by one; the URDF's frame they measure in."""
 
     channels: tuple[str, ...]
     frame: str
+    gyro_scale_sigma: float = 0.0  # relative, of the calibration; considered by rows
+    accel_scale_sigma: float = 0.0
 
 
 class JointRole(NamedTuple):
@@ -127,6 +134,7 @@ class JointRole(NamedTuple):
     joint: str
     channel: str
     is_rate: bool = False
+    scale_sigma: float = 0.0  # relative, of its counts a revolution; considered by rows
 
 
 class LoadCellRole(NamedTuple):

@@ -37,6 +37,11 @@ class TimeBlocks:
         """Number of blocks that hold rows."""
         return len(self._slots)
 
+    @property
+    def starts_s(self) -> FloatArray:
+        """When each block that holds rows begins, (count,), in the order of the sums."""
+        return np.array(list(self._slots), np.float64) * self.block_s
+
     def split(self, times_s: FloatArray) -> list[tuple[int, slice | NDArray[np.intp]]]:
         """Slots and the rows that belong to each; slot numbers are valid until the next call.
 

@@ -26,6 +26,8 @@ class GateReason(IntFlag):
     RESIDUAL = 32  # the row contradicts the estimate
     NOT_SYNCHRONISED = 64  # a clock the row depends on is not valid
     STILL = 128  # the joint is so slow that its Coulomb friction may have any size
+    STUCK = 256  # a reading under the kernel is the same again and again where it must change
+    LEFT_OUT = 512  # its instrument contradicts the others
 
 
 def reasons(refused: ArrayLike, reason: GateReason) -> ReasonArray:

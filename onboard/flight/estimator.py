@@ -16,15 +16,17 @@ from onboard.devices.roles import TorqueKeys
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
+from onboard.flight.answers import Answers
 from onboard.flight.clocks import timebase_of
-from onboard.flight.identification import METHODS, build_online
+from onboard.flight.identification import METHODS, build_online, with_hypotheses
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import SignalSmoother, kernel_of
+from onboard.flight.witness import RateWitness
 from onboard.flight.zeroing import Zeroing
 from onboard.identification.change import Change
 from onboard.identification.online import OnlineIdentifier
-from onboard.identification.quantities import Estimate
+from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, base_motion, standing
@@ -62,7 +64,7 @@ class Estimator:
         settings = vehicle.file.estimation
         self.inputs = tuple(vehicle.channels)
         fresh, self.model = build_online(vehicle)
-        self.online: OnlineIdentifier = fresh if identifier is None else identifier
+        self.online: OnlineIdentifier = with_hypotheses(vehicle, fresh) if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
         self._signals = SignalSmoother(vehicle)
         self._phases = PhaseTrack(settings.phases)
@@ -76,6 +78,11 @@ class Estimator:
         )
         roles = roles_of(vehicle)
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
+        self._witness = (
+            RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
+            if len(roles.imus) > 1
+            else None
+        )
         self._joints = {joint.joint: joint for joint in roles.joints}
         self._cells = {cell.name: cell for cell in roles.cells}
         motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
@@ -91,6 +98,7 @@ class Estimator:
             "estimate": channels.estimate_dtype(parameters, size),
             "quantity": channels.QUANTITY,
         }
+        self._answers = Answers(self.outputs["estimate"], settings.nuisance)
         self._sequence = dict.fromkeys(self.outputs, 0)
 
     @property
@@ -100,6 +108,8 @@ class Estimator:
         Raises:
             ConfigError: the vehicle's method has none.
         """
+        if isinstance(self.online, Hypotheses):
+            return self.online.chosen
         if isinstance(self.online, Identifier):
             return self.online
         label, method = self.vehicle.label, self.vehicle.file.estimation.method
@@ -126,8 +136,8 @@ class Estimator:
         clocks = self._timebase.update(now_ns, dict(batches))
         if len(clocks):
             made.append(self._numbered("clock", clocks))
-        for channel, why in self._signals.append(batches).items():
-            made.append(event(now_ns, Severity.ERROR, "not_usable", channel, why))
+        for channel, said in self._signals.append(batches):
+            made.append(event(now_ns, said.severity, said.code, channel, said.text))
         made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
         at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
         if len(at_ns):
@@ -158,8 +168,8 @@ class Estimator:
             base, said = self._base(now_ns, at_ns)
             made += said
             friction = None if self._friction is None else self._friction.follow(q, dq)
-            measured, measured_rate, sigma, gaps, slow = self._measured(at_ns, dq, friction)
-            refused |= base.refused | gaps | self._gates(at_ns, joints, base.sensed_m_s2)
+            measured, measured_rate, sigma, of_rows = self._measured(at_ns, dq, friction)
+            refused |= base.refused | self._gates(at_ns, joints, base.sensed_m_s2)
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
             motion = base.motion
             friction = None if friction is None else np.nan_to_num(friction)
@@ -174,14 +184,25 @@ class Estimator:
                 measured_rate,
                 noise,
                 friction,
-                slow if slow.any() else None,
+                of_rows if of_rows.any() else None,
             )
-        found = self.online.update(signals, self._phases.attached(at_ns), refused)
+        if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
+            made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))
+        found = self._update(signals, at_ns, refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
-        made += [_said(now_ns, change) for change in self.online.news()]
+        for change in self.online.news():
+            if change.kind == "release_contradicted":
+                self._phases.disbelieve()
+            made.append(_said(now_ns, change))
         if self.online.rows_used:
-            made += self._answers(now_ns, int(at_ns[-1]), self.online.estimate())
+            made += self._answered(now_ns, int(at_ns[-1]))
         return made
+
+    def _update(self, signals: Signals, at_ns: NDArray[np.int64], refused: NDArray[np.int64]) -> NDArray[np.int64]:
+        attached = self._phases.attached(at_ns)
+        if isinstance(self.online, Hypotheses):
+            return self.online.update(signals, attached, refused, self._phases.attached(at_ns, but_first=True))
+        return self.online.update(signals, attached, refused)
 
     def _base(self, now_ns: int, at_ns: NDArray[np.int64]) -> tuple[_Base, list[Batch]]:
         """The base's motion by its IMU, zeroed where it is due; without one it stands."""
@@ -218,12 +239,12 @@ class Estimator:
 
     def _measured(
         self, at_ns: NDArray[np.int64], dq: FloatArray, friction: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
-        """Left-hand sides of the rows, their rates, their sigmas, (n, rows) each; reasons (n,), and (n, rows)."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+        """Left-hand sides of the rows, their rates, their sigmas, and reasons, (n, rows) each."""
         rows = self.online.row_names
         settings, n = self.vehicle.file.estimation, len(at_ns)
         measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.zeros((n, len(rows)))
-        refused, slow = np.zeros(n, np.int64), np.zeros((n, len(rows)), np.int64)
+        refused = np.zeros((n, len(rows)), np.int64)
         for column, row in enumerate(rows):
             if row in self._cells:
                 keys = self._cells[row].keys
@@ -236,12 +257,12 @@ class Estimator:
                     still = np.abs(dq[:, joint]) < keys.still_rad_s
                     if friction is not None:
                         still |= np.isnan(friction[:, self._turning[keys.joint]]).any(axis=1)
-                    slow[:, column] = reasons(still, GateReason.STILL)
-                refused |= cell.refused
+                    refused[:, column] |= reasons(still, GateReason.STILL)
+                refused[:, column] |= cell.refused
             else:  # a base wrench that is zero, good to what is left of it when the motion is known
                 force = row.startswith("base_force")
                 sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
-        return measured, rate, sigma * self.inflation, refused, slow
+        return measured, rate, sigma * self.inflation, refused
 
     def _gates(self, at_ns: NDArray[np.int64], joints: FloatArray, specific_force: FloatArray) -> NDArray[np.int64]:
         settings = self.vehicle.file.estimation
@@ -290,26 +311,12 @@ class Estimator:
         made["measured"], made["sigma"], made["gate"] = measured, sigma, found
         return self._numbered("row", made)
 
-    def _answers(self, now_ns: int, vehicle_ns: int, estimate: Estimate) -> list[Batch]:
-        settings = self.vehicle.file.estimation
-        state = np.zeros(1, self.outputs["estimate"])
-        state["host_ns"], state["vehicle_ns"] = now_ns, vehicle_ns
-        state["rows_used"], state["rows_gated"] = estimate.rows_used, sum(estimate.refused.values())
-        state["mean"] = estimate.mean
-        triangle = self.online.triangle()
-        state["triangle"] = triangle[np.triu_indices(len(triangle))]
-        answers = np.zeros(len(estimate.names) + len(estimate.quantities), channels.QUANTITY)
-        answers["host_ns"], answers["vehicle_ns"] = now_ns, vehicle_ns
-        p = len(estimate.names)
-        for field in ("low", "high", "sigma", "supported"):
-            answers[field][:p] = getattr(estimate, field)
-        answers["value"][:p] = estimate.mean
-        answers["supported"][:p] &= ~np.isin(estimate.names, settings.nuisance)
-        answers["name"][:p] = [name.encode() for name in estimate.names]
-        for row, quantity in zip(answers[p:], estimate.quantities, strict=True):
-            row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
-            row["supported"], row["unit"], row["name"] = quantity.supported, quantity.unit, quantity.name
-        return [self._numbered("estimate", state), self._numbered("quantity", answers)]
+    def _answered(self, now_ns: int, vehicle_ns: int) -> list[Batch]:
+        online, findings = self.online, self.online.findings()
+        if self._witness is not None and self._witness.contradiction:
+            findings = findings._replace(against=(*findings.against, self._witness.contradiction))
+        state, answers, said = self._answers.rows(now_ns, vehicle_ns, online.estimate(), findings, online.triangle())
+        return [self._numbered("estimate", state), self._numbered("quantity", answers), *said]
 
     def _numbered(self, channel: str, rows: Rows) -> Batch:
         first = self._sequence[channel]
@@ -318,8 +325,17 @@ class Estimator:
         return Batch(channel, rows)
 
 
+_DISBELIEVED = {
+    "left_out": "{} contradicts the other instruments: answers go on without it",
+    "taken_back": "{} no longer contradicts the other instruments: answers go on with it",
+    "release_contradicted": "a release of the payload was told and is not believed: {}",
+}
+
+
 def _said(now_ns: int, change: Change) -> Batch:
-    """A change of the payload as an event."""
+    """A change of the payload, or of what is believed, as an event."""
+    if change.kind in _DISBELIEVED:
+        return event(now_ns, Severity.WARNING, change.kind, "estimation", _DISBELIEVED[change.kind].format(change.what))
     ago_s, since_s = (1e-9 * now_ns - at_s for at_s in (change.time_s, change.since_s))
     text = f"{change.kind} {ago_s:.2f} s ago"
     if np.isfinite(change.score):

@@ -9,7 +9,7 @@ STAMPS = np.dtype([("tick", "<i8"), ("host_ns", "<i8")])
 
 
 class History:
-    """Stamps (n,), values (n, columns) and validity (n,) of the newest samples, at least ``capacity`` of them.
+    """Stamps (n,), values (n, columns) and what is wrong (n,) of the newest samples, ``capacity`` at least.
 
     Args:
         capacity: samples that are kept for certain; memory for twice as many is held.
@@ -20,26 +20,30 @@ class History:
         self._capacity = capacity
         self._stamps = np.zeros(2 * capacity, STAMPS)
         self._values = np.zeros((2 * capacity, columns))
-        self._valid = np.zeros(2 * capacity, np.bool_)
+        self._wrong = np.zeros(2 * capacity, np.int64)
         self._end = 0
 
-    def append(self, rows: Rows, values: NDArray[np.float64], valid: NDArray[np.bool_]) -> None:
-        """Add samples: rows with ``tick`` and ``host_ns`` (n,), values (n, columns), valid (n,)."""
-        rows, values, valid = rows[-self._capacity :], values[-self._capacity :], valid[-self._capacity :]
+    def append(self, rows: Rows, values: NDArray[np.float64], wrong: NDArray[np.int64]) -> None:
+        """Add samples: rows with ``tick`` and ``host_ns`` (n,), values (n, columns), reasons not to use them (n,)."""
+        rows, values, wrong = rows[-self._capacity :], values[-self._capacity :], wrong[-self._capacity :]
         count = len(rows)
         if count == self._capacity:
             self._end = 0  # older samples lie before a gap
         if self._end + count > len(self._stamps):
             keep = slice(self._end - min(self._end, self._capacity), self._end)
             kept = keep.stop - keep.start
-            for array in (self._stamps, self._values, self._valid):
+            for array in (self._stamps, self._values, self._wrong):
                 array[:kept] = array[keep].copy()
             self._end = kept
         here = slice(self._end, self._end + count)
         for field in STAMPS.names or ():
             self._stamps[field][here] = rows[field]
-        self._values[here], self._valid[here] = values, valid
+        self._values[here], self._wrong[here] = values, wrong
         self._end += count
+
+    def mark(self, which: slice, wrong: int) -> None:
+        """Samples, counted from the end (negative), turn out to be wrong for one more reason, where still held."""
+        self._wrong[max(0, self._end + which.start) : max(0, self._end + which.stop)] |= wrong
 
     def clear(self) -> None:
         """Clear: the device's ticks restarted."""
@@ -56,6 +60,6 @@ class History:
         return self._values[: self._end]
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Whether each sample may be used (n,)."""
-        return self._valid[: self._end]
+    def wrong(self) -> NDArray[np.int64]:
+        """Why each sample may not be used (n,); 0 where it may."""
+        return self._wrong[: self._end]

@@ -13,7 +13,7 @@ from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.memory import Memory
+from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.flight.roles import roles_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
@@ -21,9 +21,11 @@ from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.online import OnlineIdentifier
-from onboard.identification.quantities import Quantity, mass_quantities
+from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
+from onboard.identification.rows.considered import Considered, Effect
 from onboard.identification.rows.free_body import free_body_quantities
-from onboard.identification.rows.identifier import Considered, Identifier, Start
+from onboard.identification.rows.hypotheses import Hypotheses
+from onboard.identification.rows.identifier import Identifier, Start
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
 from onboard.regressor.friction import Motor
 from onboard.regressor.rows import (
@@ -66,6 +68,26 @@ def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
     return build_exiddm(vehicle) if vehicle.file.planar is None else build_planar(vehicle)
+
+
+def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> OnlineIdentifier:
+    """The same beside others for what may not be so, where something may not: a redundant cell, a release.
+
+    Args:
+        vehicle: its file.
+        online: a fresh one.
+    """
+    phases = vehicle.file.estimation.phases
+    cells = [(cell.name, cell.keys) for cell in roles_of(vehicle).cells]
+    if not isinstance(online, Identifier) or online.memory != FOR_EVER:
+        return online
+    place = [
+        keys.joint if isinstance(keys, TorqueKeys) else (keys.frame, keys.axis, keys.measures) for _, keys in cells
+    ]
+    redundant = [name for (name, _), own in zip(cells, place, strict=True) if place.count(own) > 1]
+    if not redundant and (phases is None or phases.payload_gone is None):
+        return online
+    return Hypotheses(lambda: build_identifier(vehicle)[0], redundant)
 
 
 def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleModel]:
@@ -169,6 +191,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             rows.append(_cell_row(cell, model, scaled))
             considered += _considered(cell, scaled)
             scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
+        considered += _of_motion(roles)
         if "force" in settings.base_rows:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
@@ -182,7 +205,12 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=prior == 0.0)
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
-            quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link)
+            drawing = {
+                link: Tolerance(own.mass_relative, own.centre_m, own.inertia_relative)
+                for link, own in settings.masses.drawing.items()
+            }
+            _check_links(drawing, model)
+            quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link, drawing)
         if vehicle.file.free_body:
             quantities += free_body_quantities(row_model, base, prior)
         identifier = Identifier(
@@ -212,6 +240,12 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
         raise config.ConfigError(f"{vehicle.label}: {text}. Go on with the vehicle that flew then")
     sensitivity = np.array(carried.sensitivity, np.float64).reshape(len(names), -1)
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
+
+
+def _check_links(drawing: Mapping[str, Tolerance], model: VehicleModel) -> None:
+    for link in drawing:
+        if link not in model.links:
+            raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
 
 
 def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: VehicleModel) -> None:
@@ -246,6 +280,25 @@ def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
     own = [Motor(t.joint, ((t.joint, 1.0),), t.presliding_rad) for t in torques if t.friction]
     given = vehicle.file.estimation.motor.items()
     return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
+
+
+def _of_motion(roles: Roles) -> list[Considered]:
+    """Scales of the sensors of motion, where the file states how well they are known."""
+    found = [
+        Considered(f"scale of {joint.channel}", joint.joint, "joint_scale", joint.scale_sigma)
+        for joint in roles.joints
+        if joint.scale_sigma
+    ]
+    if roles.imus:
+        imu = roles.imu
+        kinds: tuple[tuple[Effect, float], ...] = (
+            ("gyro_scale", imu.gyro_scale_sigma),
+            ("accelerometer_scale", imu.accel_scale_sigma),
+        )
+        for effect, sigma in kinds:
+            if sigma:
+                found.append(Considered(f"{effect} of {imu.channels[0]}", imu.frame, effect, sigma))
+    return found
 
 
 def _considered(cell: LoadCellRole, scaled: bool) -> list[Considered]:

@@ -22,7 +22,7 @@ class PhaseTrack:
         self._times_ns: list[int] = []
         self._codes: list[int] = []
         self._taken_ns: int | None = None
-        self._gone_ns: int | None = None
+        self._gone_ns: list[int] = []  # when it was told, again and again perhaps; those that are believed
 
     def update(self, batches: Mapping[str, Rows]) -> list[str]:
         """Process the rows of a step, except NOT_VALID ones; returns a line of text for each change."""
@@ -36,8 +36,9 @@ class PhaseTrack:
                 self._times_ns.append(int(row["host_ns"]))
                 self._codes.append(code)
                 said.append(f"phase {code}")
-            elif self._settings and code == self._settings.payload_gone and self._gone_ns is None:
-                self._gone_ns = self._times_ns[-1]
+            elif self._settings and code == self._settings.payload_gone:
+                if self._times_ns[-1] not in self._gone_ns:
+                    self._gone_ns.append(self._times_ns[-1])
             elif self._settings and code == self._settings.payload_taken and self._taken_ns is None:
                 self._taken_ns = self._times_ns[-1]
         return said
@@ -53,11 +54,16 @@ class PhaseTrack:
         index = np.searchsorted(times_ns, at_ns, side="right")
         return np.append(-1, codes)[index]
 
-    def attached(self, at_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether the payload is held at each tick, (n,)."""
+    def disbelieve(self) -> None:
+        """The first release that was told did not happen."""
+        self._gone_ns.pop(0)
+
+    def attached(self, at_ns: NDArray[np.int64], *, but_first: bool = False) -> NDArray[np.bool_]:
+        """Whether the payload is held at each tick, (n,); ``but_first``: if the first release told did not happen."""
         held = np.ones(len(at_ns), np.bool_)
         if self._settings and self._settings.payload_taken is not None:
             held[:] = False if self._taken_ns is None else at_ns >= self._taken_ns
-        if self._gone_ns is not None:
-            held &= at_ns < self._gone_ns
+        gone_ns = self._gone_ns[but_first:]
+        if gone_ns:
+            held &= at_ns < gone_ns[0]
         return held

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Rows, SampleStatus
+from drivers.records import Rows, SampleStatus, Severity
 from onboard import config
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
@@ -18,6 +18,7 @@ from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
 from onboard.flight.history import History
 from onboard.flight.roles import roles_of
+from onboard.flight.stuck import Said, StuckWatch
 from onboard.timebase.timebase import Timebase
 
 UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
@@ -56,10 +57,11 @@ class SignalSmoother:
         self._reach_ns = round(1.5e9 * self.width_s)
         self._zero_lost: set[str] = set()
         self._told: set[tuple[str, str]] = set()
+        self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items()}
 
-    def append(self, batches: Mapping[str, Rows]) -> dict[str, str]:
-        """Take in what a step consumed; returns by channel what is newly wrong with it."""
-        said = {}
+    def append(self, batches: Mapping[str, Rows]) -> list[tuple[str, Said]]:
+        """Take in what a step consumed; returns channels with what there is to say of them."""
+        said = list[tuple[str, Said]]()
         for name, arrived in batches.items():
             if name not in self._signals or not len(arrived):
                 continue
@@ -82,8 +84,12 @@ class SignalSmoother:
                 values = np.nan_to_num(values)
             if why and (name, why) not in self._told:
                 self._told.add((name, why))
-                said[name] = why
-            history.append(rows, values, usable)
+                said.append((name, Said(Severity.ERROR, "not_usable", why)))
+            stuck, before, told = self._watches[name].watch(rows, usable)
+            if told is not None:
+                said.append((name, told))
+            history.mark(before, GateReason.STUCK)
+            history.append(rows, values, reasons(~usable, GateReason.SATURATED) | reasons(stuck, GateReason.STUCK))
         return said
 
     def together(
@@ -141,20 +147,20 @@ class SignalSmoother:
         if times_ns is None:
             return GateReason.NOT_SYNCHRONISED
         times_s = (times_ns - at_ns[0]) * 1e-9
-        values, valid = history.values[recent], history.valid[recent]
+        values, wrong = history.values[recent], history.wrong[recent]
         later = times_s[1:] > np.maximum.accumulate(times_s)[:-1]  # not so where a timer stood still
         waited = timebase.waited(name, stamps)
         late = bool(waited.any())
         if late or not later.all():
             kept = np.append(True, later) & ~waited
-            times_s, values, valid = times_s[kept], values[kept], valid[kept]
+            times_s, values, wrong = times_s[kept], values[kept], wrong[kept]
         last_s = (at_ns[-1] - at_ns[0]) * 1e-9
         near = slice(*np.searchsorted(times_s, [-self.width_s, last_s + self.width_s]).tolist())
         if near.stop - near.start < 2:
             return GateReason.GAP
         timing_s = timebase.sigma_ns(name, int(at_ns[len(at_ns) // 2])) * 1e-9
         gap_s = (4.5 if late else 3.5) * self._signals[name].period_s
-        return _Recent(times_s[near], values[near], valid[near], gap_s, timing_s)
+        return _Recent(times_s[near], values[near], wrong[near], gap_s, timing_s)
 
     def _smooth(
         self, group: Mapping[str, "_Recent"], at_ns: NDArray[np.int64], derivatives: int
@@ -188,9 +194,9 @@ class SignalSmoother:
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])
             refused, column = gaps, part.stop
-            if not recent.valid.all():
-                held = window_contains(recent.times_s, ~recent.valid, at_s, self.width_s)
-                refused = gaps | reasons(held, GateReason.SATURATED)
+            for reason in GateReason(int(np.bitwise_or.reduce(recent.wrong))):
+                held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
+                refused = refused | reasons(held, reason)
             for periods, rms in self._signals[name].ripple if derivatives else ():
                 for order in range(derivatives + 1):
                     passed = rms * self._response.gain(periods * out[1, :, part], order)
@@ -204,7 +210,10 @@ class SignalSmoother:
         if isinstance(recent, GateReason):
             return _nothing(columns, n, 0, recent)
         values, sigma = np.full((2, n, columns), np.nan)
-        unusable = np.append(0, np.cumsum(~recent.valid))
+        unusable = {
+            reason: np.append(0, np.cumsum(recent.wrong & int(reason) != 0))
+            for reason in GateReason(int(np.bitwise_or.reduce(recent.wrong)))
+        }
         at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
         refused = np.zeros(n, np.int64)
         delays_s, noise = np.array(channel.delays_s), np.array(channel.noise)
@@ -213,16 +222,17 @@ class SignalSmoother:
             t = recent.times_s - delay_s
             low, high = np.searchsorted(t, at_s - half_s), np.searchsorted(t, at_s + half_s)
             refused |= reasons(high - low <= half_s / channel.period_s, GateReason.GAP)
-            refused |= reasons(unusable[high] > unusable[low], GateReason.SATURATED)
+            for reason, count in unusable.items():
+                refused |= reasons(count[high] > count[low], reason)
             index = low[:, None] + np.arange(int((high - low).max(initial=1)))
             under = index < high[:, None]
             index = np.minimum(index, len(t) - 1)
-            count = np.maximum(under.sum(axis=1, keepdims=True), 1)
+            samples = np.maximum(under.sum(axis=1, keepdims=True), 1)
             offset_s = np.where(under, t[index] - at_s[:, None], 0.0)  # (n, l)
-            middle_s = offset_s.sum(axis=1, keepdims=True) / count
+            middle_s = offset_s.sum(axis=1, keepdims=True) / samples
             away_s = np.where(under, offset_s - middle_s, 0.0)
             spread = np.maximum((away_s * away_s).sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-            weights = np.where(under, 1.0 / count, 0.0) - middle_s * away_s / spread
+            weights = np.where(under, 1.0 / samples, 0.0) - middle_s * away_s / spread
             values[:, mine] = (weights[:, None] @ recent.values[index][:, :, mine])[:, 0]
             sigma[:, mine] = noise[mine] * np.sqrt((weights * weights).sum(axis=1, keepdims=True))
         values[refused != 0] = sigma[refused != 0] = np.nan
@@ -234,7 +244,7 @@ class _Recent(NamedTuple):
 
     times_s: FloatArray  # (k,) since the first tick, the filter's delay not removed
     values: FloatArray  # (k, columns)
-    valid: NDArray[np.bool_]  # (k,)
+    wrong: NDArray[np.int64]  # (k,) GateReason
     gap_s: float  # longer ones between samples are gaps
     timing_s: float  # sigma of the times, common to all
 

@@ -5,15 +5,20 @@ from typing import Protocol
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.quantities import Estimate
+from onboard.identification.quantities import Estimate, Findings
 from onboard.regressor.signals import Signals
 
 
 class OnlineIdentifier(Protocol):
     """Processes ticks as they arrive and gives the estimate at any time."""
 
-    rows_used: int
-    refused: dict[GateReason, int]
+    @property
+    def rows_used(self) -> int:
+        """That went into the answers."""
+
+    @property
+    def refused(self) -> dict[GateReason, int]:
+        """Rows by reason; a row with two reasons counts in both."""
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -38,3 +43,6 @@ class OnlineIdentifier(Protocol):
 
     def news(self) -> tuple[Change, ...]:
         """Changes detected since the last call."""
+
+    def findings(self) -> Findings:
+        """What speaks against the answers that their intervals do not show."""

@@ -1,10 +1,14 @@
 """Reported quantities: linear combinations of base parameters, and their estimates."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import body_of, standard_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason
@@ -15,9 +19,25 @@ from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
+MOST_CONTRADICTED = 0.05  # of the rows, by the residual gate: beyond, no answer is to be used
 # A quantity is reported when the data determine it:
 SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
 SUPPORTED_FREEDOM = 1.5  # at least so many independent blocks of time, less one, carry the information
+
+
+class Tolerance(NamedTuple):
+    """How far a link may be from its drawing, one sigma each."""
+
+    mass: float = 0.03  # relative
+    centre_m: float = 1e-3  # of each coordinate of its centre of mass
+    inertia: float = 0.01  # of the inertia about it, relative, at the mass that it has
+
+
+class Leaning(NamedTuple):
+    """What of a quantity comes from the drawing."""
+
+    cause: str
+    weights: FloatArray  # (p,): times the base parameters, the standard deviation that the drawing's tolerance makes
 
 
 class Quantity(NamedTuple):
@@ -27,6 +47,7 @@ class Quantity(NamedTuple):
     unit: str
     weights: FloatArray  # (p,)
     note: str = ""
+    leanings: tuple[Leaning, ...] = ()
 
 
 class QuantityEstimate(NamedTuple):
@@ -41,6 +62,14 @@ class QuantityEstimate(NamedTuple):
     shrinkage: float  # posterior sigma over prior sigma
     supported: bool
     note: str
+    drawn: float = 0.0  # part of sigma that comes from the drawing's tolerances
+
+
+class Findings(NamedTuple):
+    """What is to be said of all answers that their intervals do not show."""
+
+    against: tuple[str, ...] = ()  # they are not to be used
+    doubts: tuple[str, ...] = ()  # they are weak
 
 
 class Estimate(NamedTuple):
@@ -83,7 +112,13 @@ def inertia_about_joint(vehicle: VehicleModel, joint: str, q: FloatArray | None 
     return parts
 
 
-def mass_quantities(model: RowModel, base: BaseParameters, joint: str, arm_link: str) -> tuple[Quantity, ...]:
+def mass_quantities(
+    model: RowModel,
+    base: BaseParameters,
+    joint: str,
+    arm_link: str,
+    tolerances: Mapping[str, Tolerance] = MappingProxyType({}),
+) -> tuple[Quantity, ...]:
     """Inertias about the joint, and the masses that follow with the nominal geometry (Limparis 4.6).
 
     A single joint's motion shows inertia, not mass: ``m = ZZ / k^2`` with k the radius of gyration of the link about
@@ -96,6 +131,7 @@ def mass_quantities(model: RowModel, base: BaseParameters, joint: str, arm_link:
         base: their base parameters.
         joint: about which the inertias are.
         arm_link: the link that stays.
+        tolerances: of the drawing, by link; :class:`Tolerance`'s own where not given.
 
     Raises:
         UnknownFrameError: no payload link, or a name that the URDF does not have.
@@ -108,6 +144,7 @@ def mass_quantities(model: RowModel, base: BaseParameters, joint: str, arm_link:
     parts = inertia_about_joint(vehicle, joint)
     functionals = []
     masses = []
+    leanings: list[dict[str, float]] = []
     for link in (arm_link, payload):
         index = vehicle.links.index(link)
         inertia = float(parts[index] @ vehicle.chi)
@@ -118,16 +155,65 @@ def mass_quantities(model: RowModel, base: BaseParameters, joint: str, arm_link:
         padded[: parts.shape[1]] = parts[index]
         functionals.append(base.weights(padded))
         masses.append((mass, inertia))
+        tolerance = tolerances.get(link, Tolerance())
+        leanings.append(_gyration_sigma(parts[index], vehicle.chi[10 * index : 10 * index + 10], 10 * index, tolerance))
     (arm, tip), ((m_arm, zz_arm), (m_tip, zz_tip)) = functionals, masses
     both = (m_arm + m_tip) / (zz_arm + zz_tip)
+    of_arm = _leaning(arm_link, arm * m_arm / zz_arm, leanings[0])
+    of_tip = _leaning(payload, tip * m_tip / zz_tip, leanings[1])
+    shares = zz_arm / (zz_arm + zz_tip), zz_tip / (zz_arm + zz_tip)
+    of_both = (
+        *_leaning(arm_link, (arm + tip) * both * shares[0], leanings[0]),
+        *_leaning(payload, (arm + tip) * both * shares[1], leanings[1]),
+    )
+    ratio = abs(m_tip / (m_arm + m_tip) - shares[1]) * np.hypot(
+        tolerances.get(arm_link, Tolerance()).mass, tolerances.get(payload, Tolerance()).mass
+    )
+    of_ratio = Leaning("the ratio of the two masses", (arm + tip) * both * ratio)
     drawn = "radii of gyration from the drawing"
     return (
         Quantity(f"ZZ_{joint}_R_held", "kg m^2", arm + tip),
         Quantity(f"ZZ_{joint}_R_released", "kg m^2", arm),
-        Quantity(f"m_{arm_link}", "kg", arm * m_arm / zz_arm, drawn),
-        Quantity(f"m_{arm_link}+m_{payload}", "kg", arm * m_arm / zz_arm + tip * m_tip / zz_tip, drawn),
-        Quantity(f"m_{payload}", "kg", tip * m_tip / zz_tip, drawn),
+        Quantity(f"m_{arm_link}", "kg", arm * m_arm / zz_arm, drawn, of_arm),
         Quantity(
-            f"m_{arm_link}+m_{payload}_held", "kg", (arm + tip) * both, f"{drawn}, and the ratio of the two masses"
+            f"m_{arm_link}+m_{payload}", "kg", arm * m_arm / zz_arm + tip * m_tip / zz_tip, drawn, (*of_arm, *of_tip)
+        ),
+        Quantity(f"m_{payload}", "kg", tip * m_tip / zz_tip, drawn, of_tip),
+        Quantity(
+            f"m_{arm_link}+m_{payload}_held",
+            "kg",
+            (arm + tip) * both,
+            f"{drawn}, and the ratio of the two masses",
+            (*of_both, of_ratio),
         ),
     )
+
+
+def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: Tolerance) -> dict[str, float]:
+    """Relative sigma of a link's inertia about a joint at a given mass, by cause.
+
+    Args:
+        part: the inertia as a functional of all standard parameters, (P,).
+        chi: the link's, (10,).
+        first: the place of its mass among all.
+        tolerance: of its drawing.
+    """
+    own = part[first : first + 10]
+    body = body_of(chi)
+    about = RigidBody(body.mass_kg, np.zeros(3), body.inertia_kg_m2)
+    whole = float(own @ chi)
+    step = 1e-6  # m; the inertia is quadratic in the centre, so central differences are exact
+    moved = [
+        [own @ standard_of(body._replace(centre_of_mass_m=body.centre_of_mass_m + way * unit)) for way in (step, -step)]
+        for unit in np.eye(3)
+    ]
+    slope = np.array([(plus - minus) / (2.0 * step) for plus, minus in moved])
+    at_centre = float(own @ standard_of(about))
+    return {
+        "centre of mass": float(np.linalg.norm(slope)) * tolerance.centre_m / whole,
+        "radius of gyration": abs(at_centre) * tolerance.inertia / whole,
+    }
+
+
+def _leaning(link: str, weights: FloatArray, sigmas: Mapping[str, float]) -> tuple[Leaning, ...]:
+    return tuple(Leaning(f"the {what} of {link}", weights * sigma) for what, sigma in sigmas.items())

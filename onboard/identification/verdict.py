@@ -22,14 +22,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.identification.corrections import too_large
+from onboard.identification.quantities import MOST_CONTRADICTED, Findings, QuantityEstimate
+from onboard.identification.rows.agreement import MOST_UNEXPLAINED, NOISE
 from onboard.identification.rows.held_out import HeldOut, HeldOutFit
 
-MOST_CONTRADICTED = 0.05  # of the rows, by the residual gate
-MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
 MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other
 WEAKLY_PREDICTED = 0.5
 FARTHEST_BODY = 5.0  # sigmas from what was found to the likeliest body
-NOISE = 4.0  # residual sum a row that may still be noise
+WIDEST = 0.5  # half an interval, of the quantity itself
 WORST_MISFIT = 2.0  # of a maximum likelihood fit, whose residuals are independent
 
 
@@ -39,6 +40,48 @@ class Level(StrEnum):
     GOOD = "good"
     WEAK = "weak"
     DO_NOT_USE = "do not use"
+
+
+LEVELS = (Level.GOOD, Level.WEAK, Level.DO_NOT_USE)  # by their number in QUANTITY
+
+
+class Standing(NamedTuple):
+    """What one quantity is good for, and why it is no better."""
+
+    level: Level
+    why: str = ""
+
+    @property
+    def text(self) -> str:
+        """``weak: it is not told from zero``."""
+        return f"{self.level}: {self.why}" if self.why else str(self.level)
+
+
+def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
+    """What a quantity is good for, in flight and afterwards.
+
+    *Do not use*: something speaks against all answers, or a mass or moment of inertia is not above zero. *Weak*: the
+    data do not determine it; it is not told from zero; its interval is as wide as half of itself; there is a doubt.
+    """
+    if not quantity.supported:
+        return Standing(Level.WEAK, quantity.note)
+    if findings.against:
+        return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
+    reasons = []
+    if is_positive(quantity.name, quantity.unit):
+        if quantity.mean <= 0.0:
+            return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units")
+        if quantity.low <= 0.0:
+            reasons.append("it is not told from zero")
+        elif quantity.high - quantity.mean > WIDEST * quantity.mean:
+            reasons.append(f"its interval is as wide as {(quantity.high - quantity.mean) / quantity.mean:.0%} of it")
+    reasons += findings.doubts
+    return Standing(Level.WEAK, "; ".join(reasons)) if reasons else Standing(Level.GOOD)
+
+
+def is_positive(name: str, unit: str) -> bool:
+    """Whether a quantity is a mass or a moment of inertia, and no product of inertia."""
+    return unit == "kg" or (unit == "kg m^2" and not name.startswith(("I_xy", "I_xz", "I_yz")))
 
 
 class Verdict(NamedTuple):
@@ -67,6 +110,9 @@ class Evidence(NamedTuple):
     failure: str = ""  # why the estimator gave up
     away: Mapping[str, float] = MappingProxyType({})  # by link: sigmas from what was found to a body
     misfit: float | None = None  # of a maximum likelihood fit: residual sum over its degrees of freedom
+    findings: Findings = Findings()  # what speaks against all answers
+    standings: Mapping[str, Standing] = MappingProxyType({})  # of what was asked and is determined
+    corrections: Mapping[str, float] = MappingProxyType({})  # fitted to the instruments: by name, in stated sigmas
     unchecked: str = "too short to be checked on motion that was not used"  # why nothing is held out, where it is not
 
 
@@ -78,11 +124,13 @@ def verdict(evidence: Evidence) -> Verdict:
     if evidence.failure:
         return Verdict(Level.DO_NOT_USE, (evidence.failure,), tuple(evidence.asked))
     weak = tuple(name for name, determined in evidence.asked.items() if not determined)
-    bad = _contradictions(evidence)
+    bad = [*_contradictions(evidence), *(said for said in evidence.findings.against if "of the rows" not in said)]
+    of_one = {name: one for name, one in evidence.standings.items() if evidence.asked.get(name)}
+    bad += _together(of_one, Level.DO_NOT_USE)
     if len(weak) == len(evidence.asked):
         bad.append("the motion determines nothing that was asked; move more, and every joint")
     held_out = evidence.held_out
-    reasons = []
+    reasons = [*evidence.findings.doubts, *_together(of_one, Level.WEAK)]
     if held_out is None:
         reasons.append(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):
@@ -112,12 +160,22 @@ def _contradictions(evidence: Evidence) -> list[str]:
         if away > FARTHEST_BODY:
             far = f"{away:.0f} sigmas from any body" if away < np.inf else "its mass is not positive"
             said.append(f"what was found for {link} cannot exist: {far}; check signs and units")
+    said += too_large(evidence.corrections)
     if evidence.misfit is not None and evidence.misfit > WORST_MISFIT:
         said.append(
             f"no body explains what was measured: {evidence.misfit:.1f} times the noise is left over; check signs, "
             "frames and units, and the sensors against each other"
         )
     return said
+
+
+def _together(standings: Mapping[str, Standing], level: Level) -> list[str]:
+    """Quantities of a level by their reason: ``m, I_xx: it is not told from zero``."""
+    names: dict[str, list[str]] = {}
+    for name, one in standings.items():
+        if one.level is level:
+            names.setdefault(one.why, []).append(name)
+    return [f"{', '.join(of)}: {why}" for why, of in names.items()]
 
 
 def _beyond_noise(prediction: HeldOutFit, evidence: Evidence) -> bool:

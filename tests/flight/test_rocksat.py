@@ -24,7 +24,10 @@ def test_the_masses_are_found_within_what_was_promised(mission: Result) -> None:
         assert mass["supported"]
         assert abs(mass["our_error_percent"]) < percent
         assert mass["low"] < mass["value"] < mass["high"]
-        assert 0.2 < 100 * mass["sigma"] / mass["value"] < percent  # the calibration alone is worth 0.35 %
+        rows = np.sqrt(mass["sigma"] ** 2 - mass["drawn"] ** 2)
+        assert 0.2 < 100 * rows / mass["value"] < percent  # the calibration alone is worth 0.35 %
+        assert 0.5 < 100 * mass["drawn"] / mass["value"] < 3.0  # a millimetre of the centres of mass
+        assert mass["standing"].startswith("good; ")
 
 
 def test_every_sample_the_devices_made_is_in_the_log(mission: Result) -> None:

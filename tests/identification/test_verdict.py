@@ -8,10 +8,12 @@ from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.observability import observed_directions
-from onboard.identification.rows.held_out import HeldOut, HeldOutFit, RowBlocks
+from onboard.identification.quantities import Findings, QuantityEstimate
+from onboard.identification.rows.held_out import HeldOut, HeldOutFit, held_out
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.standard import identified_links, link_estimate
-from onboard.identification.verdict import Evidence, Level, verdict
+from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
@@ -55,6 +57,13 @@ def test_what_is_not_determined_is_named():
         ({"misfit": 2.5}, "2.5 times the noise is left over"),
         ({"away": {"payload": 6.0}}, "found for payload cannot exist: 6 sigmas from any body"),
         ({"away": {"payload": np.inf}}, "its mass is not positive"),
+        (
+            {"findings": Findings(("load_cell reads 2% of what was drawn",))},
+            "load_cell reads 2%",
+        ),
+        ({"standings": {"mass": Standing(Level.DO_NOT_USE, "it cannot be negative")}}, "mass: it cannot be negative"),
+        ({"corrections": {"gyro_scale_x": 17.0, "delay": 0.3}}, "gyro_scale_x had to be corrected by 17"),
+        ({"corrections": {f"scale_{k}": 2.9 for k in range(20)}}, "20 of them sum to 168"),
     ],
 )
 def test_reasons_not_to_use_it(changed, said):
@@ -67,6 +76,8 @@ def test_reasons_not_to_use_it(changed, said):
     ("changed", "said"),
     [
         ({"held_out": None}, "too short to be checked"),
+        ({"findings": Findings((), ("load_cell reads +2% from one time on",))}, "load_cell reads +2%"),
+        ({"standings": {"mass": Standing(Level.WEAK, "it is not told from zero")}}, "mass: it is not told from zero"),
         ({"held_out": HeldOut(FINE, HeldOutFit(0.6, 5.0), FINE)}, "off by 60%"),
         ({"held_out": HeldOut(FINE, HeldOutFit(0.6, 2.5), FINE), "correlation": 2.0}, "off by 60%"),
     ],
@@ -81,6 +92,38 @@ def test_what_noise_explains_is_no_reason():
     noisy = HeldOutFit(1.5, 1.2)
     assert verdict(evidence(held_out=HeldOut(noisy, noisy, noisy))).level is Level.GOOD
     assert verdict(evidence(refused={"residual": 40}, away={"payload": 2.0}, misfit=1.5)).level is Level.GOOD
+
+
+def test_corrections_within_their_sigmas_are_no_reason():
+    assert verdict(evidence(corrections={f"bias_{k}": 1.2 for k in range(30)})).level is Level.GOOD
+
+
+def quantity(mean, half, name="m_payload", unit="kg", supported=True):
+    return QuantityEstimate(name, unit, mean, half / 2, mean - half, mean + half, 0.01, supported, "a note")
+
+
+@pytest.mark.parametrize(
+    ("found", "level", "said"),
+    [
+        (quantity(2.0, 0.1), Level.GOOD, ""),
+        (quantity(-1e-4, 1e-6), Level.DO_NOT_USE, "cannot be negative"),
+        (quantity(0.1, 0.2), Level.WEAK, "not told from zero"),
+        (quantity(2.0, 1.2), Level.WEAK, "as wide as 60% of it"),
+        (quantity(-0.3, 0.1, "I_xy_payload", "kg m^2"), Level.GOOD, ""),
+        (quantity(-0.3, 0.1, "I_xx_payload", "kg m^2"), Level.DO_NOT_USE, "cannot be negative"),
+        (quantity(-0.3, 0.1, "c_x_payload", "m"), Level.GOOD, ""),
+        (quantity(2.0, 0.1, supported=False), Level.WEAK, "a note"),
+    ],
+)
+def test_a_quantity_stands_by_what_is_possible_and_by_its_interval(found, level, said):
+    standing_of = standing(found, Findings())
+    assert standing_of.level is level
+    assert said in standing_of.why
+
+
+def test_what_speaks_against_all_answers_speaks_against_each():
+    assert standing(quantity(2.0, 0.1), Findings(("the cells contradict each other",))).level is Level.DO_NOT_USE
+    assert standing(quantity(2.0, 0.1), Findings((), ("a doubt",))) == (Level.WEAK, "a doubt")
 
 
 # --- what the evidence is made of -----------------------------------------------------------------------------------
@@ -104,12 +147,12 @@ def rows(rng, identifier, n, truth, noise):
 def test_the_halves_are_predicted_as_brute_force_predicts_them(rng, identifier):
     truth = rng.normal(size=len(identifier.base.names))
     t, held, Y, y, sigma = rows(rng, identifier, 20_000, truth, 0.3)  # 400 blocks, so that they have been merged
-    seen = RowBlocks(truth.size, 0.5)
+    seen = RowBlocks(truth.size, 0.5, ("cell",))
     for part in np.array_split(np.arange(t.size), 37):
-        seen(t[part], held[part], Y[part], y[part], sigma[part], None)
+        seen.add(t[part], held[part], np.zeros(part.size, np.intp), Y[part], y[part], sigma[part], None)
         identifier.rls.update(Y[part], y[part], sigma[part])
         identifier.blocks.add(t[part], Y[part], y[part], sigma[part])
-    found = seen.held_out(identifier)
+    found = held_out(seen, identifier)
     first = t < t[t.size // 2]
     information, right = identifier.rls.prior_equations()
     for prediction, train in ((found.later, first), (found.earlier, ~first)):
@@ -128,10 +171,10 @@ def test_another_body_in_the_second_half_is_seen_there_and_only_there(rng, ident
     truth = rng.normal(size=len(identifier.base.names))
     t, held, Y, y, sigma = rows(rng, identifier, 2000, truth, 0.01)
     y[1000:] += Y[1000:] @ rng.normal(size=truth.size)
-    seen = RowBlocks(truth.size, 0.5)
-    seen(t, held, Y, y, sigma, None)
+    seen = RowBlocks(truth.size, 0.5, ("cell",))
+    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, sigma, None)
     identifier.rls.update(Y, y, sigma)
-    assert seen.held_out(identifier).worst.relative_error > 0.5
+    assert held_out(seen, identifier).worst.relative_error > 0.5
 
 
 def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
@@ -142,9 +185,9 @@ def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
     doubt = np.repeat(np.eye(truth.size)[None], t.size, axis=0)
     told = {}
     for name, noise in (("corrected", doubt), ("plain", None)):
-        seen = RowBlocks(truth.size, 10.0)
-        seen(t, held, noisy, y, sigma, noise)
-        told[name] = seen.held_out(identifier).later.misfit
+        seen = RowBlocks(truth.size, 10.0, ("cell",))
+        seen.add(t, held, np.zeros(t.size, np.intp), noisy, y, sigma, noise)
+        told[name] = held_out(seen, identifier).later.misfit
     expected = truth.size / 0.01  # all of the noise, where the parameters are the true ones
     assert told["corrected"] == pytest.approx(expected, rel=0.1)
     assert told["plain"] == pytest.approx(0.5 * expected, rel=0.1)
@@ -152,10 +195,11 @@ def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
 
 def test_one_block_cannot_be_halved(rng, identifier):
     truth = rng.normal(size=len(identifier.base.names))
-    seen = RowBlocks(truth.size, 50.0)
-    assert seen.held_out(identifier) is None
-    seen(*rows(rng, identifier, 100, truth, 0.1), None)
-    assert seen.held_out(identifier) is None
+    seen = RowBlocks(truth.size, 50.0, ("cell",))
+    assert held_out(seen, identifier) is None
+    t, held, *rest = rows(rng, identifier, 100, truth, 0.1)
+    seen.add(t, held, np.zeros(t.size, np.intp), *rest, None)
+    assert held_out(seen, identifier) is None
 
 
 def test_directions_that_no_row_shows_are_named(rng):

@@ -31,6 +31,8 @@ RECORDS: list[tuple[np.dtype[np.void], str]] = [
     (MARK, "MARK"),
 ]
 MEANING = {  # of keys that belong to no one driver
+    "accel_scale_sigma": "Relative standard deviation of the accelerometer's scale, carried by intervals of rows.",
+    "gyro_scale_sigma": "Relative standard deviation of the gyro's scale, carried by intervals of rows.",
     "bus": "Name of its `[bus.NAME]`.",
     "frame": "Link, joint or frame of the URDF that it measures in.",
     "accel_noise_m_s2": "Standard deviation of one sample of specific force.",

@@ -12,10 +12,19 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
+from onboard.identification.corrections import too_large
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
-from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
+from onboard.identification.quantities import (
+    BODY,
+    BODY_UNITS,
+    MOST_CONTRADICTED,
+    SUPPORTED_SHRINKAGE,
+    Estimate,
+    Findings,
+    QuantityEstimate,
+)
 from onboard.regressor.signals import Signals
 
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
@@ -124,6 +133,19 @@ class ExiddmIdentifier:
             R = cholesky(np.linalg.inv(self.exiddm.covariance[PAYLOAD, PAYLOAD]))
             out[:10, :10], out[:10, 10] = R, R @ self.exiddm.state[PAYLOAD]
         return out
+
+    def findings(self) -> Findings:
+        """Ticks that contradict the others, where they are too many; corrections that are larger than stated."""
+        glitches = self.refused[GateReason.RESIDUAL]
+        share = glitches / max(self.rows_used + glitches, 1)
+        if share > MOST_CONTRADICTED:
+            return Findings((f"{share:.0%} of the ticks contradict the others; check the IMU and the joints",))
+        state, stated = self.exiddm.state, self.exiddm.predictor.sigma
+        if state is None:
+            return Findings()
+        known = np.flatnonzero(np.isfinite(stated) & (stated > 0.0))
+        names = self.exiddm.predictor.names
+        return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}))
 
     def news(self) -> tuple[Change, ...]:
         """Captures and ejections since the last call."""

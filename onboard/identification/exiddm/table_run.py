@@ -11,7 +11,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.exiddm.online import IMU_ROWS
-from onboard.identification.quantities import Estimate
+from onboard.identification.quantities import Estimate, Findings
 from onboard.regressor.signals import Signals
 
 
@@ -51,6 +51,10 @@ class TableRun:
     def triangle(self) -> FloatArray:
         """Zero information, (11, 11)."""
         return np.zeros((len(self.parameter_names) + 1, len(self.parameter_names) + 1))
+
+    def findings(self) -> Findings:
+        """None: nothing is answered before the run is over."""
+        return Findings()
 
     def news(self) -> tuple[Change, ...]:
         """None."""

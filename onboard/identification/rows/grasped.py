@@ -86,7 +86,9 @@ class GraspedPayload:
         numbers[weak] = np.nan
         said = ["not determined by the data so far" if lost else "" for lost in weak]
         return tuple(
-            QuantityEstimate._make((name, unit, *of.tolist(), float(s), not lost, note))
+            QuantityEstimate(
+                name, unit, float(of[0]), float(of[1]), float(of[2]), float(of[3]), float(s), not lost, note
+            )
             for name, unit, of, s, lost, note in zip(
                 self.names, BODY_UNITS, numbers, shrinkage, weak, said, strict=True
             )

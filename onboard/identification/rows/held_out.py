@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.consistency import BlockScores
+from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.row_blocks import RowBlocks
 
 _FEWEST_BLOCKS = 2  # of a kind of rows; fewer cannot be halved
 
@@ -37,74 +37,46 @@ class HeldOut(NamedTuple):
         return max(self.later, self.earlier)
 
 
-class RowBlocks:
-    """Collects the rows that an identifier uses, as its ``observer``.
+def held_out(blocks: RowBlocks, identifier: Identifier) -> HeldOut | None:
+    """The predictions; None where there is not enough to be halved.
 
     Args:
-        parameters: p.
-        block_s: first length of a block.
+        blocks: the rows that were used.
+        identifier: that used them: its prior, and its estimate of all of them.
     """
+    halves = [_half(blocks, later) for later in (False, True)]
+    if any(half is None for half in halves):
+        return None
+    (earlier, early_noise), (later, late_noise) = (half for half in halves if half is not None)
+    reference = _without_the_unknown(identifier) if later[-2, -2] + earlier[-2, -2] == 0.0 else None
+    first, second = (_solved(*half, identifier) for half in ((earlier, early_noise), (later, late_noise)))
+    everything = identifier.block_jackknife().mean
+    return HeldOut(
+        _prediction(later, first, reference),
+        _prediction(earlier, second, reference),
+        _prediction(earlier + later, everything, reference),
+    )
 
-    def __init__(self, parameters: int, block_s: float) -> None:
-        self._blocks = {held: BlockScores(parameters + 2, block_s) for held in (True, False)}
 
-    def __call__(
-        self,
-        times_s: FloatArray,
-        held: BoolArray,
-        Y: FloatArray,
-        y: FloatArray,
-        sigma: FloatArray,
-        noise: FloatArray | None,
-    ) -> None:
-        """Takes rows in; see :class:`onboard.identification.rows.identifier.RowObserver`."""
-        rows = np.column_stack([Y, y, sigma])  # whitened, the last is one: it counts
-        wider = None if noise is None else np.pad(noise, ((0, 0), (0, 0), (0, rows.shape[1] - noise.shape[2])))
-        for kind, blocks in self._blocks.items():
-            mine = held == kind
-            own = None if wider is None else wider[mine]
-            blocks.add(times_s[mine], rows[mine], np.zeros(int(mine.sum())), sigma[mine], own)
+def prediction(blocks: RowBlocks, identifier: Identifier, mean: FloatArray) -> HeldOutFit:
+    """What base parameters from elsewhere, (p,), leave of all these rows; ``identifier`` used them."""
+    normal = np.asarray(sum(blocks.of(*part)[0].sum(axis=0) for part in blocks.parts), np.float64)
+    return _prediction(normal, mean, _without_the_unknown(identifier) if normal[-2, -2] == 0.0 else None)
 
-    def held_out(self, identifier: Identifier) -> HeldOut | None:
-        """The predictions; None where there is not enough to be halved.
 
-        Args:
-            identifier: that used the rows: its prior, and its estimate of all of them.
-        """
-        halves = [self._half(later) for later in (False, True)]
-        if any(half is None for half in halves):
-            return None
-        (earlier, early_noise), (later, late_noise) = (half for half in halves if half is not None)
-        reference = _without_the_unknown(identifier) if later[-2, -2] + earlier[-2, -2] == 0.0 else None
-        first, second = (_solved(*half, identifier) for half in ((earlier, early_noise), (later, late_noise)))
-        everything = identifier.block_jackknife().mean
-        return HeldOut(
-            _prediction(later, first, reference),
-            _prediction(earlier, second, reference),
-            _prediction(earlier + later, everything, reference),
-        )
-
-    def prediction(self, identifier: Identifier, mean: FloatArray) -> HeldOutFit:
-        """What base parameters from elsewhere, (p,), leave of all these rows; ``identifier`` used them."""
-        everything = sum(blocks.normal.sum(axis=0) + blocks.noise for blocks in self._blocks.values())
-        normal = np.asarray(everything, np.float64)
-        return _prediction(normal, mean, _without_the_unknown(identifier) if normal[-2, -2] == 0.0 else None)
-
-    def _half(self, later: bool) -> tuple[FloatArray, FloatArray] | None:
-        """Normal equations of a half with the noise of their regressor in them, (p + 2, p + 2), and that noise."""
-        size = next(iter(self._blocks.values())).noise.shape[0]
-        total, noise = np.zeros((size, size)), np.zeros((size, size))
-        cut = 0
-        for blocks in self._blocks.values():
-            if blocks.count < _FEWEST_BLOCKS:
-                continue
-            N = blocks.noise_by_block
-            own = blocks.normal + N
-            rows = np.cumsum(own[:, -1, -1])
-            middle = max(1, int(np.searchsorted(rows, 0.5 * rows[-1])))
-            part = slice(middle, None) if later else slice(0, middle)
-            total, noise, cut = total + own[part].sum(axis=0), noise + N[part].sum(axis=0), cut + 1
-        return (total, noise) if cut else None
+def _half(blocks: RowBlocks, later: bool) -> tuple[FloatArray, FloatArray] | None:
+    """Normal equations of a half with the noise of their regressor in them, (p + 2, p + 2), and that noise."""
+    found: tuple[FloatArray, FloatArray] | None = None
+    for part in blocks.parts:
+        own, noise = blocks.of(*part)
+        if len(own) < _FEWEST_BLOCKS:
+            continue
+        rows = np.cumsum(own[:, -1, -1])
+        middle = max(1, int(np.searchsorted(rows, 0.5 * rows[-1])))
+        mine = slice(middle, None) if later else slice(0, middle)
+        sums = own[mine].sum(axis=0), noise[mine].sum(axis=0)
+        found = sums if found is None else (found[0] + sums[0], found[1] + sums[1])
+    return found
 
 
 def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> FloatArray:

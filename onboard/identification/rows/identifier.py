@@ -6,12 +6,13 @@ quantity is reported as *supported* only if the data, not the prior, determine i
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
@@ -20,30 +21,28 @@ from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.change import Change
 from onboard.identification.quantities import (
+    MOST_CONTRADICTED,
     SUPPORTED_FREEDOM,
     SUPPORTED_SHRINKAGE,
     Estimate,
+    Findings,
     Quantity,
     QuantityEstimate,
 )
+from onboard.identification.rows.agreement import instrument_fits, judged_fit
+from onboard.identification.rows.considered import Considered, check, columns
 from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
+from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
 from onboard.regressor.rows import BaseMotion, RowModel
 from onboard.regressor.signals import Signals
 
 _SCALE_ROUNDS = 2
+_SEEN_SHARE = 0.4  # of a block of the honest covariance: two kernels
+_OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
 _BATCH_TICKS = 64  # ticks whose rows are gated with one estimate before they update it
-
-
-class Considered(NamedTuple):
-    """A considered parameter: an error of known sigma common to all of a row's readings, not estimated."""
-
-    name: str
-    row: str
-    effect: Literal["scale", "delay"]
-    sigma: float  # relative for a scale, s for a delay
 
 
 class Start(NamedTuple):
@@ -52,21 +51,6 @@ class Start(NamedTuple):
     mean: FloatArray  # (p,)
     covariance: FloatArray  # (p, p)
     sensitivity: FloatArray  # (p, k) to the considered parameters, which the covariance does not include
-
-
-class RowObserver(Protocol):
-    """Receives every row that an identifier uses."""
-
-    def __call__(
-        self,
-        times_s: FloatArray,
-        held: BoolArray,
-        Y: FloatArray,
-        y: FloatArray,
-        sigma: FloatArray,
-        noise: FloatArray | None,
-    ) -> None:
-        """Rows (m, p) of the base parameters, as :meth:`BlockScores.add` takes them; ``held`` (m,): payload there."""
 
 
 class Identifier:
@@ -89,7 +73,7 @@ class Identifier:
         start: warm start; default: the prior.
 
     Raises:
-        UnknownFrameError: a considered row that the model does not have, or an IMU frame that the base does not have.
+        UnknownFrameError: something considered that the model lacks, or an IMU frame that the base lacks.
         RowError: see :mod:`onboard.estimation`.
     """
 
@@ -109,15 +93,12 @@ class Identifier:
         start: Start | None = None,
     ) -> None:
         rows = [row.name for row in model.rows]
-        for cause in considered:
-            if cause.row not in rows:
-                raise UnknownFrameError(f"considered {cause.name!r} names row {cause.row!r}; there are {rows}")
+        check(considered, model)
         self.model = model
         self.base = base
         self.quantities = tuple(quantities)
         self.considered = tuple(considered)
         self.memory = memory
-        self._considered_rows = [rows.index(cause.row) for cause in considered]
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
@@ -137,7 +118,11 @@ class Identifier:
         self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
-        self.observer: RowObserver | None = None
+        instruments = tuple(dict.fromkeys(_instrument(name) for name in rows))
+        self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
+        self._inflation = 1.0
+        self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
+        self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -196,6 +181,7 @@ class Identifier:
         whole = np.logical_and.reduce([np.isfinite(v).reshape(n, -1).all(axis=1) for v in moving])
         found[~whole] |= GateReason.GAP
         if signals.noise is not None:
+            self._inflation = signals.noise.inflation
             doubts = [np.isfinite(v).reshape(n, -1).all(axis=1) for v in signals.noise[:-1]]
             whole &= np.logical_and.reduce(doubts)
             found[~whole] |= GateReason.GAP
@@ -242,7 +228,7 @@ class Identifier:
         use[use] = kept
         tick = np.nonzero(use)[0]  # (r,) of each row
         times = signals.time_s[at][tick]
-        C = self._considered_columns(signals, at, use)
+        C = columns(self.considered, self.model, signals, at, use, lambda of: self._expected(of, at, attached))
         rows, y, sigma = rows[kept], y[kept], sigma[kept]
         doubt = None if doubt is None else doubt[kept]
         self._recursion.add(times, rows, y, sigma, C, doubt)
@@ -251,8 +237,7 @@ class Identifier:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
             self._instruments.take(taken)
-        if self.observer is not None:
-            self.observer(times, attached[at][tick], rows, y, sigma, doubt)
+        self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, doubt)
         self.rows_used += y.size
 
     def _fill_scales(self, Y: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
@@ -272,19 +257,29 @@ class Identifier:
             for row, column in self._scales:
                 Y[:, row, column] = predicted[:, row]
 
-    def _considered_columns(self, signals: Signals, at: NDArray[np.intp], use: BoolArray) -> FloatArray | None:
-        """``d y / d c``, (r, k): the reading itself for a scale, minus its rate for a delay."""
-        if not self.considered:
-            return None
-        C = np.zeros((*use.shape, len(self.considered)))
-        for k, (cause, row) in enumerate(zip(self.considered, self._considered_rows, strict=True)):
-            if cause.effect == "scale":
-                C[:, row, k] = signals.measured[at, row]
-            elif signals.measured_rate is None:
-                raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
-            else:
-                C[:, row, k] = -signals.measured_rate[at, row]
-        return C[use]
+    def _expected(self, signals: Signals, at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
+        """What the rows of some ticks should read by the estimate so far, (t, rows)."""
+        motion = BaseMotion(*(v[at] for v in signals.motion))
+        none = np.zeros((at.size, len(self.model.rows)))
+        joints = signals.q[at], signals.dq[at], signals.ddq[at]
+        Y = self.model.regressor(*joints, motion, attached[at], predicted=none, fold=self._fold)
+        return np.asarray(Y @ [*self.rls.solve().mean, 1.0], np.float64)
+
+    def findings(self) -> Findings:
+        """What speaks against the answers that their intervals do not show."""
+        against, doubts = list[str](), list[str]()
+        residual = self.refused[GateReason.RESIDUAL]
+        share = residual / max(self.rows_used + residual, 1)
+        if share > MOST_CONTRADICTED:
+            against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
+        if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
+            return Findings(tuple(against), ())
+        drawn = self.base.value(self.model.chi)
+        for fit in instrument_fits(self.seen, self.block_jackknife().mean, drawn, self._physical):
+            bad, doubt = judged_fit(fit, self._inflation**2)
+            against += bad
+            doubts += doubt
+        return Findings(tuple(against), tuple(doubts))
 
     def block_jackknife(self, level: float = 0.95) -> JackknifeEstimate:
         """The estimate of the base parameters with its block-jackknife covariance."""
@@ -318,9 +313,13 @@ class Identifier:
                 for v in (interval.mean, interval.sigma, interval.low, interval.high)
             )
             note = quantity.note if fine else "not determined by the data so far"
+            drawn = float(np.hypot.reduce([one.weights @ jackknife.mean for one in quantity.leanings], initial=0.0))
+            if drawn and fine:
+                half = np.hypot(high - mean, _normal(level) * drawn)
+                sigma, low, high = float(np.hypot(sigma, drawn)), mean - float(half), mean + float(half)
             quantities.append(
                 QuantityEstimate(
-                    quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note
+                    quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note, drawn
                 )
             )
         if self._payload:
@@ -337,3 +336,13 @@ class Identifier:
             self.rows_used,
             dict(self.refused),
         )
+
+
+def _normal(level: float) -> float:
+    """Half the width of a two-sided interval of a normal distribution, sigmas."""
+    return float(ndtri(0.5 + 0.5 * level))
+
+
+def _instrument(row: str) -> str:
+    """Which instrument makes a row: its load cell, its joint, or the base's IMU for all wrenches that are zero."""
+    return "base IMU" if row.startswith("base_") else row

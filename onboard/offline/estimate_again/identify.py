@@ -21,10 +21,10 @@ from onboard.flight.roles import roles_of
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
-from onboard.identification.rows.held_out import HeldOutFit, RowBlocks
+from onboard.identification.rows.held_out import HeldOutFit, held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, without_rotors
-from onboard.identification.verdict import Evidence, Level, verdict
+from onboard.identification.verdict import Evidence, Level, standing, verdict
 from onboard.offline.estimate_again import throws
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, feed
@@ -129,8 +129,6 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     estimator = Estimator(vehicle)
     who = estimator.identifier
     method = vehicle.file.estimation.method
-    seen = RowBlocks(len(who.base.names), who.blocks.block_s)
-    who.observer = seen
     last = None
     for channel, rows in feed(estimator, log):
         if channel == "quantity":
@@ -148,11 +146,14 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
     else:
         told = {answer.name: answer.supported for answer in answers}
-    held_out = seen.held_out(who)
+    held = held_out(who.seen, who)
     links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
     asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
     failure = _no_payload(who, estimate)
-    evidence = Evidence(who.rows_used, refused, asked, held_out, estimator.inflation**2, failure, away)
+    evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
+    findings = who.findings()
+    by_name = {quantity.name: standing(quantity, findings._replace(against=())) for quantity in estimate.quantities}
+    evidence = evidence._replace(findings=findings, standings=by_name)
     return Identified(
         log.path,
         method,
@@ -162,7 +163,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         log.damage,
         verdict(evidence),
         thrown,
-        held_out,
+        held,
         observability=observed_directions(who.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         links=links,

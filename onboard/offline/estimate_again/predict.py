@@ -6,7 +6,7 @@ import numpy as np
 
 from onboard import config
 from onboard.flight.estimator import Estimator
-from onboard.identification.rows.held_out import HeldOutFit, RowBlocks
+from onboard.identification.rows.held_out import HeldOutFit, prediction
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
 from onboard.recording.errors import ChannelError
@@ -27,13 +27,11 @@ def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutF
         ConfigError: the vehicle's method has no rows.
     """
     estimator = Estimator(vehicle)
-    who = estimator.identifier
-    seen = RowBlocks(len(who.base.names), who.blocks.block_s)
-    who.observer = seen
     for _ in feed(estimator, LogReader(other)):
         pass
+    who = estimator.identifier
     values = {answer.name: answer.value for answer in found.answers}
     if not who.rows_used or not values:
         which = other if values else found.log
         raise ChannelError(f"{which} has no row that could be used; heft identify says why")
-    return seen.prediction(who, np.array([values[name] for name in who.base.names]))
+    return prediction(who.seen, who, np.array([values[name] for name in who.base.names]))

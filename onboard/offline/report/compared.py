@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from onboard import config
 from onboard.offline.report.flight_data import FlightData
+from onboard.offline.views.standing import shown
 
 
 class Compared(NamedTuple):
@@ -19,6 +20,7 @@ class Compared(NamedTuple):
     supported: bool
     truth: float | None
     published: float | None
+    standing: str = ""  # what it is good for
 
     @property
     def error_percent(self) -> float | None:
@@ -45,7 +47,7 @@ def compared(flight: FlightData) -> list[Compared]:
             value, low, high = (float(last[field]) for field in ("value", "low", "high"))
             label, unit, supported = labels.get(name, name), last["unit"].decode(), bool(last["supported"])
             known = truths.get(name), published.get(name)
-            found.append(Compared(name, label, unit, value, low, high, supported, *known))
+            found.append(Compared(name, label, unit, value, low, high, supported, *known, shown(last)))
     return sorted(found, key=lambda one: order.get(one.name, len(order)))
 
 

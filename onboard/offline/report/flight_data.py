@@ -260,7 +260,7 @@ def _kind(name: str, dtype: np.dtype[np.void]) -> str:
         "gap": dtype == GAP,
         "event": dtype == EVENT,
         "clock": {"period_ns", "sigma_ns", "residual_rms_ns", "state", "channel", "marks", "rejected"} <= fields,
-        "quantity": set(channels.QUANTITY.names or ()) <= fields,
+        "quantity": channels.is_quantity(dtype),
         "row": name == "row" and {"vehicle_ns", "measured", "gate", "joint_rad_s2"} <= fields,
         "estimate": name == "estimate" and {"vehicle_ns", "triangle"} <= fields,
     }

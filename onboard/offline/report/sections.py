@@ -156,9 +156,10 @@ def _answers(found: list[Compared]) -> str:
             line += [Cell("" if error is None else f"{error:+.2f}")]
             line += ["" if one.covered is None else Cell(*(("yes", "good") if one.covered else ("no", "bad")))]
         else:
-            line += ["", "not determined by these data", unit, "", ""]
-        rows.append([*line, Cell("" if one.published is None else f"{factor * one.published:.1f}")])
-    headings = ["quantity", "truth", "heft", "95 % interval", "unit", "error %", "holds truth", "published"]
+            line += ["", "no answer", unit, "", ""]
+        published = Cell("" if one.published is None else f"{factor * one.published:.1f}")
+        rows.append([*line, published, one.standing])
+    headings = ["quantity", "truth", "heft", "95 % interval", "unit", "error %", "holds truth", "published", "good for"]
     keep = [0, *(n for n in range(1, len(headings)) if any(str(row[n]) for row in rows))]
     return html.table([headings[n] for n in keep], ([row[n] for n in keep] for row in rows))
 

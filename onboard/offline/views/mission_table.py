@@ -18,6 +18,7 @@ from rich.text import Text
 from drivers import records
 from onboard import config
 from onboard.flight.hil import Flown
+from onboard.offline.views.standing import shown
 from onboard.recording.reader import LogReader
 
 Result = dict[str, Any]
@@ -35,6 +36,8 @@ def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
                 "sigma": float(row["sigma"]),
                 "unit": row["unit"].decode(),
                 "supported": bool(row["supported"]),
+                "standing": shown(row),
+                "drawn": float(row["drawn"]) if "drawn" in row.dtype.names else 0.0,
             }
     return answers
 
@@ -70,9 +73,10 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
     answer = answers.get(row["quantity"])
     supported = answer is not None and answer["supported"]
     true = float(truth[row["truth"]] if "truth" in row else truth["quantities"][row["quantity"]])
-    made: dict[str, Any] = {**row, "truth": true, "supported": supported}
+    standing = "" if answer is None else answer["standing"]
+    made: dict[str, Any] = {**row, "truth": true, "supported": supported, "standing": standing}
     if answer is not None and supported:
-        made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "unit")}
+        made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "drawn", "unit")}
         made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true else None
         made["covered"] = answer["low"] <= true <= answer["high"]
     return made
@@ -114,31 +118,35 @@ def render(table: Result) -> RenderableType:
     """The table for a terminal of 80 columns."""
     title = f"{table['title']} (seed {table['seed']})"
     published = any("identified_g" in row for row in table["masses"])
-    shown = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    shown.add_column("", no_wrap=True)
+    made = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    made.add_column("", no_wrap=True)
     for heading in ("truth", *(("publ.", "err %") if published else ()), "heft", "95 % interval", "err %"):
-        shown.add_column(heading, justify="right", no_wrap=True)
+        made.add_column(heading, justify="right", no_wrap=True)
     for section in ("masses", "centres", "inertias"):
         for row in table[section]:
             theirs = ("", "") if published else ()
             if "identified_g" in row:
                 theirs = f"{row['identified_g']:.1f}", f"{row['error_percent']:.2f}"
             truth = f"{row['factor'] * row['truth']:.{row['digits']}f}"
-            shown.add_row(f"{row['label']}, {row['shown_in']}", truth, *theirs, *_ours(row))
-        shown.add_section()
+            made.add_row(f"{row['label']}, {row['shown_in']}", truth, *theirs, *_ours(row))
+        made.add_section()
     lines: list[Text] = []
     if capture := table["capture"]:
-        said = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
-        lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {said}"))
+        noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
+        lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))
     counted = ", ".join(
         f"{name} {c['recorded']}" + (f" (and {c['missing']} missing)" if c["missing"] else "")
         for name, c in table["channels"].items()
     )
+    standings: dict[str, list[str]] = {}
+    for row in (*table["masses"], *table["centres"], *table["inertias"]):
+        standings.setdefault(row["standing"] or "not answered", []).append(row["label"])
+    lines += [Text(f"{', '.join(labels)}: {standing}") for standing, labels in standings.items()]
     verdict = "every sample accounted for" if table["accounted"] else "SAMPLES UNACCOUNTED FOR"
     troubles = [Text(f"! {text}", style="yellow") for text in table["events"][:8]]
     if len(table["events"]) > len(troubles):
         troubles.append(Text(f"! and {len(table['events']) - len(troubles)} more: heft info", style="yellow"))
-    return Group(shown, *lines, Text(f"{verdict}: {counted}"), *troubles)
+    return Group(made, *lines, Text(f"{verdict}: {counted}"), *troubles)
 
 
 def _ours(row: dict[str, Any]) -> tuple[str, str, str]:

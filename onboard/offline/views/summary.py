@@ -15,6 +15,7 @@ from onboard.flight.clocks import known_delays
 from onboard.offline.tables.progress import follow
 from onboard.offline.tables.thin import Thinned
 from onboard.offline.tables.vehicle_file import attached_vehicle
+from onboard.offline.views.standing import is_withdrawn, shown, standing_of
 from onboard.recording.reader import LogReader
 from onboard.timebase.clock import ClockState
 from onboard.timebase.delays import Delay
@@ -59,7 +60,7 @@ def summary(log: LogReader, progress: Progress | None = None) -> LogOverview:
                 clocks.setdefault(name.decode(), Thinned(_POINTS)).add(rows[rows["channel"] == name])
         elif channel == "row" and "gate" in fields[channel]:
             count_gates(found, rows["gate"])
-        elif log.channels[channel] == channels.QUANTITY:
+        elif channels.is_quantity(log.channels[channel]):
             found.answers.update((row["name"].decode(), row) for row in rows[-256:])
     found.clocks = {name: kept for name, thinned in clocks.items() if (kept := thinned.rows) is not None}
     return found
@@ -95,7 +96,9 @@ def _state(row: np.void) -> str:
 def _answer_json(row: np.void) -> dict[str, Any]:
     supported = bool(row["supported"])
     numbers = {name: float(row[name]) if supported else None for name in ("value", "sigma", "low", "high")}
-    return {"supported": supported, "unit": row["unit"].decode(), **numbers}
+    found = standing_of(row)
+    level, why = (None, "") if found is None else (str(found.level), found.why)
+    return {"supported": supported, "level": level, "why": why, "unit": row["unit"].decode(), **numbers}
 
 
 def render(found: LogOverview) -> RenderableType:
@@ -147,10 +150,13 @@ def _answers(found: LogOverview) -> RenderableType | None:
     """Table of the quantities; of base parameters if there are no others."""
     supported = {name: row for name, row in found.answers.items() if row["supported"]}
     supported = {name: row for name, row in supported.items() if row["unit"]} or supported
-    if not supported:
+    withdrawn = {name: row for name, row in found.answers.items() if row["unit"] and is_withdrawn(row)}
+    if not supported and not withdrawn:
         return None
-    table = _table("identified", "value", "95 % interval", "unit")
+    table = _table("identified", "value", "95 % interval", "unit", "good for")
     for name, row in supported.items():
         value, low, high = (f"{row[key]:.6g}" for key in ("value", "low", "high"))
-        table.add_row(name, value, f"{low} .. {high}", row["unit"].decode())
+        table.add_row(name, value, f"{low} .. {high}", row["unit"].decode(), shown(row))
+    for name, row in withdrawn.items():
+        table.add_row(name, "-", "-", row["unit"].decode(), Text(shown(row), "red"))
     return table

@@ -17,7 +17,9 @@ from rich.text import Text
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
 from onboard import channels
 from onboard.estimation.gates import GateReason
+from onboard.identification.verdict import Level
 from onboard.offline.views.info import printable
+from onboard.offline.views.standing import is_withdrawn, shown, standing_of
 from onboard.timebase.clock import ClockState
 
 _RATE_NS = 2_000_000_000  # window for rates and gate shares
@@ -116,7 +118,7 @@ class Board:
                 self._channels.setdefault(printable(row["channel"]), _Channel()).told += count
         elif rows.dtype == EVENT:
             self._say(rows)
-        elif rows.dtype == channels.QUANTITY:
+        elif channels.is_quantity(rows.dtype):
             for row in rows:
                 self.answers.setdefault(printable(row["name"]), _Answer(row, _TREND_NS)).add(row)
         elif {"period_ns", "state", "channel"} <= fields:
@@ -201,12 +203,19 @@ class Board:
             if not unit and not row["supported"]:
                 continue  # undetermined base parameters are left out to save space
             if not row["supported"]:
-                table.add_row(Text(name, "dim"), Text("not determined yet", "dim"), "", unit, "", "")
+                text = shown(row) if is_withdrawn(row) else "not determined yet"
+                table.add_row(Text(name, "dim"), Text(text, "dim"), "", unit, "", "")
                 continue
+            said = standing_of(row)
             half = 0.5 * float(row["high"] - row["low"])
             relative = f"{100 * half / abs(float(row['value'])):.2f} %" if row["value"] else ""
             table.add_row(
-                name, f"{row['value']:.6g}", f"{half:.2g}", unit, relative, Text(trend(answer.widths), "cyan")
+                Text(name, "" if said is None or said.level is Level.GOOD else "yellow"),
+                f"{row['value']:.6g}",
+                f"{half:.2g}",
+                unit,
+                relative,
+                Text(trend(answer.widths), "cyan"),
             )
         return table
 

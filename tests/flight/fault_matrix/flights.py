@@ -120,7 +120,10 @@ def _said(log: Log) -> Iterator[_Said]:
             if row["marks"] and row["state"] != ClockState.LOCKED:
                 state = ClockState(int(row["state"])).name.lower()
                 yield _Said(int(row["host_ns"]), f"clock {name} {state}", False, name, 0)
-    for rows in (*_of(log, "event"), *_of(log, "gap")):
+    for who, rows in (
+        *(("", rows) for rows in (*_of(log, "event"), *_of(log, "gap"))),
+        *(("estimation ", rows) for rows in _of(log, "event_estimation")),
+    ):
         for row in rows:
             if rows.dtype == records.GAP:
                 missing = int(row["last_missing"] - row["first_missing"]) + 1
@@ -128,12 +131,13 @@ def _said(log: Log) -> Iterator[_Said]:
                 yield _Said(int(row["host_ns"]), text, False, row["channel"].decode(), missing)
             elif (code := row["code"].decode()) not in ("phase", "zeroed", "stopped"):
                 quiet = bool(row["severity"] < Severity.WARNING)
-                yield _Said(int(row["host_ns"]), code, quiet, row["source"].decode(), 0)
+                yield _Said(int(row["host_ns"]), who + code, quiet, row["source"].decode(), 0)
 
 
 def _refused(log: Log) -> Iterator[_Said]:
     """Rows that the estimator refused for what their samples are like, at the time of the row."""
     told = GateReason.SATURATED | GateReason.GAP | GateReason.RESIDUAL | GateReason.NOT_SYNCHRONISED
+    told |= GateReason.STUCK | GateReason.LEFT_OUT
     for rows in _of(log, "row"):
         for row in rows[(rows["gate"] != 0).reshape(len(rows), -1).any(axis=1)]:
             reasons = int(np.bitwise_or.reduce(np.atleast_1d(row["gate"])))

@@ -82,7 +82,7 @@ def _line(outcome: Outcome) -> str:
     verdicts = list(outcome.estimate.values())
     kinds = [verdict for verdict in ("right", "absent", "wrong") if verdict in verdicts]
     estimate = kinds[0] if len(kinds) == 1 else ", ".join(f"{verdicts.count(kind)} {kind}" for kind in kinds)
-    vehicle = [text for text in outcome.reported if text.startswith(("clock ", "rows refused"))]
+    vehicle = [text for text in outcome.reported if text.startswith(("clock ", "rows refused", "estimation "))]
     driver = [text for text in outcome.reported if text not in vehicle]
     unknown = "cannot know" if cell.kind in INPUTS else "—"
     flows = "at once" if outcome.recovery_s <= 0.005 else f"{10 * round(outcome.recovery_s * 100 + 0.5)} ms"

@@ -13,7 +13,8 @@ from onboard.estimation.gates import GateReason
 from onboard.estimation.memory import Memory
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.quantities import inertia_about_joint, mass_quantities
-from onboard.identification.rows.identifier import Considered, Identifier
+from onboard.identification.rows.considered import Considered
+from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
 from onboard.regressor.rows import BaseMotion, RowModel, base_motion, load_cell_row
 from onboard.regressor.signals import SignalNoise, Signals
@@ -371,3 +372,29 @@ def test_signals_of_a_wrong_shape_are_named(rng):
         who.update(signals._replace(measured=np.repeat(signals.measured, 2, axis=1)), held, none)
     with pytest.raises(SignalError, match="one each"):
         who.update(signals, held, none[:-1])
+
+
+@pytest.mark.parametrize(
+    ("effect", "row"), [("joint_scale", "joint_1"), ("gyro_scale", "imu_base"), ("accelerometer_scale", "imu_base")]
+)
+def test_a_scale_of_the_motion_moves_the_estimate_by_what_the_interval_allows(rng, effect, row):
+    """Signals of a sensor that reads 1 % more: the estimate moves by one of the sigmas of a scale known to 1 %."""
+    signals, held, _ = flight(rng)
+    who, other = identifier((Considered("scale", row, effect, 0.01),)), identifier(())
+    feed(who, signals, held)
+    scaled = {
+        "joint_scale": lambda s: s._replace(q=1.01 * s.q, dq=1.01 * s.dq, ddq=1.01 * s.ddq),
+        "gyro_scale": lambda s: s._replace(
+            motion=s.motion._replace(
+                rate_rad_s=1.01 * s.motion.rate_rad_s, acceleration_rad_s2=1.01 * s.motion.acceleration_rad_s2
+            )
+        ),
+        "accelerometer_scale": lambda s: s._replace(
+            motion=s.motion._replace(specific_force_m_s2=1.01 * s.motion.specific_force_m_s2)
+        ),
+    }[effect](signals)
+    feed(other, scaled, held)
+    moved = other.block_jackknife().mean - who.block_jackknife().mean
+    sensitivity = 0.01 * who.rls.solve().sensitivity[:, 0]
+    zz = setup()[3][0].weights
+    assert abs(zz @ moved) == pytest.approx(abs(zz @ sensitivity), rel=0.05, abs=1e-7)

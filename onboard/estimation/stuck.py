@@ -1,0 +1,112 @@
+"""Readings that do not move where a healthy instrument's must: held values, for ever or again and again.
+
+Two witnesses, one for each way an instrument is alive:
+
+- *Noise*: a reading of stated noise falls into the same count again with a probability that the noise gives; a run is
+  stuck where that has a chance below :data:`CHANCE`. Half of the stated noise is taken, and of that what is left when
+  the reading before is known (a filter remembers). A reading with noise of less than a count repeats legitimately, and
+  is not judged so.
+- *Travel*: the angle of a moving joint changes by about as much as it did before, and a joint can neither stop nor
+  jump from one sample to the next. A run of equal readings is stuck where the one before it was on its way, or where
+  it ends with a jump that neither neighbour shows. At rest an encoder repeats for ever, and is not judged.
+
+A run is told as a whole once it is too long: the samples before as well, and those that are still in a history can be
+refused after the fact.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.arrays import BoolArray
+
+CHANCE = 1e-9  # of a run, from any one sample on
+_SHORTEST = 4  # equal readings that are a run of a travelling joint's
+_TRAVEL = 8.0  # counts a sample, below which a joint may come to rest from one sample to the next
+_JUMP = 2.5  # times its neighbours' steps, which no joint's acceleration makes of rest
+NONE = slice(0, 0)
+_RUNS = 6  # that are kept for the next readings: the speed before a run, and what comes after it
+
+
+def longest_run(sigma_counts: Sequence[float], memory: float) -> float:
+    """How many equal readings in a row have a chance of :data:`CHANCE`; infinite where the noise does not tell.
+
+    Args:
+        sigma_counts: noise of each column, rms, counts.
+        memory: correlation of a reading's noise with that of the one before.
+    """
+    left = 0.5 * math.sqrt(1.0 - memory * memory)
+    spread = [left * sigma for sigma in sigma_counts]
+    if not all(0.5 <= sigma < math.inf for sigma in spread):
+        return math.inf
+    chance = math.prod(math.erf(1.0 / (2.0 * math.sqrt(2.0) * sigma)) for sigma in spread)
+    return 1.0 + math.ceil(math.log(CHANCE) / math.log(chance))
+
+
+class StuckReadings:
+    """Watches one channel's raw readings for runs that no healthy instrument makes.
+
+    Args:
+        columns: of a reading.
+        longest: run that may be chance (:func:`longest_run`); None for the angle of a joint, which its travel judges.
+    """
+
+    def __init__(self, columns: int, longest: float | None) -> None:
+        self._longest = longest
+        self._values = np.zeros((0, columns))  # of the last few runs, the one that goes on included
+        self._lengths = np.zeros(0, np.int64)
+        self._stuck = np.zeros(0, np.bool_)
+
+    @property
+    def stuck(self) -> bool:
+        """The last reading is one of a stuck run."""
+        return bool(self._stuck[-1:].any())
+
+    def forget(self) -> None:
+        """What comes next does not follow on what came last."""
+        self._values, self._lengths, self._stuck = self._values[:0], self._lengths[:0], self._stuck[:0]
+
+    def watch(self, readings: NDArray[np.float64], usable: BoolArray) -> tuple[BoolArray, slice]:
+        """Judge the next readings.
+
+        Args:
+            readings: (n, columns) raw counts.
+            usable: (n,); a reading that is not (saturated, say) is no part of a run.
+
+        Returns:
+            Which are stuck, (n,), and which of those *before* them turn out to be, counted from the first of these, so
+            that both ends are negative or zero; empty where none do.
+        """
+        n, kept = len(readings), len(self._lengths)
+        if not n:
+            return np.zeros(0, np.bool_), NONE
+        values = np.concatenate([self._values, np.where(usable[:, None], readings, np.nan)])
+        first = np.append(True, (values[1:] != values[:-1]).any(axis=1))  # of its run; NaN equals nothing
+        run = np.cumsum(first) - 1
+        lengths = np.bincount(run, np.append(self._lengths, np.ones(n))).astype(np.int64)
+        known = np.zeros(len(lengths), np.bool_)
+        known[:kept] = self._stuck
+        values = values[first]
+        found = known | (self._by_travel(values, lengths) if self._longest is None else lengths > self._longest)
+        old = np.cumsum(self._lengths[::-1])[::-1]  # readings from each run on to the end of what was
+        fresh = found[:kept] & ~known[:kept]
+        at = np.flatnonzero(fresh)
+        before = slice(-int(old[at[0]]), -int(np.append(old, 0)[at[-1] + 1])) if len(at) else NONE
+        self._values, self._lengths, self._stuck = values[-_RUNS:], lengths[-_RUNS:], found[-_RUNS:]
+        return found[run[kept:]], before
+
+    @staticmethod
+    def _by_travel(values: NDArray[np.float64], lengths: NDArray[np.int64]) -> BoolArray:
+        step = np.diff(values[:, 0])  # from each run to the next
+        found = np.zeros(len(values), np.bool_)
+        for k in np.flatnonzero(lengths >= _SHORTEST):
+            if k >= 3 and (lengths[k - 2 : k] == 1).all():
+                before, earlier = step[k - 1], step[k - 2]
+                due = 2.0 * before - earlier
+                found[k] = min(abs(before), abs(due)) >= _TRAVEL and before * due > 0.0
+            if k + 2 < len(values) or (k + 2 == len(values) and lengths[k + 1] > 1):
+                after = abs(step[k + 1]) if lengths[k + 1] == 1 else 0.0
+                found[k] |= abs(step[k]) > _TRAVEL + _JUMP * after
+        return found

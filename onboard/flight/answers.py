@@ -1,0 +1,86 @@
+"""Estimates as records: ESTIMATE, a QUANTITY for every parameter and quantity with what it is good for, and events.
+
+A quantity is marked supported while the data determine it and nothing forbids to use it. One that was supported and is
+not to be used any more is withdrawn, and one that comes back is told too: events ``withdrawn`` and ``answers_again``.
+"""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from drivers.records import Batch, Rows, Severity, event
+from onboard import channels
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.quantities import Estimate, Findings
+from onboard.identification.verdict import LEVELS, Level, Standing, standing
+
+
+class Answers:
+    """Makes the records of one estimator's answers.
+
+    Args:
+        estimate_dtype: of the channel ``estimate``.
+        nuisance: parameters that are never marked as supported.
+    """
+
+    def __init__(self, estimate_dtype: np.dtype[np.void], nuisance: Collection[str]) -> None:
+        self._dtype, self._nuisance = estimate_dtype, list(nuisance)
+        self._supported: set[bytes] = set()
+        self._withdrawn: set[bytes] = set()
+
+    def rows(
+        self, now_ns: int, vehicle_ns: int, estimate: Estimate, findings: Findings, triangle: FloatArray
+    ) -> tuple[Rows, Rows, list[Batch]]:
+        """ESTIMATE (1,), QUANTITY (parameters + quantities,), and events of what was withdrawn or came back."""
+        state = np.zeros(1, self._dtype)
+        state["host_ns"], state["vehicle_ns"] = now_ns, vehicle_ns
+        state["rows_used"], state["rows_gated"] = estimate.rows_used, sum(estimate.refused.values())
+        state["mean"] = estimate.mean
+        state["triangle"] = triangle[np.triu_indices(len(triangle))]
+        answers = np.zeros(len(estimate.names) + len(estimate.quantities), channels.QUANTITY)
+        answers["host_ns"], answers["vehicle_ns"] = now_ns, vehicle_ns
+        p = len(estimate.names)
+        for field in ("low", "high", "sigma", "supported"):
+            answers[field][:p] = getattr(estimate, field)
+        answers["value"][:p] = estimate.mean
+        answers["supported"][:p] &= ~np.isin(estimate.names, self._nuisance)
+        answers["name"][:p] = [name.encode() for name in estimate.names]
+        of_all = _of_all(findings)
+        for row in answers[:p]:
+            _put(row, of_all if row["supported"] else Standing(Level.WEAK, "not determined by the data so far"))
+        for row, quantity in zip(answers[p:], estimate.quantities, strict=True):
+            row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
+            row["drawn"] = quantity.drawn if quantity.supported else 0.0
+            row["supported"], row["unit"], row["name"] = quantity.supported, quantity.unit, quantity.name
+            _put(row, standing(quantity, findings))
+        return state, answers, self._changes(now_ns, answers[p:])
+
+    def _changes(self, now_ns: int, quantities: Rows) -> list[Batch]:
+        supported = {bytes(row["name"]): row for row in quantities if row["supported"]}
+        refused = {bytes(row["name"]): row for row in quantities if row["level"] == LEVELS.index(Level.DO_NOT_USE)}
+        gone = sorted((self._supported & refused.keys()) - self._withdrawn)
+        back = sorted(self._withdrawn & supported.keys())
+        self._supported = set(supported)
+        self._withdrawn = (self._withdrawn | set(gone)) - set(back)
+        said = []
+        if gone:
+            text = f"{', '.join(name.decode() for name in gone)}: {refused[gone[0]]['why'].decode()}"
+            said.append(event(now_ns, Severity.WARNING, "withdrawn", "estimation", text))
+        if back:
+            text = ", ".join(name.decode() for name in back)
+            said.append(event(now_ns, Severity.INFO, "answers_again", "estimation", text))
+        return said
+
+
+def _of_all(findings: Findings) -> Standing:
+    if findings.against:
+        return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
+    return Standing(Level.WEAK, "; ".join(findings.doubts)) if findings.doubts else Standing(Level.GOOD)
+
+
+def _put(row: np.void, found: Standing) -> None:
+    row["level"], row["why"] = LEVELS.index(found.level), found.why.encode()[:WHY]
+    row["supported"] &= np.uint8(found.level is not Level.DO_NOT_USE)
+
+
+WHY = channels.QUANTITY["why"].itemsize

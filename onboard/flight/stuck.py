@@ -1,0 +1,96 @@
+"""Which readings of a channel are stuck, and what is said of it; ``onboard.estimation.stuck`` is how that is judged."""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Rows, SampleStatus, Severity
+from onboard.devices.roles import SmoothedChannel
+from onboard.estimation.stuck import NONE, StuckReadings, longest_run
+
+_OVER_S = 1.0  # without a stuck reading before it is said to be over: a freeze that comes and goes is told once
+
+
+class Said(NamedTuple):
+    """An event about a channel."""
+
+    severity: Severity
+    code: str
+    text: str
+
+
+class StuckWatch:
+    """Watches one channel.
+
+    Args:
+        signal: what is known of it.
+    """
+
+    def __init__(self, signal: SmoothedChannel) -> None:
+        self._signal = signal
+        self._readings: StuckReadings | None = None  # its counts are not known before the first rows
+        self._sequence: int | None = None  # of the last row
+        self._fine = 0  # readings since the last stuck one
+        self._told = False
+
+    def watch(self, rows: Rows, usable: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], slice, Said | None]:
+        """Judge the next rows, at least one.
+
+        Args:
+            rows: of the channel, in order.
+            usable: (n,) those that are good otherwise.
+
+        Returns:
+            Which are stuck, (n,); which of those before them are, counted from the first of these; what is to be told.
+        """
+        if self._readings is None:
+            self._readings = StuckReadings(len(self._signal.noise), _longest(self._signal, rows[0]))
+        raw = np.hstack([rows["gyro_raw"], rows["accel_raw"]]) if not self._signal.si else rows["value_raw"][:, None]
+        numbers = rows["sequence"].astype(np.int64)
+        follows = np.diff(numbers, prepend=numbers[0] - 1 if self._sequence is None else self._sequence) == 1
+        follows &= (rows["status"] & SampleStatus.AFTER_RESET) == 0
+        self._sequence = int(numbers[-1])
+        stuck, before = np.zeros(len(rows), np.bool_), NONE
+        starts = [0, *(np.flatnonzero(~follows[1:]) + 1).tolist(), len(rows)]
+        for first, last in itertools.pairwise(starts):
+            if not follows[first]:
+                self._readings.forget()
+            stuck[first:last], reaching = self._readings.watch(raw[first:last].astype(np.float64), usable[first:last])
+            begin, end = first + reaching.start, first + reaching.stop
+            stuck[max(0, begin) : max(0, end)] = True
+            if begin < min(end, 0):
+                before = slice(begin, min(end, 0))
+        return stuck, before, self._say(raw, stuck, before != NONE)
+
+    def _say(self, raw: NDArray[np.generic], stuck: NDArray[np.bool_], before: bool) -> Said | None:
+        if stuck.any() or before:
+            at = np.flatnonzero(stuck)
+            self._fine = len(stuck) - 1 - int(at[-1]) if len(at) else len(stuck)
+            if self._told:
+                return None
+            self._told = True
+            value = raw[int(at[0]) if len(at) else 0]
+            held = ", ".join(str(count) for count in np.atleast_1d(value))
+            text = f"it reads {held} again and again where it must change: rows that need it are refused meanwhile"
+            return Said(Severity.ERROR, "stuck", text)
+        self._fine += len(stuck)
+        if self._told and self._fine * self._signal.period_s > _OVER_S:
+            self._told = False
+            return Said(Severity.INFO, "stuck_over", "its readings change again")
+        return None
+
+
+def _longest(signal: SmoothedChannel, row: np.void) -> float | None:
+    """Run that may be chance; None for an angle, which is judged by its travel."""
+    if signal.travels:
+        return None
+    if signal.si:
+        scales = [float(row["scale"]) * signal.si.get(row["unit"], math.nan)]
+    else:
+        scales = [float(row["gyro_scale_rad_s"])] * 3 + [float(row["accel_scale_m_s2"])] * 3
+    counts = [noise / abs(scale) if scale else math.inf for noise, scale in zip(signal.noise, scales, strict=True)]
+    delay_s = max(signal.delays_s)
+    return longest_run(counts, math.exp(-signal.period_s / delay_s) if delay_s else 0.0)

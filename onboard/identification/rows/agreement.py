@@ -1,0 +1,131 @@
+"""Do the rows agree with one another: what speaks against an answer that its interval does not show.
+
+Looked at by instrument, at the estimate of all rows:
+
+- *Gain*: what an instrument reads over what the estimate says it should, block of time by block of time. An instrument
+  whose scale jumps, or a motion that another instrument begins to tell wrongly, is a step in it. A step anywhere is
+  judged by the scatter of the gains on its two sides (Student's t, the likeliest place of all, each place counted).
+- *Misfit*: what is left over, against the noise and against what there was to explain.
+- *Response*: what it reads against what the drawing makes of the motion. An instrument that feels next to nothing is
+  not loaded, or not alive.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtr
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.identification.rows.row_blocks import RowBlocks
+
+MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
+DOUBTFUL_UNEXPLAINED = 0.15
+NOISE = 4.0  # residual sum a row that may still be noise
+LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
+LEAST_STEP, DOUBTFUL_STEP = 0.03, 0.015  # of a gain: instruments creep, and gears ripple
+STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
+_FEWEST = 3  # blocks on each side of a step
+_LOADED = 0.1  # of the mean information on the gain: a block with less is not asked
+
+
+class Step(NamedTuple):
+    """The likeliest step of an instrument's gain."""
+
+    time_s: float
+    size: float  # relative
+    chance: float  # that as much comes of the scatter
+
+
+class InstrumentFit(NamedTuple):
+    """How one instrument's rows stand to the estimate of all."""
+
+    instrument: str
+    rows: float
+    misfit: float  # whitened residual sum over the number of rows
+    unexplained: float  # share of the readings, bias aside, that the estimate leaves over
+    response: float  # size of the readings over what the drawing makes of the motion; NaN for rows that read nothing
+    step: Step | None  # None where there is not enough to be cut
+
+
+def instrument_fits(
+    blocks: RowBlocks, mean: FloatArray, drawn: FloatArray, physical: BoolArray
+) -> tuple[InstrumentFit, ...]:
+    """How each instrument's rows stand to an estimate.
+
+    Args:
+        blocks: the rows.
+        mean: the estimate, (p,).
+        drawn: base parameters of the drawing, (p,).
+        physical: which parameters are of bodies, and not an instrument's bias, (p,).
+    """
+    found = []
+    for number, name in enumerate(blocks.instruments):
+        steps, squares = list[Step](), np.zeros(5)
+        for held, own in blocks.parts:
+            if own != number:
+                continue
+            N, noise = blocks.of(held, number)
+            clean, (left, signal, as_drawn, gain) = N - noise, _sums(N, N - noise, mean, drawn, physical)
+            squares += [left.sum(), N[:, -1, -1].sum(), signal.sum(), as_drawn.sum(), clean[:, -2, -2].sum()]
+            steps += _steps(blocks.times_s(held, number), gain, signal)
+        left_over, rows, signal_sum, drawn_sum, read = squares
+        if rows:
+            unexplained = np.sqrt(left_over / (left_over + signal_sum)) if signal_sum else 1.0
+            response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
+            step = min(steps, key=lambda one: one.chance, default=None)
+            found.append(
+                InstrumentFit(name, float(rows), float(left_over / rows), float(unexplained), float(response), step)
+            )
+    return tuple(found)
+
+
+def _sums(
+    N: FloatArray, clean: FloatArray, mean: FloatArray, drawn: FloatArray, physical: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """By block, (b,) each: residual sum, power of the signal, of the drawing's, and deviation of the gain."""
+    v = np.concatenate([mean, [-1.0, 0.0]])
+    left = np.maximum(np.einsum("i,bij,j->b", v, N, v), 0.0)
+    body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
+    H = clean[:, :-2, :-2]
+    signal = np.maximum(np.einsum("i,bij,j->b", body, H, body), 0.0)
+    as_drawn = np.maximum(np.einsum("i,bij,j->b", plan, H, plan), 0.0)
+    scores = clean[:, :-2, -2] - H @ mean
+    gain = np.divide(scores @ body, signal, out=np.zeros_like(signal), where=signal > 0.0)
+    return left, signal, as_drawn, gain
+
+
+def _steps(times_s: FloatArray, gain: FloatArray, weight: FloatArray) -> list[Step]:
+    """The likeliest step of the gains of n blocks; none where they are too few to be cut."""
+    loaded = weight > _LOADED * weight.mean() if len(weight) else np.zeros(0, np.bool_)
+    times_s, gain, weight = times_s[loaded], gain[loaded], weight[loaded]
+    n = len(gain)
+    best: list[Step] = []
+    for cut in range(_FEWEST, n - _FEWEST + 1):
+        W = weight[:cut].sum(), weight[cut:].sum()
+        m = (weight[:cut] @ gain[:cut]) / W[0], (weight[cut:] @ gain[cut:]) / W[1]
+        around = weight @ (gain - np.where(np.arange(n) < cut, m[0], m[1])) ** 2 / (n - 2)
+        t = abs(m[1] - m[0]) / np.sqrt(max(around, np.finfo(np.float64).tiny) * (1.0 / W[0] + 1.0 / W[1]))
+        chance = min(1.0, 2.0 * float(stdtr(n - 2, -t)) * (n - 2 * _FEWEST + 1))
+        best.append(Step(float(times_s[cut]), float(m[1] - m[0]), chance))
+    return [min(best, key=lambda one: one.chance)] if best else []
+
+
+def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str]]:
+    """What an instrument's rows say against all answers, and what makes them doubtful.
+
+    Args:
+        fit: at the estimate of all rows.
+        correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
+    """
+    against, doubts, name = list[str](), list[str](), fit.instrument
+    if fit.response < LEAST_RESPONSE:
+        against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
+    if fit.misfit * correlation > NOISE and fit.unexplained > DOUBTFUL_UNEXPLAINED:
+        said = f"{fit.unexplained:.0%} of what {name} reads is left over"
+        (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
+    step = fit.step
+    if step is not None and step.chance < DOUBTFUL_CHANCE and abs(step.size) > DOUBTFUL_STEP:
+        said = f"{name} reads {step.size:+.0%} of the motion from one time on: it or a joint's sensor has changed"
+        is_sure = step.chance < STEP_CHANCE and abs(step.size) > LEAST_STEP
+        (against if is_sure else doubts).append(said)
+    return against, doubts

@@ -1,0 +1,218 @@
+"""Several identifiers side by side, one for each thing that may not be so; the one that nothing speaks against answers.
+
+Every instrument that another one stands beside (two cells about one axis) is left out by an identifier of its own. A
+release that is told divides them once more: with the payload gone, and with it still held. What the rows say decides:
+
+- An identifier is *contradicted* when its own findings speak against its answers.
+- While that of all instruments, as told, is not contradicted, it answers; but where two that leave one instrument out
+  each differ by more than their intervals, all are contradicted, and nobody can say who is right.
+- When it is contradicted and just one of the others is not, that one answers, and what it leaves out is named.
+- A release is believed when the motion with the payload still held is contradicted, and disbelieved when only the
+  motion without it is, or when what has gone weighs nothing: the arm moves as before.
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.identification.change import Change
+from onboard.identification.quantities import Estimate, Findings
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.verdict import Level, standing
+from onboard.regressor.signals import Signals
+
+_JUDGED_ROWS = 50  # between one judgement and the next
+_FEWEST_ROWS = 100  # after a release was told, before it is judged
+_APART = 5.0  # sigmas between two answers that contradict each other
+_NOTHING = 0.2  # of what the drawing says that a payload weighs: it has not gone
+
+
+class Member(NamedTuple):
+    """What an identifier takes not to be so."""
+
+    left_out: str = ""  # an instrument
+    still_held: bool = False  # the release that was told did not happen
+
+
+_AS_TOLD = Member()
+
+
+class Hypotheses:
+    """An :class:`onboard.identification.online.OnlineIdentifier` of several.
+
+    Args:
+        make: a fresh identifier; all are alike.
+        redundant: instruments that another one stands beside.
+    """
+
+    def __init__(self, make: Callable[[], Identifier], redundant: Sequence[str] = ()) -> None:
+        self._members = {member: make() for member in (_AS_TOLD, *(Member(name) for name in redundant))}
+        self._chosen = _AS_TOLD
+        self._findings = Findings()
+        self._judged = 0
+        self._told_rows: int | None = None  # rows used when a release was told that is not judged yet
+        self._news: list[Change] = []
+
+    @property
+    def chosen(self) -> Identifier:
+        """The one that answers."""
+        return self._members[self._chosen]
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Of the columns of ``measured``."""
+        return self.chosen.row_names
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Of the base parameters."""
+        return self.chosen.parameter_names
+
+    @property
+    def quantity_names(self) -> tuple[str, ...]:
+        """Of what is reported besides."""
+        return self.chosen.quantity_names
+
+    @property
+    def rows_used(self) -> int:
+        """Of the one that answers."""
+        return self.chosen.rows_used
+
+    @property
+    def refused(self) -> dict[GateReason, int]:
+        """Of the one that answers."""
+        return self.chosen.refused
+
+    def update(
+        self, signals: Signals, attached: BoolArray, excluded: ReasonArray, otherwise: BoolArray | None = None
+    ) -> ReasonArray:
+        """Takes the rows of new ticks in.
+
+        Args:
+            signals: as for :meth:`Identifier.update`.
+            attached: (n,) whether the payload is held, as told.
+            excluded: (n,) reasons.
+            otherwise: (n,) whether it is held if the last release that was told did not happen.
+
+        Returns:
+            (n, rows) reasons of the one that answers.
+        """
+        other = attached if otherwise is None else otherwise
+        if self._told_rows is None and (other != attached).any():
+            self._divide()
+        names = self.row_names
+        own = np.zeros((len(excluded), len(names)), np.int64) if signals.refused is None else signals.refused
+        found: ReasonArray | None = None
+        for member, identifier in self._members.items():
+            left = np.array([name == member.left_out for name in names]) * np.int64(GateReason.LEFT_OUT)
+            seen = signals._replace(refused=own | left)
+            reasons = identifier.update(seen, other if member.still_held else attached, excluded)
+            if member == self._chosen:
+                found = reasons
+        assert found is not None
+        if abs(self.rows_used - self._judged) >= _JUDGED_ROWS:
+            self._judge()
+            self._judged = self.rows_used
+        return found
+
+    def estimate(self, level: float = 0.95) -> Estimate:
+        """Of the one that answers."""
+        return self.chosen.estimate(level)
+
+    def findings(self) -> Findings:
+        """What speaks against it, and what was left out."""
+        return self._findings
+
+    def triangle(self) -> FloatArray:
+        """Of the one that answers."""
+        return self.chosen.triangle()
+
+    def news(self) -> tuple[Change, ...]:
+        """Instruments that were left out or taken back, releases that were not believed, since the last call."""
+        news, self._news = tuple(self._news), []
+        return news
+
+    def _divide(self) -> None:
+        """A release was told: from here on there is one more of each, for which it did not happen."""
+        self._told_rows = self.rows_used
+        self._members |= {
+            member._replace(still_held=True): copy.deepcopy(identifier) for member, identifier in self._members.items()
+        }
+
+    def _judge(self) -> None:
+        findings = {member: identifier.findings() for member, identifier in self._members.items()}
+        if self._told_rows is not None and abs(self.rows_used - self._told_rows) >= _FEWEST_ROWS:
+            self._judge_release(findings)
+        as_told = findings[_AS_TOLD]
+        others = [member for member in findings if member.left_out and not member.still_held]
+        clean = [member for member in others if self._is_clean(member, findings[member])]
+        apart = "" if as_told.against else self._contradiction([m for m in self._members if m.left_out])
+        chosen, said = _AS_TOLD, as_told
+        if as_told.against and len(clean) == 1:
+            chosen = clean[0]
+            said = findings[chosen]._replace(
+                doubts=(*findings[chosen].doubts, f"without {chosen.left_out}, which contradicts the others")
+            )
+        elif apart:
+            said = Findings((apart, *as_told.against), as_told.doubts)
+        if chosen != self._chosen:
+            name = chosen.left_out or self._chosen.left_out
+            self._note("left_out" if chosen.left_out else "taken_back", name)
+        self._chosen, self._findings = chosen, said
+
+    def _is_clean(self, member: Member, findings: Findings) -> bool:
+        """Whether nothing speaks against any of its answers."""
+        quantities = self._members[member].estimate().quantities
+        return not findings.against and all(
+            standing(quantity, findings).level is not Level.DO_NOT_USE for quantity in quantities
+        )
+
+    def _judge_release(self, findings: dict[Member, Findings]) -> None:
+        """Believe it, or not, or wait."""
+        told, held = findings[_AS_TOLD], findings[Member(still_held=True)]
+        if held.against and not told.against:
+            believed = True
+        elif held.against or not (told.against or self._nothing_has_gone()):
+            return
+        else:
+            believed = False
+            self._note("release_contradicted", "the arm moves as before")
+        kept = {
+            member._replace(still_held=False): identifier
+            for member, identifier in self._members.items()
+            if member.still_held is not believed
+        }
+        for member in list(findings):
+            del findings[member]
+        findings |= {member: identifier.findings() for member, identifier in kept.items()}
+        self._members, self._told_rows = kept, None
+
+    def _nothing_has_gone(self) -> bool:
+        """Whether, as told, the payload is known to weigh next to nothing."""
+        identifier = self._members[_AS_TOLD]
+        payload = identifier.model.vehicle.spec.payload_link
+        drawn = identifier.base.value(identifier.model.chi)
+        for quantity, found in zip(identifier.quantities, identifier.estimate().quantities, strict=False):
+            if quantity.name == f"m_{payload}" and found.supported:
+                return bool(found.mean < _NOTHING * float(quantity.weights @ drawn))
+        return False
+
+    def _contradiction(self, members: Sequence[Member]) -> str:
+        """Two that leave one instrument out each, and whose answers lie apart; empty if there are none."""
+        estimates = {member: self._members[member].estimate() for member in members if not member.still_held}
+        for k, (one, first) in enumerate(estimates.items()):
+            for other, second in list(estimates.items())[k + 1 :]:
+                for a, b in zip(first.quantities, second.quantities, strict=True):
+                    if a.supported and b.supported and abs(a.mean - b.mean) > _APART * np.hypot(a.sigma, b.sigma):
+                        return (
+                            f"{one.left_out} and {other.left_out} contradict each other: {a.name} is {b.mean:.4g} or "
+                            f"{a.mean:.4g} {a.unit}"
+                        )
+        return ""
+
+    def _note(self, kind: str, what: str) -> None:
+        self._news.append(Change(kind, np.nan, np.nan, np.nan, what))

@@ -1,0 +1,64 @@
+"""Rows that were used, kept as normal equations: by instrument, with the payload and without, by blocks of time.
+
+That is constant memory, and enough to ask afterwards what any part of the rows says: of another half of the motion,
+of another instrument, of another time.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.consistency import BlockScores
+
+
+class RowBlocks:
+    """Sums of ``[Y, y, 1]`` over the rows, whitened.
+
+    Args:
+        parameters: p.
+        block_s: first length of a block.
+        instruments: that made the rows, by name.
+    """
+
+    def __init__(self, parameters: int, block_s: float, instruments: tuple[str, ...]) -> None:
+        self.instruments = instruments
+        self._blocks = {
+            (held, k): BlockScores(parameters + 2, block_s) for held in (True, False) for k in range(len(instruments))
+        }
+
+    def add(
+        self,
+        times_s: FloatArray,
+        held: BoolArray,
+        instrument: NDArray[np.intp],
+        Y: FloatArray,
+        y: FloatArray,
+        sigma: FloatArray,
+        noise: FloatArray | None,
+    ) -> None:
+        """Takes rows in as :meth:`BlockScores.add` does; ``held`` and ``instrument``, its number, are (m,)."""
+        rows = np.column_stack([Y, y, sigma])  # whitened, the last is one: it counts
+        wider = None
+        if noise is not None:
+            wider = np.zeros((*noise.shape[:2], rows.shape[1]))
+            wider[..., : noise.shape[2]] = noise
+        for (kind, number), blocks in self._blocks.items():
+            mine = (held == kind) & (instrument == number)
+            if mine.any():
+                own = None if wider is None else wider[mine]
+                blocks.add(times_s[mine], rows[mine], np.zeros(int(mine.sum())), sigma[mine], own)
+
+    def of(self, held: bool, instrument: int) -> tuple[FloatArray, FloatArray]:
+        """Normal equations of each block with the noise of their regressor, and that noise, (b, p + 2, p + 2) each."""
+        blocks = self._blocks[held, instrument]
+        noise = blocks.noise_by_block
+        return blocks.normal + noise, noise
+
+    def times_s(self, held: bool, instrument: int) -> FloatArray:
+        """When each block begins, (b,), on the axis of the rows' times."""
+        return self._blocks[held, instrument].starts_s
+
+    @property
+    def parts(self) -> tuple[tuple[bool, int], ...]:
+        """Kinds of rows that there are: held or not, and the instrument's number."""
+        return tuple(part for part, blocks in self._blocks.items() if blocks.count)

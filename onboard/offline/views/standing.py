@@ -1,0 +1,33 @@
+"""What a QUANTITY row says that it is good for, as people read it."""
+
+import numpy as np
+
+from onboard.identification.verdict import LEVELS, Level, Standing
+
+
+def standing_of(row: np.void) -> Standing | None:
+    """Level and reason; None in a log of a version that did not say."""
+    if "level" not in (row.dtype.names or ()):
+        return None
+    level = LEVELS[min(int(row["level"]), len(LEVELS) - 1)]
+    why = bytes(row["why"]).decode("utf-8", "replace")
+    return Standing(level, "".join(mark if mark.isprintable() else "?" for mark in why))
+
+
+def is_withdrawn(row: np.void) -> bool:
+    """Whether it is there and not to be used."""
+    found = standing_of(row)
+    return found is not None and found.level is Level.DO_NOT_USE
+
+
+def shown(row: np.void) -> str:
+    """``good, 0.8 % of it by the drawing``; empty where a log does not say."""
+    found = standing_of(row)
+    if found is None:
+        return ""
+    drawn = float(row["drawn"])
+    if not (found.level is not Level.DO_NOT_USE and row["supported"] and drawn > 0.0 and row["value"]):
+        return found.text
+    rows = float(np.sqrt(max(float(row["sigma"]) ** 2 - drawn**2, 0.0)))
+    parts = (f"{200.0 * part / abs(float(row['value'])):.1f} %" for part in (rows, drawn))
+    return "{}; ± {} from the rows, ± {} from the drawing".format(found.text, *parts)

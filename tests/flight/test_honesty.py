@@ -1,0 +1,71 @@
+"""Instruments that lie, flown: the answer is right, or none is given, and the log says which instrument and why.
+
+``docs/honesty.md`` has the whole table; ``bench/honesty.py`` is the campaign that a slice of is flown here.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.honesty import MISSION, draw
+from bench.honesty import fly as fly_seed
+from hil_sim.scenario.load import load
+from onboard.estimation.gates import GateReason
+from tests.flight.missions import Result, fly
+
+SEED = 5
+
+
+def lied_to(path: Path, vehicle: str, *faults: dict[str, Any]) -> Result:
+    return fly(path / "log.mcap", SEED, load(vehicle, {"sequence": MISSION, "fault": list(faults)}), vehicle)
+
+
+def fault(kind: str, device: str, value: float = 0.0, start_s: float = 0.5, **end: float) -> dict[str, Any]:
+    return {"kind": kind, "device": device, "value": value, "start_s": start_s, **end}
+
+
+def standings(flown: Result) -> set[str]:
+    return {row["standing"].split(":")[0].split(";")[0] for row in (*flown.table["masses"], *flown.table["inertias"])}
+
+
+def test_a_cell_that_is_stuck_gives_no_answer_and_says_so(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("stuck", "load_cell"))
+    assert not any(mass["supported"] for mass in flown.table["masses"])
+    assert any(said.startswith("load_cell: ") for said in flown.events("stuck"))
+    gates = flown.log.read("row")["gate"]
+    assert (gates & int(GateReason.STUCK) != 0).mean() > 0.9
+
+
+def test_a_scale_that_jumps_in_mid_flight_withdraws_the_answers(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", 0.1, 7.0))
+    assert standings(flown) == {"do not use"}
+    assert not any(mass["supported"] for mass in flown.table["masses"])
+    assert any("load_cell reads +" in said for said in flown.events("withdrawn"))
+
+
+def test_a_cell_of_the_wrong_sign_finds_no_body(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", -2.0, 0.0))
+    assert standings(flown) == {"do not use"}
+    assert "cannot be negative" in flown.mass("m_tip_mass")["standing"]
+
+
+def test_a_release_that_is_told_by_a_glitch_is_outvoted_and_the_true_one_is_not(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "arm_phase", 1.0, 7.3, end_s=7.8))
+    assert len(flown.events("release_contradicted")) == 1
+    assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
+
+
+@pytest.mark.parametrize(("kind", "value", "code"), [("stuck", 0.0, "stuck"), ("wrong", -2.0, "left_out")])
+def test_of_two_cells_the_one_that_lies_is_named_and_the_other_answers(
+    tmp_path: Path, kind: str, value: float, code: str
+) -> None:
+    flown = lied_to(tmp_path, "rocksat_mixed", fault(kind, "load_cell_2", value, 0.0 if value else 0.5))
+    assert any("load_cell_2" in said for said in flown.events(code))
+    assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
+
+
+@pytest.mark.parametrize("seed", [4001, 4002, 4003])
+def test_a_slice_of_the_campaign_holds_no_confident_nonsense(seed: int) -> None:
+    assert draw(seed, None, healthy=False).faults
+    assert fly_seed(seed).nonsense == ()

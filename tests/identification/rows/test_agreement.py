@@ -1,0 +1,138 @@
+"""What speaks against answers: steps of a gain, what is left over, what does not react; who is left out."""
+
+import numpy as np
+import pytest
+
+from onboard.config import packaged
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.gates import GateReason
+from onboard.identification.quantities import mass_quantities
+from onboard.identification.rows.agreement import instrument_fits, judged_fit
+from onboard.identification.rows.hypotheses import Hypotheses
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.rows import RowModel, load_cell_row, standing
+from onboard.regressor.signals import Signals
+
+PHYSICAL = np.array([True, True, False])
+NOISE_N, TIP_KG = 0.002, 0.06627  # table 4.6
+TRUTH = np.array([0.5, -0.2, 3.0])  # two of bodies, and a bias
+
+
+def fits(rng, y_of, n=3000, sigma=0.05, drawn=TRUTH):
+    t = 0.01 * np.arange(n)
+    Y = np.column_stack([np.sin(5.0 * t), np.cos(7.0 * t), np.ones(n)])
+    y = y_of(t, Y @ (TRUTH * PHYSICAL)) + TRUTH[2] + sigma * rng.normal(size=n)
+    mean = np.linalg.lstsq(Y, y, rcond=None)[0]
+    seen = RowBlocks(3, 0.5, ("cell",))
+    seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, y, np.full(n, sigma), None)
+    return instrument_fits(seen, mean, drawn, PHYSICAL)[0]
+
+
+def test_honest_rows_have_nothing_against_them(rng):
+    fit = fits(rng, lambda _, y: y)
+    assert fit.rows == 3000
+    assert fit.misfit == pytest.approx(1.0, rel=0.1)
+    assert fit.response == pytest.approx(1.0, rel=0.05)
+    assert judged_fit(fit, 1.0) == ([], [])
+
+
+@pytest.mark.parametrize("at_s", [4.0, 15.0, 26.0])
+def test_a_scale_that_jumps_is_seen_wherever_it_does(rng, at_s):
+    fit = fits(rng, lambda t, y: np.where(t > at_s, 1.1, 1.0) * y)
+    assert fit.step is not None
+    assert fit.step.size == pytest.approx(0.1, rel=0.3)
+    assert fit.step.time_s == pytest.approx(at_s, abs=1.0)
+    assert "cell reads" in judged_fit(fit, 1.0)[0][0]
+
+
+def test_an_instrument_that_hardly_reacts_is_told(rng):
+    fit = fits(rng, lambda _, y: 0.01 * y)
+    assert fit.response == pytest.approx(0.01, rel=0.8)
+    assert any("of what the drawing makes of this motion" in said for said in judged_fit(fit, 1.0)[0])
+
+
+def test_readings_that_no_body_explains_are_told(rng):
+    fit = fits(rng, lambda t, y: y + 0.4 * np.sin(11.0 * t))
+    assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
+
+
+# --- hypotheses -------------------------------------------------------------------------------------------------------
+
+
+def model():
+    text = packaged("rocksat").with_name("rocksat.urdf").read_text()
+    vehicle = VehicleModel(text, VehicleSpec(BaseKind.PRESCRIBED, "plate", "tip_mass"))
+    return RowModel(vehicle, [load_cell_row(n, "joint_1", (0, 0, 1), "moment", 0.04) for n in ("cell_1", "cell_2")])
+
+
+def identifier():
+    rows = model()
+    base = base_parameters(rows, np.random.default_rng(0))
+    links = {"plate": 1.0, "arm": 1.0, "tip_mass": 1.0}
+    sigma = named_relative_sigma(rows, links, {"bias_cell_1": 1.0, "bias_cell_2": 1.0})
+    return Identifier(rows, base, sigma, 0.5, mass_quantities(rows, base, "joint_1", "arm"))
+
+
+def fly(found, rng, told_s=8.0, gone_s=8.0, scale=lambda _: (1.0, 1.0), again_s=99.0, until_s=16.0):
+    """A swinging arm; the release is told at ``told_s`` and again, if not believed, at ``again_s``."""
+    rows, news = model(), []
+    for start in np.arange(0.0, until_s, 0.5):
+        t = start + 0.01 * np.arange(50)
+        q = (0.2 * np.sin(4.0 * t))[:, None]
+        dq, ddq = (0.8 * np.cos(4.0 * t))[:, None], -16.0 * q
+        motion = standing(rows.vehicle, t.size)
+        y = rows.regressor(q, dq, ddq, motion, t < gone_s) @ rows.chi * np.array(scale(start))
+        y = y + NOISE_N * rng.normal(size=y.shape)
+        believed_s, later_s = (again_s, 99.0) if news else (told_s, again_s)
+        signals = Signals(t, q, dq, ddq, motion, y, np.full_like(y, NOISE_N))
+        found.update(signals, t < believed_s, np.zeros(t.size, np.int64), t < later_s)
+        news += [change for change in found.news() if change.kind == "release_contradicted"]
+    return news
+
+
+def payload_kg(found):
+    return next(q for q in found.estimate().quantities if q.name == "m_tip_mass")
+
+
+@pytest.mark.parametrize("lies", ["cell_1", "cell_2"])
+def test_the_cell_whose_scale_jumps_is_left_out_and_the_other_answers(rng, lies):
+    found = Hypotheses(identifier, ("cell_1", "cell_2"))
+    fly(found, rng, scale=lambda t: [1.3 if t > 5.0 and name == lies else 1.0 for name in ("cell_1", "cell_2")])
+    assert not found.findings().against
+    assert any(lies in doubt for doubt in found.findings().doubts)
+    assert found.refused[GateReason.LEFT_OUT] == 1600
+    assert payload_kg(found).mean == pytest.approx(TIP_KG, rel=0.02)
+
+
+def test_two_healthy_cells_both_answer(rng):
+    found = Hypotheses(identifier, ("cell_1", "cell_2"))
+    assert fly(found, rng) == []
+    assert found.findings() == ((), ())
+    assert found.refused[GateReason.LEFT_OUT] == 0
+    assert found.rows_used == 2 * 1600
+
+
+def test_two_cells_of_different_scales_contradict_each_other_and_nobody_knows_who_is_right(rng):
+    found = Hypotheses(identifier, ("cell_1", "cell_2"))
+    fly(found, rng, scale=lambda _: (1.0, 1.1))
+    assert any("contradict each other" in said for said in found.findings().against)
+
+
+@pytest.mark.parametrize("again_s", [8.0, 99.0])
+def test_a_release_that_does_not_happen_is_not_believed_and_the_true_one_is(rng, again_s):
+    found = Hypotheses(identifier)
+    news = fly(found, rng, told_s=5.0, gone_s=again_s, again_s=again_s)
+    assert len(news) == 1
+    assert not found.findings().against
+    told = payload_kg(found)
+    assert told.supported is (again_s < 99.0)
+    if told.supported:
+        assert told.mean == pytest.approx(TIP_KG, rel=0.02)
+
+
+def test_a_release_that_happens_is_believed(rng):
+    found = Hypotheses(identifier)
+    assert fly(found, rng) == []
+    assert payload_kg(found).mean == pytest.approx(TIP_KG, rel=0.02)
