@@ -12,6 +12,7 @@ from onboard.config.estimation import (
     Gates,
     ImuPrior,
     Link,
+    LinkTolerance,
     Masses,
     Memory,
     Motor,
@@ -168,6 +169,14 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
     Masses: {
         "joint": _M("Joint about which the inertia is."),
         "arm_link": _M("Link of the arm; its radius of gyration is taken from the URDF, as the payload's is."),
+        "drawing": _M("By link, how far it may be from its drawing.", "Weighed or balanced parts: state what is left."),
+    },
+    LinkTolerance: {
+        "mass_relative": _M(
+            "Standard deviation of the mass, relative; matters where the ratio of two masses is taken."
+        ),
+        "centre_m": _M("Standard deviation of each coordinate of the centre of mass."),
+        "inertia_relative": _M("Standard deviation of the inertia about the centre of mass, relative, at its mass."),
     },
     Carried: {
         "log": _M("Log that it is from."),
