@@ -89,7 +89,7 @@ class WireFrame(NamedTuple):
     data: bytes
 
 
-class Transmit(Protocol):
+class TransmitFrame(Protocol):
     """What a talker is given to send with."""
 
     def __call__(self, identifier: int, data: bytes, ready_ns: int) -> None:
@@ -103,7 +103,7 @@ class CanTalker(Protocol):
     def due_ns(self) -> int:
         """When it next wants to do something of its own accord; ``NEVER`` when it does not."""
 
-    def connect(self, transmit: Transmit) -> None:
+    def connect(self, transmit: TransmitFrame) -> None:
         """Give it the wire."""
 
     def act(self, now_ns: int) -> None:
@@ -257,9 +257,9 @@ class Babbler:
         self._end_ns = end_ns
         bits = frame_bits(identifier, bytes(8)) + _INTERMISSION_BITS
         self._step_ns = bits * 1_000_000_000 // bit_rate  # never later than the frame before it has gone
-        self._transmit: Transmit | None = None
+        self._transmit: TransmitFrame | None = None
 
-    def connect(self, transmit: Transmit) -> None:
+    def connect(self, transmit: TransmitFrame) -> None:
         """Give it the wire."""
         self._transmit = transmit
 

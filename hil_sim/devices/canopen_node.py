@@ -12,7 +12,7 @@ reports 8130h and leaves Operational, the default of 1029h.
 from collections import Counter, deque
 from collections.abc import Callable
 
-from hil_sim.devices.can_wire import Transmit
+from hil_sim.devices.can_wire import TransmitFrame
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 from hil_sim.devices.sdo_server import serve
 from hil_sim.devices.tpdo import Tpdo
@@ -75,7 +75,7 @@ class CanopenNode:
         )
         self._rng = faults.rng()
         self._start_ns = start_ns
-        self._transmit: Transmit | None = None
+        self._transmit: TransmitFrame | None = None
         self._tpdos: list[Tpdo] = []
         self._guard: tuple[Entry, Entry] | None = None  # guard time in ms, life time factor
         self._toggle = 0
@@ -106,7 +106,7 @@ class CanopenNode:
         """When it next does something of its own accord."""
         return self._due_ns
 
-    def connect(self, transmit: Transmit) -> None:
+    def connect(self, transmit: TransmitFrame) -> None:
         """Give it the wire."""
         self._transmit = transmit
 

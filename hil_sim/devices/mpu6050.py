@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim.devices import mpu6050_map as reg
-from hil_sim.devices.mpu6050_fifo import Fifo
+from hil_sim.devices.mpu6050_fifo import TwinFifo
 from hil_sim.devices.mpu6050_fsync import FsyncLatch
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
 from hil_sim.sensing.analog import ChipClock, ImuAnalog
@@ -95,7 +95,7 @@ class Mpu6050Twin:
         self._off_until_ns = 0
         self._now_ns = self._settled_ns = start_ns
         self._fsync = FsyncLatch()
-        self._fifo = Fifo()
+        self._fifo = TwinFifo()
         self._made = 0  # samples
         self._grid = 0  # counts the restarts of the sample grid
         self._shown = 0  # samples from the first to the last read out of the data registers as new

@@ -3,7 +3,7 @@
 from hil_sim.devices import mpu6050_map as reg
 
 
-class Fifo:
+class TwinFifo:
     """1024 bytes, and the accounts of the samples written.
 
     Attributes:

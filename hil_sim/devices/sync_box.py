@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from hil_sim.devices.can_wire import Transmit
+from hil_sim.devices.can_wire import TransmitFrame
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, garbled
 from hil_sim.sensing.analog import ChipClock
 
@@ -98,7 +98,7 @@ class SyncBox:
         self._period_ns = period_ns
         self._high_ns = high_ns
         self._pins: list[Pin] = []
-        self._transmit: Transmit | None = None
+        self._transmit: TransmitFrame | None = None
         self._cycles = deque(faults.power_cycles())
         self._sync = self._sync_ns = self._origin_chip_ns = 0
         self._pulse_places = pulse_places()
@@ -115,7 +115,7 @@ class SyncBox:
         """Number of the next SYNC since the box's power-up."""
         return self._sync
 
-    def connect(self, transmit: Transmit) -> None:
+    def connect(self, transmit: TransmitFrame) -> None:
         """Give it the CAN wire."""
         self._transmit = transmit
 
