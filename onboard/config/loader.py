@@ -63,10 +63,7 @@ def load(path: Path, urdf: Path | None = None) -> Vehicle:
 
 def parse(text: str, path: Path, urdf: Path | None = None) -> Vehicle:
     """As :func:`load`, for a text already read (from a log, say)."""
-    tree = tree_of(text, str(path))
-    if urdf is not None and isinstance(tree.get("vehicle"), dict):
-        tree["vehicle"]["urdf"] = str(urdf.absolute())
-    return parse_tree(tree, path, Origin(str(path), text))
+    return parse_tree(tree_of(text, str(path)), path, Origin(str(path), text), urdf)
 
 
 def tree_of(text: str, label: str) -> dict[str, Any]:
@@ -81,7 +78,7 @@ def tree_of(text: str, label: str) -> dict[str, Any]:
         raise ConfigError(f"{label}: not TOML: {error}") from error
 
 
-def parse_tree(tree: dict[str, Any], path: Path, origin: Origin) -> Vehicle:
+def parse_tree(tree: dict[str, Any], path: Path, origin: Origin, urdf: Path | None = None) -> Vehicle:
     """As :func:`load`, for tables that are read already, and stand for the file at ``path``.
 
     Messages begin with the label of ``origin``, and name lines where it has a text.
@@ -93,7 +90,7 @@ def parse_tree(tree: dict[str, Any], path: Path, origin: Origin) -> Vehicle:
         raise ConfigError("\n".join(_explain(origin, tree, dict(one)) for one in error.errors())) from error
     for where, why in _coerced(tree, file, []):
         raise ConfigError(f"{origin.place(where)}: {'.'.join(where)!r}: {why}")
-    vehicle = Vehicle(path=path, origin=origin, tree=tree, file=file)
+    vehicle = Vehicle(path=path, origin=origin, tree=tree, file=file, urdf=urdf)
     check(vehicle)
     return vehicle
 

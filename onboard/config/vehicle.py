@@ -86,6 +86,7 @@ class Vehicle(BaseModel):
     origin: Origin
     tree: dict[str, Any]
     file: VehicleFile
+    urdf: Path | None = None  # in place of the one that the file names
 
     @property
     def text(self) -> str:
@@ -100,7 +101,7 @@ class Vehicle(BaseModel):
     @cached_property
     def urdf_path(self) -> Path:
         """The URDF beside the vehicle file."""
-        return self.path.parent / self.file.vehicle.urdf
+        return self.path.parent / self.file.vehicle.urdf if self.urdf is None else self.urdf
 
     @property
     def channels(self) -> Channels:

@@ -52,7 +52,7 @@ def vehicle_toml(directory: Path, urdf: str, scale_sigma: float, extra: str = ""
         text += f'[device.joint_{k}]\nkind = "recorded_angle"\njoint = "{joint}"\nperiod_ms = 5\nnoise_rad = 1e-6\n'
         text += f'[device.current_{k}]\nkind = "recorded_torque"\njoint = "{joint}"\nperiod_ms = 5\nsigma_N_m = 0.1\n'
         text += f"gain_N_m_A = {GAIN_N_m_A}\nscale_sigma = {scale_sigma}\nstill_rad_s = 0.05\n{extra}"
-    (directory / "arm.urdf").write_text(urdf)
+    (directory / "drawing.urdf").write_text(urdf)
     (directory / "vehicle.toml").write_text(text)
     return directory / "vehicle.toml"
 
@@ -92,17 +92,23 @@ TRUTH = {
 }
 
 
-def identify(directory: Path, vehicle: Path, log: Path) -> tuple[int, dict]:
-    report = directory / "report.json"
-    code = cli.main(["identify", "--vehicle", str(vehicle), str(log), "--json", str(report)])
-    return code, json.loads(report.read_text())["logs"][0]
+def identify(directory: Path, vehicle: Path, log: Path, *more: str) -> tuple[int, dict]:
+    report, urdf = directory / "report.json", directory / "drawing.urdf"
+    given = ["--vehicle", str(vehicle), "--urdf-in", str(urdf), "--json", str(report), *more]
+    code = cli.main(["identify", *given, str(log)])
+    return code, json.loads(report.read_text())
 
 
 def test_friction_rotors_and_a_coupled_wrist_come_out_of_currents(tmp_path: Path, rng: np.random.Generator) -> None:
     links = random_vehicle(rng, ["revolute"] * 3)
     log = recorded(tmp_path, links, rng)
-    code, told = identify(tmp_path, vehicle_toml(tmp_path, to_urdf(links), 0.02), log)
+    vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.02)
+    code, report = identify(tmp_path, vehicle, log, "--predict", str(log))
+    told = report["logs"][0]
     assert code == cli.OK
+    left = report["predicted"][str(log)]["relative_error"]  # of the log itself: what its own fit leaves
+    assert left == pytest.approx(told["held_out"]["all_from_all"]["relative_error"], rel=1e-6)
+    assert 0.0 < left < 0.05
     assert told["verdict"]["level"] != "do not use"
     assert told["refused"]["still"] > 0
     found = {answer["name"].removesuffix("_R"): answer for answer in told["quantities"]}
@@ -118,7 +124,8 @@ def test_a_gain_that_is_not_given_leaves_currents_out(tmp_path: Path, rng: np.ra
     log = recorded(tmp_path, links, rng)
     vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.0)
     vehicle.write_text(vehicle.read_text().replace(f"gain_N_m_A = {GAIN_N_m_A}\n", ""))
-    code, told = identify(tmp_path, vehicle, log)
+    code, report = identify(tmp_path, vehicle, log)
+    told = report["logs"][0]
     assert code == cli.FAILED
     assert told["verdict"]["level"] == "do not use"
     assert told["rows_used"] == 0
@@ -128,7 +135,8 @@ def test_a_motor_of_an_unknown_joint_is_refused(tmp_path: Path, capsys: pytest.C
     links = random_vehicle(np.random.default_rng(0), ["revolute"] * 3)
     vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.0)
     vehicle.write_text(vehicle.read_text().replace("{ joint_link_2 = 1.0", "{ elbow = 1.0"))
-    assert cli.main(["identify", "--vehicle", str(vehicle), "--parameters"]) == cli.BAD_INPUT
+    urdf = str(tmp_path / "drawing.urdf")
+    assert cli.main(["identify", "--vehicle", str(vehicle), "--urdf-in", urdf, "--parameters"]) == cli.BAD_INPUT
     assert "turns with 'elbow'" in capsys.readouterr().err
 
 
