@@ -29,6 +29,9 @@ from onboard.regressor.signals import Signals
 
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
+_EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
+_WORST_MISFIT = 1.5  # of an instrument's innovations
+
 
 class ExiddmIdentifier:
     """The recursive non-linear ExIDDM. Its rows are the six lines of the base IMU, means over each tick.
@@ -92,7 +95,7 @@ class ExiddmIdentifier:
         fine = np.zeros(10, np.bool_)
         if exiddm.state is not None and exiddm.held:
             mean = exiddm.state[PAYLOAD]
-            P = max([1.0, *exiddm.misfit.by_instrument().values()]) * exiddm.covariance[PAYLOAD, PAYLOAD]
+            P = self._covariance()
             sigma = np.sqrt(np.diag(P))
             try:
                 possible = possible_body(mean, P)
@@ -130,22 +133,31 @@ class ExiddmIdentifier:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
         if self.exiddm.state is not None and self.exiddm.held:
-            R = cholesky(np.linalg.inv(self.exiddm.covariance[PAYLOAD, PAYLOAD]))
+            R = cholesky(np.linalg.inv(self._covariance()))
             out[:10, :10], out[:10, 10] = R, R @ self.exiddm.state[PAYLOAD]
         return out
 
     def findings(self) -> Findings:
-        """Ticks that contradict the others, where they are too many; corrections that are larger than stated."""
+        """Too many outliers, a payload replaced without a release, corrections or innovations larger than stated."""
         glitches = self.refused[GateReason.RESIDUAL]
         share = glitches / max(self.rows_used + glitches, 1)
         if share > MOST_CONTRADICTED:
             return Findings((f"{share:.0%} of the ticks contradict the others; check the IMU and the joints",))
+        if self.exiddm.exchanged:
+            return Findings((_EXCHANGED,))
         state, stated = self.exiddm.state, self.exiddm.predictor.sigma
         if state is None:
             return Findings()
         known = np.flatnonzero(np.isfinite(stated) & (stated > 0.0))
         names = self.exiddm.predictor.names
-        return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}))
+        off = {name: ratio for name, ratio in self.exiddm.misfit.by_instrument().items() if ratio > _WORST_MISFIT}
+        doubts = tuple(f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items())
+        return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}), doubts)
+
+    def _covariance(self) -> FloatArray:
+        """Of the payload's standard parameters, (10, 10), multiplied by the misfit where that is above one."""
+        misfit = max([1.0, *self.exiddm.misfit.by_instrument().values()])
+        return np.asarray(misfit * self.exiddm.covariance[PAYLOAD, PAYLOAD], np.float64)
 
     def news(self) -> tuple[Change, ...]:
         """Captures and ejections since the last call."""

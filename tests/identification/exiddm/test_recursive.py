@@ -16,8 +16,10 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.quantities import Findings
 from tests.dynamics.free_flyer_twin import BOX, URDF, twin
 
 WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
@@ -200,6 +202,16 @@ def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
     )
     assert [change.kind for change in recursive.changes][:1] == ["ejection"]
     assert recursive.exchanged or recursive.estimate() is None
+    wary = online(held)
+    wary.update(ticks)
+    identifier = ExiddmIdentifier(wary)
+    assert identifier.findings() == Findings()
+    wary.exchanged = True
+    assert "without a release" in identifier.findings().against[0]
+    wary.exchanged = False
+    wary.misfit.add("gyro", 1e6, 60)
+    assert "gyro" in identifier.findings().doubts[0]
+    assert identifier.estimate().sigma[0] > 2.0 * wary.covariance[PAYLOAD, PAYLOAD][0, 0] ** 0.5
     fine = online(mission, held=False)
     fine.update(ticks_of(mission))
     assert [change.kind for change in fine.changes] == ["capture", "ejection"]
