@@ -21,7 +21,7 @@ _WIDER = (100, 120, 160, 240, 400)  # columns, one after the other, until every 
 
 
 def console() -> "Console":
-    """Where text and live views go."""
+    """Console of texts and live views."""
     from rich.console import Console
 
     return Console()
@@ -44,7 +44,7 @@ _CUT = "\N{HORIZONTAL ELLIPSIS}"
 
 
 def _keep_numbers_whole(shown: object) -> None:
-    """Columns of numbers stand on the right: none is wrapped, and rich cuts with ``_CUT`` where there is no room."""
+    """Right-aligned columns of numbers, not wrapped; rich cuts with ``_CUT`` where they do not fit."""
     from rich.console import Group
     from rich.table import Table
 
@@ -59,7 +59,7 @@ def _keep_numbers_whole(shown: object) -> None:
 
 
 def progress() -> "Progress":
-    """A progress bar on stderr that is gone when done, and nothing at all where no terminal shows it."""
+    """A progress bar on stderr, removed when done; none without a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -79,7 +79,7 @@ def next_log(directory: str, name: str) -> Path:
 
 
 def load_vehicle(name: str, urdf: Path | None = None) -> "config.Vehicle":
-    """A vehicle by the path of its file, or by the name of a packaged one; with another URDF where one is given."""
+    """Loads a vehicle by file path or packaged name, with another URDF if given."""
     from onboard import config
 
     return config.named(name, urdf)

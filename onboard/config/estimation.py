@@ -123,7 +123,7 @@ class ImuPrior(Section):
 
 
 class Motor(Section):
-    """A motor that turns with several joints: how far with each, and the way of its Coulomb friction (Dahl)."""
+    """A motor coupled to several joints: its rate per joint rate, and its presliding length (Dahl)."""
 
     ratios: Annotated[dict[str, float], Field(min_length=2)]
     presliding_rad: NotNegative = 0.0

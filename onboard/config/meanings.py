@@ -111,7 +111,7 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "prior": _M("Table: what is known beforehand."),
         "masses": _M("Table: masses to report from inertia about a joint."),
         "motor": _M(
-            "Tables by name: motors that turn with more than one joint; parameters Ia_NAME, Fv_NAME, Fc_NAME.",
+            "Tables by name: motors coupled to more than one joint; parameters Ia_NAME, Fv_NAME, Fc_NAME.",
             "a wrist is coupled, and its joints' torques are measured",
         ),
         "nuisance": _M(
@@ -161,9 +161,10 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "link": _M('How each link was measured, for method "exiddm"; links that are not in it are certain.'),
     },
     Motor: {
-        "ratios": _M("How far it turns with each of its joints, by joint: 1 where both turn it alike."),
+        "ratios": _M("Motor rate per joint rate, by joint; 1 where both are equal at the joint."),
         "presliding_rad": _M(
-            "Way in which its Coulomb friction turns round (Dahl); 0: at once.", "friction lags behind reversals"
+            "Presliding length of its Coulomb friction after a reversal (Dahl); 0: none.",
+            "friction lags behind reversals",
         ),
     },
     Masses: {

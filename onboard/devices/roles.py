@@ -35,18 +35,18 @@ class LoadCellKeys(Section):
 
     @property
     def relative_sigma(self) -> float:
-        """Of all readings alike: calibration and lever."""
+        """Relative 1 sigma common to all readings: calibration and lever."""
         lever = self.lever_sigma_m / self.lever_m if self.measures == "moment" else 0.0
         return math.hypot(self.scale_sigma, lever)
 
     @property
     def shown(self) -> tuple[str, float]:
-        """Unit for people, and how much of it a reading of one is."""
+        """Unit in texts, and the factor from a reading to it."""
         return ("mN m", 1e3 * self.lever_m) if self.measures == "moment" else ("N", 1.0)
 
     @property
     def meaning(self) -> str:
-        """What a reading is."""
+        """The measured quantity, in words."""
         axis = ", ".join(f"{part:g}" for part in self.axis)
         how = f"along ({axis})" if self.measures == "force" else f"whose moment about ({axis})"
         lever = f", lever {self.lever_m:g} m" if self.measures == "moment" else ""
@@ -61,32 +61,32 @@ class TorqueKeys(Section):
     """
 
     joint: Annotated[str, Field(description="Name of the URDF's joint.")]
-    sigma_N_m: Annotated[Positive, Field(description="1 sigma of what the model leaves of a smoothed reading.")]  # noqa: N815
+    sigma_N_m: Annotated[Positive, Field(description="1 sigma of the model's error of a smoothed reading.")]  # noqa: N815
     gain_N_m_A: Annotated[  # noqa: N815
-        Positive | None, Field(description="Torque at the joint of one ampere; for readings in A.")
+        Positive | None, Field(description="Joint torque per ampere; for readings in A.")
     ] = None
-    scale_sigma: Annotated[NotNegative, Field(description="Relative, of gain or calibration.")] = 0.0
+    scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of gain or calibration.")] = 0.0
     friction: Annotated[bool, Field(description="Whether friction and rotor inertia are parameters.")] = True
     presliding_rad: Annotated[
-        NotNegative, Field(description="Way in which Coulomb friction turns round (Dahl); 0: at once.")
+        NotNegative, Field(description="Presliding length of Coulomb friction after a reversal (Dahl); 0: none.")
     ] = 0.0
-    still_rad_s: Annotated[NotNegative, Field(description="Slower than this the row is left out.")] = 0.0
+    still_rad_s: Annotated[NotNegative, Field(description="Joint rate below which the row is left out.")] = 0.0
     delay_ms: NotNegative = 0.0
     delay_sigma_ms: NotNegative = 0.0
 
     @property
     def relative_sigma(self) -> float:
-        """Of all readings alike."""
+        """Relative 1 sigma common to all readings."""
         return self.scale_sigma
 
     @property
     def shown(self) -> tuple[str, float]:
-        """Unit for people, and how much of it a reading of one is."""
+        """Unit in texts, and the factor from a reading to it."""
         return "N m", 1.0
 
     @property
     def meaning(self) -> str:
-        """What a reading is."""
+        """The measured quantity, in words."""
         return f"torque of joint {self.joint}, or the current of its motor"
 
 

@@ -25,8 +25,8 @@ class GateReason(IntFlag):
     PHASE = 16  # the mission is not in a phase to identify in, or has not settled in it
     RESIDUAL = 32  # the row contradicts the estimate
     NOT_SYNCHRONISED = 64  # a clock the row depends on is not valid
-    STILL = 128  # the joint is so slow that its Coulomb friction may have any size
-    STUCK = 256  # a reading under the kernel is the same again and again where it must change
+    STILL = 128  # the joint's rate is below ``still_rad_s``: its Coulomb friction is undetermined
+    STUCK = 256  # a reading under the kernel repeats where it must change
     LEFT_OUT = 512  # its instrument contradicts the others
 
 

@@ -1,17 +1,15 @@
-"""Readings that do not move where a healthy instrument's must: held values, for ever or again and again.
+"""Detects stuck instruments: runs of equal readings that noise and motion exclude.
 
-Two witnesses, one for each way an instrument is alive:
+Two tests:
 
-- *Noise*: a reading of stated noise falls into the same count again with a probability that the noise gives; a run is
-  stuck where that has a chance below :data:`CHANCE`. Half of the stated noise is taken, and of that what is left when
-  the reading before is known (a filter remembers). A reading with noise of less than a count repeats legitimately, and
-  is not judged so.
+- *Noise*: the stated noise gives the probability that a reading repeats the count before; a run is stuck when its
+  probability is below :data:`CHANCE`. Half of the stated noise is assumed, conditional on the reading before (filters
+  correlate neighbours). Noise below a count may repeat for long and is not tested.
 - *Travel*: the angle of a moving joint changes by about as much as it did before, and a joint can neither stop nor
-  jump from one sample to the next. A run of equal readings is stuck where the one before it was on its way, or where
-  it ends with a jump that neither neighbour shows. At rest an encoder repeats for ever, and is not judged.
+  jump from one sample to the next. A run of equal readings is stuck where it begins in motion, or ends with a
+  jump larger than the neighbouring steps. At rest an encoder repeats and is not tested.
 
-A run is told as a whole once it is too long: the samples before as well, and those that are still in a history can be
-refused after the fact.
+A stuck run is reported with its earlier samples; those still in a history are refused too.
 """
 
 import math
@@ -31,7 +29,7 @@ _RUNS = 6  # that are kept for the next readings: the speed before a run, and wh
 
 
 def longest_run(sigma_counts: Sequence[float], memory: float) -> float:
-    """How many equal readings in a row have a chance of :data:`CHANCE`; infinite where the noise does not tell.
+    """Length of a run of equal readings with probability :data:`CHANCE`; infinite where the noise is below a count.
 
     Args:
         sigma_counts: noise of each column, rms, counts.
@@ -46,7 +44,7 @@ def longest_run(sigma_counts: Sequence[float], memory: float) -> float:
 
 
 class StuckReadings:
-    """Watches one channel's raw readings for runs that no healthy instrument makes.
+    """Finds stuck runs in one channel's raw readings.
 
     Args:
         columns: of a reading.
@@ -61,7 +59,7 @@ class StuckReadings:
 
     @property
     def stuck(self) -> bool:
-        """The last reading is one of a stuck run."""
+        """Whether the last reading is in a stuck run."""
         return bool(self._stuck[-1:].any())
 
     def forget(self) -> None:

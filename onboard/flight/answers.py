@@ -1,7 +1,7 @@
-"""Estimates as records: ESTIMATE, a QUANTITY for every parameter and quantity with what it is good for, and events.
+"""Estimates as records: ESTIMATE, a QUANTITY with level and reason for every parameter and quantity, and events.
 
-A quantity is marked supported while the data determine it and nothing forbids to use it. One that was supported and is
-not to be used any more is withdrawn, and one that comes back is told too: events ``withdrawn`` and ``answers_again``.
+A quantity is supported while the data determine it and its level is not *do not use*. Losing and regaining that are the
+events ``withdrawn`` and ``answers_again``.
 """
 
 from collections.abc import Collection

@@ -326,14 +326,14 @@ class Estimator:
 
 
 _DISBELIEVED = {
-    "left_out": "{} contradicts the other instruments: answers go on without it",
-    "taken_back": "{} no longer contradicts the other instruments: answers go on with it",
-    "release_contradicted": "a release of the payload was told and is not believed: {}",
+    "left_out": "{} contradicts the other instruments: estimates without it",
+    "taken_back": "{} no longer contradicts the other instruments: estimates with it",
+    "release_contradicted": "a reported release of the payload is rejected: {}",
 }
 
 
 def _said(now_ns: int, change: Change) -> Batch:
-    """A change of the payload, or of what is believed, as an event."""
+    """A change of the payload or of the selected hypothesis, as an event."""
     if change.kind in _DISBELIEVED:
         return event(now_ns, Severity.WARNING, change.kind, "estimation", _DISBELIEVED[change.kind].format(change.what))
     ago_s, since_s = (1e-9 * now_ns - at_s for at_s in (change.time_s, change.since_s))

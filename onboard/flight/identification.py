@@ -71,7 +71,7 @@ def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle
 
 
 def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> OnlineIdentifier:
-    """The same beside others for what may not be so, where something may not: a redundant cell, a release.
+    """The identifier, or parallel ones where a redundant cell or a release may be wrong.
 
     Args:
         vehicle: its file.

@@ -45,4 +45,4 @@ class OnlineIdentifier(Protocol):
         """Changes detected since the last call."""
 
     def findings(self) -> Findings:
-        """What speaks against the answers that their intervals do not show."""
+        """Findings about the estimates that their intervals do not contain."""

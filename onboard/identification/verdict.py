@@ -46,22 +46,22 @@ LEVELS = (Level.GOOD, Level.WEAK, Level.DO_NOT_USE)  # by their number in QUANTI
 
 
 class Standing(NamedTuple):
-    """What one quantity is good for, and why it is no better."""
+    """Level of one quantity and its reason."""
 
     level: Level
     why: str = ""
 
     @property
     def text(self) -> str:
-        """``weak: it is not told from zero``."""
+        """``weak: its interval contains zero``."""
         return f"{self.level}: {self.why}" if self.why else str(self.level)
 
 
 def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
-    """What a quantity is good for, in flight and afterwards.
+    """Level of a quantity, in flight and afterwards.
 
-    *Do not use*: something speaks against all answers, or a mass or moment of inertia is not above zero. *Weak*: the
-    data do not determine it; it is not told from zero; its interval is as wide as half of itself; there is a doubt.
+    *Do not use*: a finding refuses all estimates, or a mass or moment of inertia is not above zero. *Weak*: the
+    data do not determine it; its interval contains zero; half its width is above 50 % of it; a finding weakens it.
     """
     if not quantity.supported:
         return Standing(Level.WEAK, quantity.note)
@@ -72,7 +72,7 @@ def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
         if quantity.mean <= 0.0:
             return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units")
         if quantity.low <= 0.0:
-            reasons.append("it is not told from zero")
+            reasons.append("its interval contains zero")
         elif quantity.high - quantity.mean > WIDEST * quantity.mean:
             reasons.append(f"its interval is as wide as {(quantity.high - quantity.mean) / quantity.mean:.0%} of it")
     reasons += findings.doubts
@@ -110,7 +110,7 @@ class Evidence(NamedTuple):
     failure: str = ""  # why the estimator gave up
     away: Mapping[str, float] = MappingProxyType({})  # by link: sigmas from what was found to a body
     misfit: float | None = None  # of a maximum likelihood fit: residual sum over its degrees of freedom
-    findings: Findings = Findings()  # what speaks against all answers
+    findings: Findings = Findings()  # about all quantities
     standings: Mapping[str, Standing] = MappingProxyType({})  # of what was asked and is determined
     corrections: Mapping[str, float] = MappingProxyType({})  # fitted to the instruments: by name, in stated sigmas
     unchecked: str = "too short to be checked on motion that was not used"  # why nothing is held out, where it is not
@@ -170,7 +170,7 @@ def _contradictions(evidence: Evidence) -> list[str]:
 
 
 def _together(standings: Mapping[str, Standing], level: Level) -> list[str]:
-    """Quantities of a level by their reason: ``m, I_xx: it is not told from zero``."""
+    """Quantities of a level by their reason: ``m, I_xx: its interval contains zero``."""
     names: dict[str, list[str]] = {}
     for name, one in standings.items():
         if one.level is level:

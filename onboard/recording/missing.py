@@ -1,4 +1,4 @@
-"""Which segments of a flight are missing or unreadable, and what they must have held by their neighbours' numbers."""
+"""Finds missing and unreadable segments of a flight; bounds their rows and times by the segments beside them."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -8,11 +8,11 @@ from onboard.recording.recorded import ChannelProgress, marks_of, note
 from onboard.recording.scan import Damage
 from onboard.recording.segments import END, METADATA, RECORDED, proven, without_crc
 
-_NAMED = 4  # channels in a sentence
+_NAMED = 4  # channels named in a text
 
 
 class Lost(NamedTuple):
-    """A segment of which nothing can be read."""
+    """A missing or unreadable segment."""
 
     number: int
     name: str
@@ -23,8 +23,8 @@ class SegmentsSeen:
     """Follows the segments of a flight in their order.
 
     Args:
-        first: the number that the first should have; None where a part of a flight is read.
-        to_the_end: the last should say so.
+        first: expected number of the first segment; None where a part of a flight is read.
+        to_the_end: whether the last segment must carry ``flight_end``.
     """
 
     def __init__(self, first: int | None, *, to_the_end: bool) -> None:
@@ -52,10 +52,10 @@ class SegmentsSeen:
         self._newest, self._told = {}, []
 
     def end(self, number: int, name: str, *, closed: bool, unused: bool) -> list[Damage]:
-        """The present segment is read; what is to be said of those before it.
+        """Ends the present segment; returns the damage found before it.
 
         Args:
-            number: as its name has it, for one that says none.
+            number: from its file name, for one without a number in its metadata.
             name: its file's.
             closed: it was ended, with a summary.
             unused: it was opened ahead, and nothing is in it.
@@ -67,7 +67,7 @@ class SegmentsSeen:
             number = int(said["number"])
         elif METADATA not in told and not self._checked:
             self._newest, self._told = {}, []
-            return []  # a log that was never meant to have segments
+            return []  # a log without segments
         self._gap_before(number, name)
         marks = marks_of(told.get(RECORDED, {}))
         damage = self._resolve(marks)
@@ -87,7 +87,7 @@ class SegmentsSeen:
         return [*damage, *altered]
 
     def finish(self) -> list[Damage]:
-        """No segment is left; what is to be said of those after the last that could be read."""
+        """Ends the flight; returns the damage after the last readable segment."""
         damage = self._resolve({})
         if not damage and self._to_the_end and self._checked and self._closed and not self._ended:
             text = "is missing: the flight went on after those that can be read, or was cut off there"
@@ -99,7 +99,7 @@ class SegmentsSeen:
             self._lost += [Lost(n, name, "missing") for n in range(self._next, min(number, self._next + 1000))]
 
     def _resolve(self, marks: Mapping[str, ChannelProgress]) -> list[Damage]:
-        """Tell of what is lost, by how far the flight was before it and after it."""
+        """Damage of the lost segments, from the marks before and after them."""
         if not self._lost:
             return []
         lost, self._lost = self._lost, []
@@ -113,7 +113,7 @@ class SegmentsSeen:
 
 
 def _held(before: Mapping[str, ChannelProgress], after: Mapping[str, ChannelProgress], they: str) -> str:
-    """What lay between two neighbours."""
+    """Rows and time between two readable neighbours."""
     if not after:
         return f"what {they} held is not known"
     spans = {

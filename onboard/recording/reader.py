@@ -35,13 +35,13 @@ class LogReader:
     ``batches`` that comes to its end.
 
     Args:
-        path: a log (``onboard.recording.segments`` says how they lie), or the segments to read, in order. Of a log,
-            segments that are missing at its beginning or end are named too.
+        path: a log (layout: ``onboard.recording.segments``), or the segments to read, in order. Of a log, segments
+            missing at its beginning or end are reported too.
 
     Attributes:
         path: as given; the first where segments were given.
         segments: the files, in the order they are read.
-        is_flight: a flight was named, and not some of its segments.
+        is_flight: whether ``path`` is a whole flight, not some of its segments.
 
     Raises:
         LogFormatError: a file is not a heft log, or no part of it can be read.
@@ -195,13 +195,13 @@ class LogReader:
     def _segment(
         self, segment: Path, found: _Survey, seen: SegmentsSeen, *, last: bool
     ) -> Generator[list[MessageRun], None, _Survey]:
-        """One pass over a segment; returns ``found`` and what is found in it.
+        """One pass over a segment; returns ``found`` with its findings added.
 
         Args:
             segment: the file.
-            found: in the segments before.
-            seen: told what this one says of itself.
-            last: it may be one that was opened ahead and never used, which is no damage.
+            found: findings of the segments before.
+            seen: receives this segment's metadata.
+            last: whether it may be an unused segment opened ahead, which is no damage.
 
         Raises:
             LogFormatError: nothing of it can be read.

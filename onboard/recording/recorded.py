@@ -1,4 +1,4 @@
-"""How far each channel of a flight has come in its log: said at a segment's head, and where a takeover goes on."""
+"""Newest recorded row of each channel: written at a segment's head, and the starting point of a takeover."""
 
 import re
 from collections.abc import Mapping
@@ -13,14 +13,14 @@ _BEYOND = 1 << 63
 
 
 class ChannelProgress(NamedTuple):
-    """How far a channel has come: sequence and host time of its newest row that is in the log, or told as missing."""
+    """Sequence and host time of a channel's newest row in the log, or of the newest reported as missing."""
 
     sequence: int
     host_ns: int
 
 
 def marks_of(items: Mapping[str, str]) -> dict[str, ChannelProgress]:
-    """Metadata ``recorded``; of channels whose mark makes no sense, and where it is altered, nothing."""
+    """Metadata ``recorded``; without channels whose mark is invalid; empty if its CRC fails."""
     marks = {}
     for name, text in without_crc(items).items() if proven(RECORDED, items) is not False else ():
         numbers = text.split()

@@ -22,7 +22,7 @@ from onboard.recording.writer import LogWriter
 GAP_CHANNEL = "recover_gap"
 LOST = "lost_from_log"
 EXIT_LOSSLESS, EXIT_NOTHING, EXIT_LOSSY = 0, 1, 3
-_TURN = 1 << 64  # sequence numbers of a crafted log may be anything that a u64 holds
+_TURN = 1 << 64  # a crafted log may hold any u64 as sequence number
 _LONGEST_NS = (1 << 63) - 1
 
 

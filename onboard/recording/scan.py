@@ -62,7 +62,7 @@ class Scan:
         path: file to read.
 
     Raises:
-        LogFormatError: it is no file.
+        LogFormatError: not a regular file.
         OSError: it cannot be opened.
     """
 

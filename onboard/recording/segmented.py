@@ -183,7 +183,7 @@ class SegmentedLog:
         """See ``LogWriter.close``."""
         self._end_segment()
         if not self._end_said:
-            self._end_said = True  # it is kept if the disk refuses it
+            self._end_said = True  # set even if the disk refuses it
             last = {"flight": self._preamble.flight, "segments": str(self._number + 1)}
             self._writer.add_metadata(END, with_crc(END, last))
         self._writer.close()
@@ -259,7 +259,7 @@ def _recorded(found: list[Path]) -> dict[str, ChannelProgress]:
         try:
             log = LogReader([segment])
         except LogFormatError:
-            continue  # nothing of it can be read
+            continue  # unreadable
         here: dict[str, ChannelProgress] = {}
         for channel, batch in log.batches():
             note(here, channel, batch)
@@ -270,7 +270,7 @@ def _recorded(found: list[Path]) -> dict[str, ChannelProgress]:
 
 
 def _may_have_messages(segment: Path) -> bool:
-    """False for one that was opened ahead, whose head is whole or torn."""
+    """False for a segment opened ahead, with a whole or torn head."""
     try:
         return any(True for _ in LogReader([segment]).batches())
     except LogFormatError:

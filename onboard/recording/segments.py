@@ -1,6 +1,6 @@
 """Finds the files of a flight's log: one file, or numbered segments.
 
-``x.mcap`` goes on in ``x_001.mcap``, ``x_002.mcap`` beside it; a log named without the suffix is a directory:
+``x.mcap`` continues in ``x_001.mcap``, ``x_002.mcap`` beside it; a log named without the suffix is a directory:
 ``x/x_000.mcap``, ``x/x_001.mcap``. Every segment is a whole MCAP file that can be read alone. Metadata ``segment`` says
 which flight it belongs to, and its number, with a CRC: a neighbour of a like name is never taken for a part, and a part
 whose head is damaged never for a neighbour.
@@ -21,8 +21,8 @@ from onboard.recording.scan import Damage, Scan
 
 SUFFIX = ".mcap"
 METADATA = "segment"
-RECORDED = "recorded"  # how far each channel was at a segment's head
-END = "flight_end"  # in the last segment of a flight that ended in order: how many there are
+RECORDED = "recorded"  # newest row of each channel at a segment's head
+END = "flight_end"  # in the last segment of a flight that was closed: number of segments
 _CRC = "#crc"
 _NUMBERED = re.compile(r"(?P<stem>.+)_(?P<number>\d{3,9})")
 
@@ -33,12 +33,12 @@ def with_crc(name: str, items: Mapping[str, str]) -> dict[str, str]:
 
 
 def proven(name: str, items: Mapping[str, str]) -> bool | None:
-    """Whether metadata is as it was written; None where it was written without a CRC."""
+    """Whether the CRC of metadata is right; None without a CRC."""
     return None if _CRC not in items else items[_CRC] == _crc(name, without_crc(items))
 
 
 def without_crc(items: Mapping[str, str]) -> dict[str, str]:
-    """What metadata says."""
+    """Metadata without its CRC."""
     return {key: value for key, value in items.items() if key != _CRC}
 
 
@@ -50,18 +50,18 @@ class Head(NamedTuple):
     """Metadata at the head of a file, before its first messages."""
 
     library: str
-    segment: dict[str, str]  # metadata of that name; empty in a log that was never meant to have segments
+    segment: dict[str, str]  # metadata of that name; empty in a log without segments
     is_proven: bool | None = None  # see ``proven``
     is_damaged: bool = False
 
     @property
     def flight(self) -> str:
-        """Which flight it belongs to; empty when it does not say."""
+        """Identifier of its flight; empty where absent."""
         return "" if self.is_proven is False else self.segment.get("flight", "")
 
     @property
     def number(self) -> int | None:
-        """Which segment of the flight it is; None when that is not certain."""
+        """Number of the segment; None where it is uncertain."""
         number = self.segment.get("number", "") if self.is_proven else ""
         return int(number) if number.isdecimal() and len(number) < 10 else None
 
@@ -104,7 +104,7 @@ def read_head(path: Path) -> Head:
 
 
 def _head(path: Path) -> Head:
-    """As ``read_head``; of a file that cannot be read at all, one that is damaged."""
+    """As ``read_head``; a damaged head for an unreadable file."""
     try:
         return read_head(path)
     except (LogFormatError, OSError):
@@ -112,7 +112,7 @@ def _head(path: Path) -> Head:
 
 
 def flight_or_none(path: Path) -> str:
-    """Which flight the file at ``path`` says that it belongs to; empty when it says none."""
+    """Identifier of the flight in the head of ``path``; empty where absent."""
     return _head(path).flight
 
 
@@ -124,7 +124,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def segments(log: Path) -> tuple[Path, ...]:
-    """The segments that are there of ``log``, in order; those that cannot be read stand where their names say.
+    """The existing segments of ``log``, in order; unreadable ones are placed by file name.
 
     Args:
         log: a flight directory, a segment in one, or a file, which is given with those that continue it. The first may
@@ -146,7 +146,7 @@ def segments(log: Path) -> tuple[Path, ...]:
     if not log.exists():
         flight = _most_common(heads)
         if not flight:
-            return (log,)  # whoever opens it is told that it is not there
+            return (log,)  # opening it reports that it is missing
         return _of_flight(flight, heads)
     if not further:
         return (log,)
@@ -166,7 +166,7 @@ def _most_common(heads: Mapping[Path, Head]) -> str:
 
 
 def _of_flight(flight: str, heads: Mapping[Path, Head]) -> tuple[Path, ...]:
-    """Those of a flight, and the damaged files whose names continue it without a hole."""
+    """Segments of a flight, and damaged files whose names continue it without a gap."""
     ours = [path for path, head in heads.items() if head.flight == flight]
     last = max((number_of(path) for path in ours), default=-1)
     for path in sorted(heads.keys() - set(ours), key=number_of):
@@ -177,7 +177,7 @@ def _of_flight(flight: str, heads: Mapping[Path, Head]) -> tuple[Path, ...]:
 
 
 def _is_damaged_part(path: Path, head: Head) -> bool:
-    """Whether a file whose name continues a flight's, and that does not say that it belongs to it, may be of it."""
+    """Whether a file with a continuing name, but without the flight's identifier, may belong to the flight."""
     if head.is_proven is not None:
         return not head.is_proven
     if head.library not in ("", LIBRARY):
@@ -186,7 +186,7 @@ def _is_damaged_part(path: Path, head: Head) -> bool:
 
 
 def _in_order(paths: Iterable[Path], heads: Mapping[Path, Head]) -> tuple[Path, ...]:
-    """By the numbers they say, by those in their names where they say none; a copy of another is left out."""
+    """Sorted by number in the metadata, else in the file name; duplicates are left out."""
     found: dict[int, Path] = {}
     unsaid: list[Path] = []
     for path in sorted(paths, key=number_of):

@@ -1,8 +1,8 @@
-"""Motors: rotor inertia, viscous and Coulomb friction, of a joint or of several that a motor turns with.
+"""Motors: rotor inertia, viscous and Coulomb friction at the joints coupled to a motor.
 
-A motor's rate is ``dq_m = sum_j r_j dq_j``; by virtual work its torque comes to joint j times ``r_j``, so that its
+A motor's rate is ``dq_m = sum_j r_j dq_j``; by virtual work its torque acts on joint j times ``r_j``, so that its
 three columns are ``r_j [ddq_m, dq_m, z_m]`` in the row of joint j's torque (the wrist of the Staubli TX series, whose
-last motor also turns with the joint before it). Coulomb friction z_m is the sign of the rate, or
+last motor is coupled to the joint before it). Coulomb friction z_m is the sign of the rate, or
 Dahl's: ``dz = dx / length (1 - z sign(dx))``, which reverses over a few lengths of motion.
 """
 
@@ -22,12 +22,12 @@ class Motor(NamedTuple):
     """A motor, its columns named ``Ia_<name>``, ``Fv_<name>``, ``Fc_<name>``."""
 
     name: str
-    ratios: tuple[tuple[str, float], ...]  # joint, and how far the motor turns with it: one where seen at the joint
-    presliding_rad: float = 0.0  # Dahl's length; zero where Coulomb friction is the sign of the rate
+    ratios: tuple[tuple[str, float], ...]  # joint, motor rate per joint rate; 1: motor quantities at the joint
+    presliding_rad: float = 0.0  # Dahl's length; zero: friction is the sign of the rate
 
 
 def ratios_of(motor: Motor, joints: Sequence[str]) -> FloatArray:
-    """The motor's turns with each joint, (joints,).
+    """Motor rate per joint rate, (joints,); ``dq_m = ratios @ dq``.
 
     Raises:
         UnknownFrameError: a joint that is not there.
@@ -41,7 +41,7 @@ def ratios_of(motor: Motor, joints: Sequence[str]) -> FloatArray:
 
 
 class CoulombFriction:
-    """Coulomb friction of motors over its level, tick after tick.
+    """Coulomb friction of motors divided by its level (Dahl 1968), tick by tick.
 
     Args:
         motors: at least one.
@@ -58,7 +58,7 @@ class CoulombFriction:
         """Friction at n ticks that follow those before, (n, motors), between -1 and 1.
 
         NaN while unknown: Dahl's, until the motor has moved by five of its lengths. A tick that is not
-        finite leaves it as it was. Between ticks the motion is taken for monotonic.
+        finite does not change it. Between ticks the motion is assumed monotonic.
 
         Args:
             q: joint positions, (n, joints).

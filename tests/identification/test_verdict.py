@@ -77,7 +77,10 @@ def test_reasons_not_to_use_it(changed, said):
     [
         ({"held_out": None}, "too short to be checked"),
         ({"findings": Findings((), ("load_cell reads +2% from one time on",))}, "load_cell reads +2%"),
-        ({"standings": {"mass": Standing(Level.WEAK, "it is not told from zero")}}, "mass: it is not told from zero"),
+        (
+            {"standings": {"mass": Standing(Level.WEAK, "its interval contains zero")}},
+            "mass: its interval contains zero",
+        ),
         ({"held_out": HeldOut(FINE, HeldOutFit(0.6, 5.0), FINE)}, "off by 60%"),
         ({"held_out": HeldOut(FINE, HeldOutFit(0.6, 2.5), FINE), "correlation": 2.0}, "off by 60%"),
     ],
@@ -107,7 +110,7 @@ def quantity(mean, half, name="m_payload", unit="kg", supported=True):
     [
         (quantity(2.0, 0.1), Level.GOOD, ""),
         (quantity(-1e-4, 1e-6), Level.DO_NOT_USE, "cannot be negative"),
-        (quantity(0.1, 0.2), Level.WEAK, "not told from zero"),
+        (quantity(0.1, 0.2), Level.WEAK, "contains zero"),
         (quantity(2.0, 1.2), Level.WEAK, "as wide as 60% of it"),
         (quantity(-0.3, 0.1, "I_xy_payload", "kg m^2"), Level.GOOD, ""),
         (quantity(-0.3, 0.1, "I_xx_payload", "kg m^2"), Level.DO_NOT_USE, "cannot be negative"),

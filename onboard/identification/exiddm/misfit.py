@@ -22,11 +22,11 @@ class InnovationMisfit:
         self._worst: dict[str, float] = {}
 
     def forget(self) -> None:
-        """Begin anew: the filter did."""
+        """Clear the sums after a reset of the filter."""
         self._sums, self._blocks, self._worst = {}, {}, {}
 
     def add(self, instrument: str, squares: float, freedom: int) -> None:
-        """Takes in one batch: ``r' S^-1 r`` of an instrument's innovation r, and how many numbers r has."""
+        """Takes in one batch: ``r' S^-1 r`` of an instrument's innovation r, and the number of elements of r."""
         total, seen = self._sums.get(instrument, (0.0, 0))
         self._sums[instrument] = total + squares, seen + freedom
         total, seen = self._blocks.get(instrument, (0.0, 0))
@@ -38,7 +38,7 @@ class InnovationMisfit:
         self._blocks[instrument] = block
 
     def by_instrument(self) -> Mapping[str, float]:
-        """The larger of mean and worst block; 1 is what is expected. Empty while nothing was taken in."""
+        """The larger of mean and worst block, expected 1; empty before the first batch."""
         return {
             instrument: max(total / freedom, self._worst.get(instrument, 0.0))
             for instrument, (total, freedom) in self._sums.items()

@@ -141,7 +141,7 @@ class RecursiveExiddm:
     # ------------------------------------------------------------------ a window, as a whole
 
     def _open(self, hypotheses: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
-        """Begin a window of which the rate is not known, and of the rest this."""
+        """Begin a window with this prior and an unknown rate."""
         self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._pending = Ticks.none(len(self.predictor.vehicle.joints))

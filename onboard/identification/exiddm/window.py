@@ -60,7 +60,7 @@ class WindowFit:
         imu_frame: the frame it measures in.
         payload_sigma: of a payload of which nothing is known, (10,).
         ticks: the window, in succession.
-        mean: (p,) what is known of the state at its first tick, the rate aside.
+        mean: (p,) prior of the state at its first tick, without the rate.
         covariance: (p, p) of that.
     """
 

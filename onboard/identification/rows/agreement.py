@@ -1,13 +1,12 @@
-"""Do the rows agree with one another: what speaks against an answer that its interval does not show.
+"""Tests whether the rows agree: unexplained readings and steps of an instrument's gain, which no interval contains.
 
-Looked at by instrument, at the estimate of all rows:
+Per instrument, at the estimate of all rows:
 
-- *Gain*: what an instrument reads over what the estimate says it should, block of time by block of time. An instrument
-  whose scale jumps, or a motion that another instrument begins to tell wrongly, is a step in it. A step anywhere is
-  judged by the scatter of the gains on its two sides (Student's t, the likeliest place of all, each place counted).
-- *Misfit*: what is left over, against the noise and against what there was to explain.
-- *Response*: what it reads against what the drawing makes of the motion. An instrument that feels next to nothing is
-  not loaded, or not alive.
+- *Gain*: ratio of readings to readings predicted by the estimate, per block of time. A jump of the instrument's scale,
+  or an error that begins in the measured motion, is a step of it. The likeliest step is tested by Student's t on the
+  scatter of the gains on its two sides, corrected for the number of places tried.
+- *Misfit*: residual relative to the noise and to the signal.
+- *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
 
 from typing import NamedTuple

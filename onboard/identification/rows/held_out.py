@@ -59,7 +59,7 @@ def held_out(blocks: RowBlocks, identifier: Identifier) -> HeldOut | None:
 
 
 def prediction(blocks: RowBlocks, identifier: Identifier, mean: FloatArray) -> HeldOutFit:
-    """What base parameters from elsewhere, (p,), leave of all these rows; ``identifier`` used them."""
+    """Prediction error of all these rows with given base parameters (p,); ``identifier`` used the rows."""
     normal = np.asarray(sum(blocks.of(*part)[0].sum(axis=0) for part in blocks.parts), np.float64)
     return _prediction(normal, mean, _without_the_unknown(identifier) if normal[-2, -2] == 0.0 else None)
 

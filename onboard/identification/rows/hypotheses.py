@@ -1,14 +1,14 @@
-"""Several identifiers side by side, one for each thing that may not be so; the one that nothing speaks against answers.
+"""Parallel identifiers, one per hypothesis (a wrong instrument, a false release); selects the consistent one.
 
-Every instrument that another one stands beside (two cells about one axis) is left out by an identifier of its own. A
-release that is told divides them once more: with the payload gone, and with it still held. What the rows say decides:
+Each redundant instrument (two cells about one axis) is left out by one identifier. A reported release doubles them:
+with the payload released, and still held. Rules:
 
-- An identifier is *contradicted* when its own findings speak against its answers.
-- While that of all instruments, as told, is not contradicted, it answers; but where two that leave one instrument out
-  each differ by more than their intervals, all are contradicted, and nobody can say who is right.
-- When it is contradicted and just one of the others is not, that one answers, and what it leaves out is named.
-- A release is believed when the motion with the payload still held is contradicted, and disbelieved when only the
-  motion without it is, or when what has gone weighs nothing: the arm moves as before.
+- An identifier is *contradicted* when its own findings refuse its estimate.
+- While the one with all instruments, as reported, is not contradicted, it is selected; but where two that each leave
+  one instrument out differ by more than five sigmas, all are contradicted (*do not use*).
+- When it is contradicted and exactly one of the others is not, that one is selected and its left-out instrument named.
+- A release is accepted when the model with the payload held is contradicted, and rejected when only the model without
+  it is, or when the payload's estimated mass is near zero (the arm moves as before).
 """
 
 import copy
@@ -25,17 +25,17 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.verdict import Level, standing
 from onboard.regressor.signals import Signals
 
-_JUDGED_ROWS = 50  # between one judgement and the next
-_FEWEST_ROWS = 100  # after a release was told, before it is judged
+_JUDGED_ROWS = 50  # between decisions
+_FEWEST_ROWS = 100  # after a reported release, before the decision
 _APART = 5.0  # sigmas between two answers that contradict each other
-_NOTHING = 0.2  # of what the drawing says that a payload weighs: it has not gone
+_NOTHING = 0.2  # of the payload's mass in the drawing: not released
 
 
 class Member(NamedTuple):
-    """What an identifier takes not to be so."""
+    """Hypothesis of one identifier."""
 
     left_out: str = ""  # an instrument
-    still_held: bool = False  # the release that was told did not happen
+    still_held: bool = False  # the reported release did not happen
 
 
 _AS_TOLD = Member()
@@ -46,7 +46,7 @@ class Hypotheses:
 
     Args:
         make: a fresh identifier; all are alike.
-        redundant: instruments that another one stands beside.
+        redundant: instruments that measure the same as another.
     """
 
     def __init__(self, make: Callable[[], Identifier], redundant: Sequence[str] = ()) -> None:
@@ -59,7 +59,7 @@ class Hypotheses:
 
     @property
     def chosen(self) -> Identifier:
-        """The one that answers."""
+        """The selected identifier."""
         return self._members[self._chosen]
 
     @property
@@ -79,12 +79,12 @@ class Hypotheses:
 
     @property
     def rows_used(self) -> int:
-        """Of the one that answers."""
+        """Of the selected identifier."""
         return self.chosen.rows_used
 
     @property
     def refused(self) -> dict[GateReason, int]:
-        """Of the one that answers."""
+        """Of the selected identifier."""
         return self.chosen.refused
 
     def update(
@@ -94,12 +94,12 @@ class Hypotheses:
 
         Args:
             signals: as for :meth:`Identifier.update`.
-            attached: (n,) whether the payload is held, as told.
+            attached: (n,) whether the payload is held, as reported.
             excluded: (n,) reasons.
-            otherwise: (n,) whether it is held if the last release that was told did not happen.
+            otherwise: (n,) the same if the last reported release did not happen.
 
         Returns:
-            (n, rows) reasons of the one that answers.
+            (n, rows) reasons of the selected identifier.
         """
         other = attached if otherwise is None else otherwise
         if self._told_rows is None and (other != attached).any():
@@ -120,24 +120,24 @@ class Hypotheses:
         return found
 
     def estimate(self, level: float = 0.95) -> Estimate:
-        """Of the one that answers."""
+        """Of the selected identifier."""
         return self.chosen.estimate(level)
 
     def findings(self) -> Findings:
-        """What speaks against it, and what was left out."""
+        """Findings of the selected identifier, and the instrument left out."""
         return self._findings
 
     def triangle(self) -> FloatArray:
-        """Of the one that answers."""
+        """Of the selected identifier."""
         return self.chosen.triangle()
 
     def news(self) -> tuple[Change, ...]:
-        """Instruments that were left out or taken back, releases that were not believed, since the last call."""
+        """Instruments left out or restored, and releases rejected, since the last call."""
         news, self._news = tuple(self._news), []
         return news
 
     def _divide(self) -> None:
-        """A release was told: from here on there is one more of each, for which it did not happen."""
+        """Handles a reported release: adds a copy of each identifier for which it did not happen."""
         self._told_rows = self.rows_used
         self._members |= {
             member._replace(still_held=True): copy.deepcopy(identifier) for member, identifier in self._members.items()
@@ -165,7 +165,7 @@ class Hypotheses:
         self._chosen, self._findings = chosen, said
 
     def _is_clean(self, member: Member, findings: Findings) -> bool:
-        """Whether nothing speaks against any of its answers."""
+        """Whether no finding refuses any of its estimates."""
         quantities = self._members[member].estimate().quantities
         return not findings.against and all(
             standing(quantity, findings).level is not Level.DO_NOT_USE for quantity in quantities
@@ -175,16 +175,16 @@ class Hypotheses:
         """Believe it, or not, or wait."""
         told, held = findings[_AS_TOLD], findings[Member(still_held=True)]
         if held.against and not told.against:
-            believed = True
+            accepted = True
         elif held.against or not (told.against or self._nothing_has_gone()):
             return
         else:
-            believed = False
+            accepted = False
             self._note("release_contradicted", "the arm moves as before")
         kept = {
             member._replace(still_held=False): identifier
             for member, identifier in self._members.items()
-            if member.still_held is not believed
+            if member.still_held is not accepted
         }
         for member in list(findings):
             del findings[member]

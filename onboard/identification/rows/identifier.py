@@ -40,7 +40,7 @@ from onboard.regressor.rows import BaseMotion, RowModel
 from onboard.regressor.signals import Signals
 
 _SCALE_ROUNDS = 2
-_SEEN_SHARE = 0.4  # of a block of the honest covariance: two kernels
+_SEEN_SHARE = 0.4  # of a jackknife block: two kernels
 _OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
 _BATCH_TICKS = 64  # ticks whose rows are gated with one estimate before they update it
 
@@ -266,7 +266,7 @@ class Identifier:
         return np.asarray(Y @ [*self.rls.solve().mean, 1.0], np.float64)
 
     def findings(self) -> Findings:
-        """What speaks against the answers that their intervals do not show."""
+        """Findings about the estimates that their intervals do not contain."""
         against, doubts = list[str](), list[str]()
         residual = self.refused[GateReason.RESIDUAL]
         share = residual / max(self.rows_used + residual, 1)

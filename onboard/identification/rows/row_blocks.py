@@ -1,7 +1,6 @@
-"""Rows that were used, kept as normal equations: by instrument, with the payload and without, by blocks of time.
+"""Normal equations of the rows used, per instrument, payload held or not, and block of time.
 
-That is constant memory, and enough to ask afterwards what any part of the rows says: of another half of the motion,
-of another instrument, of another time.
+Constant memory; later estimates and predictions of any half, instrument or time span are made from them.
 """
 
 import numpy as np

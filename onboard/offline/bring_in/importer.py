@@ -161,7 +161,7 @@ def _host_ns(source: Path, columns: Columns[str, Values], time: Time, sampled: s
     """Times (n,) of the samples, ns; evenly spaced by the number of ``sampled`` if the recording has none."""
     if time.column is None:
         assert time.rate_Hz is not None
-        count = foreign.length(columns, sampled)  # a column that is not there is told when its values are asked for
+        count = foreign.length(columns, sampled)  # a missing column is reported when its values are read
         start_ns = time.offset * NS_PER[time.unit]
         return np.asarray(np.rint(start_ns + np.arange(count) * (1e9 / time.rate_Hz)), np.int64)
     values = foreign.numbers(source, columns, time.column)

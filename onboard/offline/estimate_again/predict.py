@@ -1,4 +1,4 @@
-"""``heft identify --predict``: rows of another log of the same vehicle, predicted from what one log says."""
+"""``heft identify --predict``: prediction of another log of the vehicle with the base parameters of the first log."""
 
 from pathlib import Path
 
@@ -18,8 +18,8 @@ def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutF
 
     Args:
         vehicle: of both; by rows.
-        found: what the one log says.
-        other: none of its rows has a part in the parameters.
+        found: identification of the first log.
+        other: log to predict; its rows are not used for the parameters.
 
     Raises:
         LogFormatError: a file that is no log.

@@ -157,7 +157,7 @@ def time_columns(times: Times) -> list[Column]:
 
 
 def _shifted(time_ns: NDArray[np.int64], by_ns: int) -> NDArray[np.int64]:
-    """UNKNOWN, which is NumPy's NaT, for times that no flight has: a crafted log's may be anything."""
+    """UNKNOWN (NumPy's NaT) for times out of range, as a crafted log may hold."""
     if abs(by_ns) >= _FAR_NS:
         return np.full(len(time_ns), UNKNOWN, np.int64)
     return np.where((time_ns > -_FAR_NS) & (time_ns < _FAR_NS), time_ns + np.int64(by_ns), UNKNOWN)

@@ -1,4 +1,4 @@
-"""What a QUANTITY row says that it is good for, as people read it."""
+"""Level and reason of a QUANTITY row as text."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from onboard.identification.verdict import LEVELS, Level, Standing
 
 
 def standing_of(row: np.void) -> Standing | None:
-    """Level and reason; None in a log of a version that did not say."""
+    """Level and reason; None in a log of an older version."""
     if "level" not in (row.dtype.names or ()):
         return None
     level = LEVELS[min(int(row["level"]), len(LEVELS) - 1)]
@@ -15,13 +15,13 @@ def standing_of(row: np.void) -> Standing | None:
 
 
 def is_withdrawn(row: np.void) -> bool:
-    """Whether it is there and not to be used."""
+    """Whether its level is *do not use*."""
     found = standing_of(row)
     return found is not None and found.level is Level.DO_NOT_USE
 
 
 def shown(row: np.void) -> str:
-    """``good, 0.8 % of it by the drawing``; empty where a log does not say."""
+    """``good, 0.8 % of it by the drawing``; empty in a log without levels."""
     found = standing_of(row)
     if found is None:
         return ""
