@@ -23,7 +23,7 @@ NOISE = 4.0  # residual sum a row that may still be noise
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
 LEAST_STEP, DOUBTFUL_STEP = 0.03, 0.015  # of a gain: instruments creep, and gears ripple
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
-_FEWEST = 3  # blocks on each side of a step
+_FEWEST = 2  # blocks on each side of a step
 _LOADED = 0.1  # of the mean information on the gain: a block with less is not asked
 
 

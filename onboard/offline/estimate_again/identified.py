@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.vehicle import STANDARD
 from onboard.identification.observability import ObservedDirections
+from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
-from onboard.identification.verdict import Level, Verdict
+from onboard.identification.verdict import Level, Standing, Verdict, standing
 from onboard.offline.estimate_again.throws import Throw, plain
 
 
@@ -25,6 +26,12 @@ class Answer(NamedTuple):
     high: float
     supported: bool
     bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
+
+    @property
+    def standing(self) -> Standing:
+        """What it is good for by itself."""
+        numbers = self.value, self.sigma, self.low, self.high
+        return standing(QuantityEstimate(self.name, self.unit, *numbers, math.nan, self.supported, ""), Findings())
 
     def as_json(self) -> dict[str, Any]:
         """Plain values, None for NaN."""

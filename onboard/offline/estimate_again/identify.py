@@ -20,11 +20,11 @@ from onboard.flight.identification import build_model
 from onboard.flight.roles import roles_of
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOutFit, held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, without_rotors
-from onboard.identification.verdict import Evidence, Level, standing, verdict
+from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
 from onboard.offline.estimate_again import throws
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, feed
@@ -33,6 +33,8 @@ from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.planar_log import identify_planar
 from onboard.offline.estimate_again.throws import Calibration, LoadSummary
 from onboard.recording.reader import LogReader
+
+_PRINCIPAL = ("I_1", "I_2", "I_3")  # moments of a thrown load
 
 
 @dataclass(frozen=True)
@@ -145,15 +147,16 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     if thrown is not None:  # few independent blocks of time give a wide interval, which is valid
         told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
     else:
-        told = {answer.name: answer.supported for answer in answers}
+        told = dict(zip(estimate.names, estimate.supported.tolist(), strict=True))
+        told |= {quantity.name: quantity.supported for quantity in estimate.quantities}
     held = held_out(who.seen, who)
     links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
     asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
     failure = _no_payload(who, estimate)
     evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
-    findings = who.findings()
-    by_name = {quantity.name: standing(quantity, findings._replace(against=())) for quantity in estimate.quantities}
-    evidence = evidence._replace(findings=findings, standings=by_name)
+    evidence = evidence._replace(findings=who.findings(), standings=_standings(estimate, thrown))
+    if thrown is not None and thrown.principal is not None:
+        evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(
         log.path,
         method,
@@ -168,6 +171,17 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         essential=_essential(who, estimate),
         links=links,
     )
+
+
+def _standings(estimate: Estimate, thrown: throws.Throw | None) -> dict[str, Standing]:
+    """What each determined answer is good for by itself, and the principal moments of a throw's load."""
+    found = {one.name: standing(one, Findings()) for one in estimate.quantities if one.supported}
+    if thrown is not None and thrown.principal is not None:
+        rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
+        for name, value, sigma, low, high in rows:
+            moment = QuantityEstimate(name, "kg m^2", value, sigma, low, high, 0.0, True, "")
+            found[name] = standing(moment, Findings())
+    return found
 
 
 def _no_payload(who: Identifier, estimate: Estimate) -> str:

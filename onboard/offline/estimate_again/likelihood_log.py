@@ -100,6 +100,8 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         failure=judged.reason,
         away={link.link: link.away},
         misfit=found.misfit,
+        standings={answer.name: answer.standing for answer in answers if answer.supported},
+        corrections=_corrections(exiddm, found, kept.payload),
         unchecked=unchecked,
     )
     return Identified(
@@ -115,6 +117,16 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         observability=observed_directions(body_seen(body), names),
         links=(link,),
     )
+
+
+def _corrections(exiddm: Exiddm, found: PayloadFit, payload: str) -> dict[str, float]:
+    """What was fitted besides the payload, in the sigmas that were stated; nothing of what has none."""
+    stated = np.sqrt(np.diag(exiddm.prior_information))
+    return {
+        name: float(x * information)
+        for name, x, information in zip(found.names, found.fit.x, stated, strict=True)
+        if information > 0.0 and not name.endswith(f"_{payload}")
+    }
 
 
 def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, period_s: float) -> Ticks:
