@@ -192,7 +192,7 @@ class Estimator:
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
         for change in self.online.news():
             if change.kind == "release_contradicted":
-                self._phases.disbelieve()
+                self._phases.reject_release()
             made.append(_said(now_ns, change))
         if self.online.rows_used:
             made += self._answered(now_ns, int(at_ns[-1]))
@@ -325,7 +325,7 @@ class Estimator:
         return Batch(channel, rows)
 
 
-_DISBELIEVED = {
+_HYPOTHESES = {
     "left_out": "{} contradicts the other instruments: estimates without it",
     "taken_back": "{} no longer contradicts the other instruments: estimates with it",
     "release_contradicted": "a reported release of the payload is rejected: {}",
@@ -334,8 +334,8 @@ _DISBELIEVED = {
 
 def _said(now_ns: int, change: Change) -> Batch:
     """A change of the payload or of the selected hypothesis, as an event."""
-    if change.kind in _DISBELIEVED:
-        return event(now_ns, Severity.WARNING, change.kind, "estimation", _DISBELIEVED[change.kind].format(change.what))
+    if change.kind in _HYPOTHESES:
+        return event(now_ns, Severity.WARNING, change.kind, "estimation", _HYPOTHESES[change.kind].format(change.what))
     ago_s, since_s = (1e-9 * now_ns - at_s for at_s in (change.time_s, change.since_s))
     text = f"{change.kind} {ago_s:.2f} s ago"
     if np.isfinite(change.score):

@@ -22,7 +22,7 @@ class PhaseTrack:
         self._times_ns: list[int] = []
         self._codes: list[int] = []
         self._taken_ns: int | None = None
-        self._gone_ns: list[int] = []  # when it was told, again and again perhaps; those that are believed
+        self._gone_ns: list[int] = []  # reported releases, without the rejected ones
 
     def update(self, batches: Mapping[str, Rows]) -> list[str]:
         """Process the rows of a step, except NOT_VALID ones; returns a line of text for each change."""
@@ -54,12 +54,12 @@ class PhaseTrack:
         index = np.searchsorted(times_ns, at_ns, side="right")
         return np.append(-1, codes)[index]
 
-    def disbelieve(self) -> None:
-        """The first release that was told did not happen."""
+    def reject_release(self) -> None:
+        """Removes the first reported release."""
         self._gone_ns.pop(0)
 
     def attached(self, at_ns: NDArray[np.int64], *, but_first: bool = False) -> NDArray[np.bool_]:
-        """Whether the payload is held at each tick, (n,); ``but_first``: if the first release told did not happen."""
+        """Whether the payload is held at each tick, (n,); ``but_first``: without the first reported release."""
         held = np.ones(len(at_ns), np.bool_)
         if self._settings and self._settings.payload_taken is not None:
             held[:] = False if self._taken_ns is None else at_ns >= self._taken_ns

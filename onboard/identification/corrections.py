@@ -1,7 +1,7 @@
-"""Corrections that an estimator fitted to instruments and links, against the sigmas they were stated with.
+"""Tests fitted corrections of instruments and links against their stated sigmas.
 
-Each is a normal number when all is as stated. One that lies far out has changed since it was calibrated, or makes up
-for something that no parameter is for; so do all of them together when their squares are too many.
+Under the stated sigmas each is standard normal and their sum of squares is chi-squared. A correction beyond five
+sigmas, or an improbable sum, means a changed calibration or an error without a parameter.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ UNLIKELY = 1e-6  # chance of all of them together
 
 
 def too_large(corrections: Mapping[str, float]) -> tuple[str, ...]:
-    """What is wrong with corrections by name, in stated sigmas; nothing when all is as stated."""
+    """Reasons of refusal for corrections by name, in stated sigmas; empty if both tests (this module's head) pass."""
     if not corrections:
         return ()
     sigmas = np.abs(list(corrections.values()))

@@ -42,14 +42,14 @@ class InstrumentFit(NamedTuple):
     rows: float
     misfit: float  # whitened residual sum over the number of rows
     unexplained: float  # share of the readings, bias aside, that the estimate leaves over
-    response: float  # size of the readings over what the drawing makes of the motion; NaN for rows that read nothing
+    response: float  # rms of the readings over that predicted from the URDF; NaN for rows that read nothing
     step: Step | None  # None where there is not enough to be cut
 
 
 def instrument_fits(
     blocks: RowBlocks, mean: FloatArray, drawn: FloatArray, physical: BoolArray
 ) -> tuple[InstrumentFit, ...]:
-    """How each instrument's rows stand to an estimate.
+    """Gain step, misfit and response of each instrument's rows, by the equations in this module's head.
 
     Args:
         blocks: the rows.
@@ -110,7 +110,7 @@ def _steps(times_s: FloatArray, gain: FloatArray, weight: FloatArray) -> list[St
 
 
 def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str]]:
-    """What an instrument's rows say against all answers, and what makes them doubtful.
+    """Reasons to refuse all estimates, and reasons to weaken them, from one instrument's rows.
 
     Args:
         fit: at the estimate of all rows.

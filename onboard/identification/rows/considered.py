@@ -1,7 +1,7 @@
-"""What is wrong by a known sigma, not estimated, and carried into the intervals: scales, delays.
+"""Consider parameters (Schmidt): scales and delays with a known sigma, not estimated, part of the intervals.
 
-Of a load cell they change its reading; of a joint's sensor or of the base's IMU they change the motion that the rows
-are made of, and so what every row should read: that change is taken at the estimate so far.
+One of a load cell changes its reading. One of a joint's sensor or of the base's IMU changes the regressor; its
+effect is the change of the predicted rows at the present estimate.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ _STEP = 1e-3  # relative, of a scale: rows are quadratic in the rates at most
 
 
 class Considered(NamedTuple):
-    """Something wrong by a known sigma in all readings of one instrument."""
+    """An error common to all readings of one instrument, with a known sigma."""
 
     name: str
     row: str  # of a load cell; of a joint, its name; of the IMU, anything
@@ -29,7 +29,7 @@ class Considered(NamedTuple):
 
 
 def check(considered: Sequence[Considered], model: RowModel) -> None:
-    """That each names what the model has.
+    """Checks that the model has each named row, joint or IMU.
 
     Raises:
         UnknownFrameError: it does not.
@@ -50,7 +50,7 @@ def columns(
     use: BoolArray,
     expected: Callable[[Signals], FloatArray],
 ) -> FloatArray | None:
-    """``d y / d c``, (r, k), at the ticks ``at`` (t,), of the rows in use (t, rows).
+    """``d y / d c``, (r, k), at the ticks ``at`` (t,), of the rows in use (t, rows); differences for joints and IMU.
 
     Args:
         considered: k causes.

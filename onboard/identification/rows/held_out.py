@@ -38,7 +38,7 @@ class HeldOut(NamedTuple):
 
 
 def held_out(blocks: RowBlocks, identifier: Identifier) -> HeldOut | None:
-    """The predictions; None where there is not enough to be halved.
+    """Two-fold cross-validation by halves of time; None with too few blocks to halve.
 
     Args:
         blocks: the rows that were used.

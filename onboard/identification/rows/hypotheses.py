@@ -172,7 +172,7 @@ class Hypotheses:
         )
 
     def _judge_release(self, findings: dict[Member, Findings]) -> None:
-        """Believe it, or not, or wait."""
+        """Accepts or rejects the reported release, or leaves it undecided."""
         told, held = findings[_AS_TOLD], findings[Member(still_held=True)]
         if held.against and not told.against:
             accepted = True
