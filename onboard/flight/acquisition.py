@@ -3,7 +3,7 @@
 A device that cannot be started is reported and left out; the others continue.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from drivers.device import Device
 from drivers.errors import DriverError
@@ -54,6 +54,10 @@ class Acquisition:
         """Stop every device."""
         for device in self.devices:
             self.stop_device(device, now_ns)
+
+    def expect(self, channels: Mapping[str, float], since_ns: int) -> None:
+        """Record what ``channels`` (period in ns by name) miss from ``since_ns`` to their first row as gaps."""
+        self._publisher.expect(channels, since_ns)
 
     def report(self, batches: list[Batch]) -> None:
         """Publish batches of the app itself."""

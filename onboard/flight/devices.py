@@ -39,16 +39,20 @@ def open_devices(vehicle: config.Vehicle, clock: Clock) -> OpenDevices:
     """Open every bus that has devices, and make their drivers. ``clock`` is CLOCK_MONOTONIC, ns."""
     opened = OpenDevices({}, {}, [])
     for name in vehicle.buses:
-        bus = OpeningBus(name, vehicle.devices_on(name), vehicle, clock, [])
-        if not bus.devices:
-            continue
-        try:
-            opened.by_bus[name] = next(iter(bus.devices.values())).open_on(bus)
-        except (DriverError, OSError) as error:
-            for port in bus.ports:
-                port.close()
-            text = f"{bus.url}: {error}; without {', '.join(bus.devices)}"
-            opened.problems.append(event(clock(), Severity.ERROR, "bus_failed", name, text))
-            continue
-        opened.ports[name] = bus.ports
+        if vehicle.devices_on(name):
+            opened.problems.extend(open_bus(vehicle, name, clock, opened))
     return opened
+
+
+def open_bus(vehicle: config.Vehicle, name: str, clock: Clock, opened: OpenDevices) -> list[Batch]:
+    """Open one bus and put its devices and ports into ``opened``; an event that says why if it cannot be opened."""
+    bus = OpeningBus(name, vehicle.devices_on(name), vehicle, clock, [])
+    try:
+        devices = next(iter(bus.devices.values())).open_on(bus)
+    except (DriverError, OSError) as error:
+        for port in bus.ports:
+            port.close()
+        text = f"{bus.url}: {error}; without {', '.join(bus.devices)}"
+        return [event(clock(), Severity.ERROR, "bus_failed", name, text)]
+    opened.ports[name], opened.by_bus[name] = bus.ports, devices
+    return []

@@ -14,7 +14,8 @@ from drivers.records import Batch, Rows, SampleStatus, gap
 from onboard.ring import RingWriter
 
 SHARED_CHANNELS = ("event", "gap")
-RESTART = "worker_restart"
+RESTART, ABSENT = "worker_restart", "absent_at_start"
+LATE_NS = 3_000_000_000
 
 
 class _Left(NamedTuple):
@@ -23,6 +24,8 @@ class _Left(NamedTuple):
     sequence: int
     host_ns: int
     period_ns: float
+    cause: str = RESTART
+    status: int = SampleStatus.AFTER_RESET  # of the first row that follows
 
 
 class Publisher:
@@ -44,6 +47,19 @@ class Publisher:
                 if name not in SHARED_CHANNELS and len(rows := ring.newest()):
                     self._left[name] = _left(rows)
 
+    def expect(self, channels: Mapping[str, float], since_ns: int) -> None:
+        """Rows of ``channels`` were to come since ``since_ns``: what is missed until a late first one becomes a gap.
+
+        A first row within :data:`LATE_NS` is in time: devices take a while to be set up.
+
+        Args:
+            channels: their periods in ns; 0 where it is not known how many rows are missed.
+            since_ns: CLOCK_MONOTONIC.
+        """
+        for channel, period_ns in channels.items():
+            if not self._rings[channel].published:
+                self._left[channel] = _Left(-1, since_ns, period_ns, ABSENT, SampleStatus.OK)
+
     def publish(self, batches: Iterable[Batch]) -> None:
         """Push each batch into its channel's ring."""
         for channel, rows in batches:
@@ -51,9 +67,9 @@ class Publisher:
                 self._publish_shared(channel, rows)
             elif len(rows):
                 if channel in self._left:
-                    self._take_over(channel, int(rows["host_ns"][0]))
+                    status = self._take_over(channel, int(rows["host_ns"][0]))
                     if "status" in (rows.dtype.names or ()):
-                        rows["status"][0] |= SampleStatus.AFTER_RESET
+                        rows["status"][0] |= status
                 if channel in self._shift:
                     rows["sequence"] += np.uint64(self._shift[channel])
                 self._rings[channel].push(rows)
@@ -75,14 +91,16 @@ class Publisher:
             rows["sequence"] = range(first, first + len(rows))
             ring.push(rows)
 
-    def _take_over(self, channel: str, host_ns: int) -> None:
-        """Continue the numbers of ``channel`` and record the rows lost until ``host_ns`` as a gap."""
-        sequence, left_ns, period_ns = self._left.pop(channel)
-        missed = max(0, round((host_ns - left_ns) / period_ns) - 1) if period_ns else 0
+    def _take_over(self, channel: str, host_ns: int) -> int:
+        """Continue the numbers of ``channel``, record the rows lost until ``host_ns``; the next row's status."""
+        sequence, left_ns, period_ns, cause, status = self._left.pop(channel)
+        is_told = period_ns and (cause != ABSENT or host_ns - left_ns > LATE_NS)
+        missed = max(0, round((host_ns - left_ns) / period_ns) - 1) if is_told else 0
         self._shift[channel] = sequence + 1 + missed
         if missed:
-            told = gap(host_ns, channel, sequence + 1, sequence + missed, host_ns - left_ns, RESTART)
+            told = gap(host_ns, channel, sequence + 1, sequence + missed, host_ns - left_ns, cause)
             self._number("gap", told.rows)
+        return status
 
 
 def _left(rows: Rows) -> _Left:

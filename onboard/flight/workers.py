@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 RECEIVE_TIMEOUT_S = 0.05
 REALTIME_PRIORITY = 50
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0  # before a bus that could not be opened is tried again
 BEAT_S = 1.0  # a worker that has said nothing for several of these hangs
 ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
 EVENTS_SAID = 200  # of the recorder, for whoever listens
@@ -97,8 +98,11 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
     gc.collect()
     gc.freeze()
     threads = [
-        threading.Thread(target=_pump_bus, args=(acquisition, opened, bus, supervised.stop), name=bus, daemon=True)
-        for bus in opened.by_bus
+        threading.Thread(
+            target=_run_bus, args=(vehicle, acquisition, opened, bus, supervised.stop), name=bus, daemon=True
+        )
+        for bus in vehicle.buses
+        if vehicle.devices_on(bus)
     ]
     for thread in threads:
         thread.start()
@@ -108,6 +112,34 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
     for thread in threads:
         thread.join()
     opened.close()
+
+
+def _run_bus(
+    vehicle: config.Vehicle, acquisition: Acquisition, opened: "OpenDevices", bus: str, stop: threading.Event
+) -> None:
+    """One bus for a whole flight; where it could not be opened it is tried again, and joins when it is there."""
+    from onboard.flight.devices import open_bus
+
+    since_ns, pause_s, tries = time.monotonic_ns(), FIRST_PAUSE_S, 1
+    acquisition.expect(_periods_ns(vehicle, bus), since_ns)
+    while bus not in opened.by_bus:
+        if stop.wait(pause_s):
+            return
+        pause_s, tries = min(2 * pause_s, LONGEST_PAUSE_S), tries + 1
+        if not open_bus(vehicle, bus, time.monotonic_ns, opened):
+            now_ns = time.monotonic_ns()
+            text = f"{vehicle.url(bus)}: open after {1e-9 * (now_ns - since_ns):.1f} s, at try {tries}"
+            acquisition.report([event(now_ns, Severity.WARNING, "bus_opened", bus, text)])
+    _pump_bus(acquisition, opened, bus, stop)
+
+
+def _periods_ns(vehicle: config.Vehicle, bus: str) -> dict[str, float]:
+    """Of the channels of a bus; 0 of those that have no rate, and of all but the first of a device."""
+    periods: dict[str, float] = {}
+    for name, device in vehicle.devices_on(bus).items():
+        first, *others = device.channels(name)
+        periods |= {first: 0.0 if device.tells_changes else 1e9 / vehicle.rate_hz(name)} | dict.fromkeys(others, 0.0)
+    return periods
 
 
 def _pump_bus(acquisition: Acquisition, opened: "OpenDevices", bus: str, stop: threading.Event) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -70,3 +71,43 @@ def test_sigterm_ends_a_flight_in_order(tmp_path: Path) -> None:
     read = LogReader(log)
     assert read.complete
     assert read.channels["imu_base"] == records.IMU
+
+
+@pytest.mark.timeout(180)
+def test_a_bus_that_appears_late_joins_and_the_gap_until_then_is_in_the_log(tmp_path: Path) -> None:
+    log = tmp_path / "late.mcap"
+    serve = [sys.executable, "-m", "hil_sim.serve", "rocksat", "--seed", "3", "--directory", str(tmp_path)]
+    fly = [sys.executable, "-m", "onboard.cli", "fly", str(config.packaged("rocksat")), "--log", str(log)]
+    adapter = tmp_path / "adapter"
+    with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as devices:
+        assert devices.stdout is not None
+        start = json.loads(devices.stdout.readline())
+        terminal = Path(urlsplit(start["can_0"]).path)
+        urls = [
+            f"--url={bus}={start[bus]}".replace(str(terminal), str(adapter)) for bus in ("can_0", "i2c_1", "sync_line")
+        ]
+        said = (tmp_path / "stderr").open("w+")
+        with subprocess.Popen([*fly, *urls], stderr=said) as flight:
+            for code in ("can_0: bus_failed", "can_0: bus_opened"):
+                deadline = time.monotonic() + 50
+                while code not in (tmp_path / "stderr").read_text() and time.monotonic() < deadline:
+                    time.sleep(0.1)
+                time.sleep(4.0)
+                if not adapter.exists():
+                    adapter.symlink_to(terminal)
+            flight.send_signal(signal.SIGTERM)
+            assert flight.wait(60) == cli.OK, (tmp_path / "stderr").read_text()
+        said.close()
+        devices.terminate()
+    read = LogReader(log)
+    gaps = read.read("gap")
+    absent = gaps[gaps["cause"] == b"absent_at_start"]
+    for channel in ("can_sync", "joint_1", "load_cell"):
+        [gap] = absent[absent["channel"] == channel.encode()]
+        rows = read.read(channel)
+        assert gap["first_missing"] == 0
+        assert int(gap["last_missing"]) + 1 <= int(rows["sequence"][0])
+        assert int(gap["last_missing"]) > 600  # 200 Hz, and more than three seconds of it
+        assert len(rows) > 100
+    assert b"imu_base" not in absent["channel"].tolist()
+    assert b"bus_opened" in read.read("event")["code"].tolist()
