@@ -7,6 +7,7 @@ own, because those of the package check neither lengths nor the CRC of an attach
 ``LogFormatError``.
 """
 
+import re
 import struct
 import zlib
 from collections.abc import Mapping
@@ -23,6 +24,7 @@ from onboard.recording.errors import ChecksumError, LogFormatError
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
 LIBRARY = "heft"
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log time, publish time
 FOOTER_BYTES = RECORD_HEAD.size + 20 + len(MAGIC)
@@ -66,9 +68,12 @@ class _Body:
 
     def string(self) -> str:
         try:
-            return self.take(self.number(4)).decode()
+            text = self.take(self.number(4)).decode()
         except UnicodeDecodeError as error:
             raise LogFormatError(f"{self._what} record holds text that is not UTF-8") from error
+        if _CONTROL.search(text):
+            raise LogFormatError(f"{self._what} record holds control characters")  # a terminal would obey them
+        return text
 
     def map(self) -> dict[str, str]:
         end = self.number(4) + self._at

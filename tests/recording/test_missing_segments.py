@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from drivers import records
-from onboard import cli
+from onboard import cli, config
 from onboard.recording import mcap_format
 from onboard.recording.mcap_format import RECORD_HEAD, Chunk
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Found, Scan
 from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.writer import LogWriter
 
 STEP_NS = 50_000_000
 ROWS = 45 * 40
@@ -250,3 +251,33 @@ def test_what_is_no_file_is_refused_at_once(tmp_path, capsys):
             assert cli.main([command[0], str(path), *command[1:]]) == cli.BAD_INPUT
         assert cli.main(["recover", str(path), "-o", str(tmp_path / "out.mcap")]) in (cli.BAD_INPUT, cli.FAILED)
     assert capsys.readouterr().err.count("is no file") == 15
+
+
+def test_names_that_a_terminal_would_obey_are_damage(tmp_path, capsys):
+    with LogWriter.create(tmp_path / "x.mcap") as writer:
+        for name in ("joint", "red\x1b[31m"):
+            writer.register(name, records.SCALAR)
+            writer.write(name, scalars(0, 5))
+            writer.flush()
+        writer.add_metadata("facts", {"a": "\x1b]0;title\x07"})
+    for command in (["info"], ["recover", "-o", str(tmp_path / "out.mcap")], ["dump", "--to", "csv", str(tmp_path)]):
+        assert cli.main([command[0], str(tmp_path / "x.mcap"), *command[1:]]) == cli.DAMAGED
+    said = capsys.readouterr()
+    assert "\x1b" not in said.out + said.err
+    assert len(LogReader(tmp_path / "out.mcap").read("joint")) == 5
+
+
+def test_a_flight_whose_phase_channel_stayed_empty_can_be_read_and_replaying_nothing_is_no_success(tmp_path, capsys):
+    vehicle = config.load(config.packaged("rocksat"))
+    with LogWriter.create(tmp_path / "x.mcap") as writer:
+        writer.attach("vehicle.toml", "application/toml", vehicle.text.encode())
+        writer.attach(vehicle.file.vehicle.urdf, "application/xml", vehicle.urdf_path.read_bytes())
+        for name, dtype in vehicle.channels.items():
+            writer.register(name, dtype)
+        writer.write("joint_1", scalars(0, 100))
+    log = str(tmp_path / "x.mcap")
+    assert cli.main(["report", log, "-o", str(tmp_path / "x.html")]) == cli.OK
+    assert cli.main(["dump", log, "--to", "csv", str(tmp_path), "--phase", "sweep 1"]) == cli.BAD_INPUT
+    assert "has no phase sweep 1; it has no phases" in capsys.readouterr().err
+    assert cli.main(["replay", log]) == cli.FAILED
+    assert "nothing to compare" in capsys.readouterr().out

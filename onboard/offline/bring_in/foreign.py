@@ -3,7 +3,9 @@
 import csv
 import re
 import zipfile
+import zlib
 from collections.abc import Mapping as Columns
+from math import prod
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,8 @@ from onboard.offline.bring_in.errors import SourceError
 from onboard.offline.bring_in.mapping import Csv
 
 Values = NDArray[np.generic]
+LARGEST_BYTES = 2 << 30  # of the arrays of one file
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def read_npz(path: Path) -> Columns[str, Values]:
@@ -25,12 +29,33 @@ def read_npz(path: Path) -> Columns[str, Values]:
     """
     with path.open("rb") as file:
         try:
+            _require_bounded(path)
             loaded = np.load(file, allow_pickle=False)
             if isinstance(loaded, NpzFile):
                 return {name: loaded[name] for name in loaded.files}
-        except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        except SourceError:
+            raise
+        except (ValueError, EOFError, OverflowError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
             raise SourceError(f"{path} is not an NPZ file of plain arrays ({error}); check its format") from error
     raise SourceError(f"{path} is one array without a name, not an NPZ file; save it with numpy.savez")
+
+
+def _require_bounded(path: Path) -> None:
+    """Raises SourceError if the arrays of an NPZ file would take more memory than a recording does."""
+    if not zipfile.is_zipfile(path):
+        return  # told by the caller
+    with zipfile.ZipFile(path) as archive:
+        total = 0
+        for member in archive.infolist():
+            with archive.open(member) as array:
+                header = _HEADERS.get(np.lib.format.read_magic(array))
+                if header is None:
+                    raise SourceError(f"{path}: {member.filename} is no array of a known version; save it again")
+                shape, _, dtype = header(array)
+            total += max(member.file_size, dtype.itemsize * prod(shape))
+        if total > LARGEST_BYTES:
+            limit = f"{LARGEST_BYTES / 1e9:.1f} GB"
+            raise SourceError(f"{path} would expand to {total / 1e9:.3g} GB; the limit is {limit}: divide it")
 
 
 def read_csv(path: Path, layout: Csv) -> Columns[str, Values]:

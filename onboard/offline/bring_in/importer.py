@@ -89,6 +89,16 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
             if isinstance(channel, ImuChannel)
             else _scalar(path, columns, channel, host_ns)
         )
+    unfinished = log.with_name(f".{log.name}.unfinished")
+    try:
+        _write(chosen, source, unfinished, channels)
+        unfinished.replace(log)  # an earlier log of this name stays as it is until this one is whole
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return ImportedLog(log, source, sum(map(len, channels.values())))
+
+
+def _write(chosen: Mapping, source: Path, log: Path, channels: dict[str, Rows]) -> None:
     with LogWriter.create(log, overwrite=True) as writer:
         facts = {
             "source": ", ".join(path.name for path in files),
@@ -103,7 +113,6 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
             writer.register(name, rows.dtype)
         _write_by_time(writer, channels)
         _report_pauses(writer, channels)
-    return ImportedLog(log, source, sum(map(len, channels.values())))
 
 
 def _absent(chosen: Mapping) -> list[str]:

@@ -217,5 +217,7 @@ def _replay(log: LogReader, vehicle: config.Vehicle, tell: Callable[[], None]) -
             text = f"{name} differs from row {channel.same}: {channel.recorded} recorded, {replayed} replayed{why}"
             return Replay(False, text, {n: c.recorded for n, c in channels.items()}, log.damage)
     compared = {name: channel.recorded for name, channel in channels.items()}
+    if not any(compared.values()):
+        return Replay(False, "nothing to compare: the log has no output of an estimator", compared, log.damage)
     total = ", ".join(f"{count} {name}" for name, count in compared.items())
     return Replay(True, f"identical to the last bit: {total}", compared, log.damage)

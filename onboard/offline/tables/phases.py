@@ -36,7 +36,7 @@ def phases_of(log: LogReader, settings: config.Phases | None, end_ns: int) -> tu
         for at_ns, code in zip(rows["host_ns"].tolist(), rows["value_raw"].tolist(), strict=True):
             if not changes or changes[-1][1] != code:
                 changes.append((at_ns, code))
-    ends = [at_ns for at_ns, _ in changes[1:]] + [end_ns]
+    ends = [*(at_ns for at_ns, _ in changes), end_ns][1:]
     phases: list[Phase] = []
     for (start_ns, code), stop_ns in zip(changes, ends, strict=True):
         sweep = code in settings.identify

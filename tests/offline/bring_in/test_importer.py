@@ -1,14 +1,17 @@
 """Foreign recordings into logs: counts, axes, signs, clocks; what cannot be right is refused by name."""
 
 import hashlib
+import resource
+import zipfile
 
 import numpy as np
 import pytest
 
 from drivers import records
 from drivers.records import SampleStatus
-from onboard.offline.bring_in import mapping
+from onboard.offline.bring_in import foreign, importer, mapping
 from onboard.offline.bring_in.errors import MappingError, SourceError
+from onboard.offline.bring_in.foreign import read_npz
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.offline.views.info import info
 from onboard.recording.reader import LogReader
@@ -377,3 +380,38 @@ def test_tudelft_recordings(datasets, tmp_path):
         assert np.array_equal(imu["host_ns"], source["time_us"] * 1000)
         assert not imu["status"].any()
         assert log.complete
+
+
+def npz_of(tmp_path, shape, compression):
+    """An NPZ file whose header says more than is in it, or that is all zeros and packed."""
+    with zipfile.ZipFile(tmp_path / "big.npz", "w", compression) as archive, archive.open("t.npy", "w") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": shape})
+        if compression == zipfile.ZIP_DEFLATED:
+            for _ in range(10):
+                file.write(bytes(8 << 20))
+    return tmp_path / "big.npz"
+
+
+@pytest.mark.parametrize(("shape", "compression"), [((10**14,), 0), ((10 << 20,), zipfile.ZIP_DEFLATED)])
+def test_an_npz_that_expands_to_gigabytes_is_refused(tmp_path, monkeypatch, shape, compression):
+    monkeypatch.setattr(foreign, "LARGEST_BYTES", 40 << 20)
+    path = npz_of(tmp_path, shape, compression)
+    assert path.stat().st_size < 5 << 20
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(SourceError, match="would expand to"):
+        read_npz(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # kB
+
+
+def test_an_import_that_fails_leaves_an_earlier_log_as_it_was(bench, tmp_path, monkeypatch):
+    [first] = import_recordings(tmp_path / "bench.toml", tmp_path / "run.csv", tmp_path / "logs")
+    before = first.path.read_bytes()
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(importer, "_write_by_time", refuse)
+    with pytest.raises(OSError, match="No space"):
+        import_recordings(tmp_path / "bench.toml", tmp_path / "run.csv", tmp_path / "logs")
+    assert first.path.read_bytes() == before
+    assert list((tmp_path / "logs").iterdir()) == [first.path]
