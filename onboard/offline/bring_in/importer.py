@@ -91,14 +91,14 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
         )
     unfinished = log.with_name(f".{log.name}.unfinished")
     try:
-        _write(chosen, source, unfinished, channels)
+        _write(chosen, list(files), unfinished, channels)
         unfinished.replace(log)  # an earlier log of this name stays as it is until this one is whole
     finally:
         unfinished.unlink(missing_ok=True)
     return ImportedLog(log, source, sum(map(len, channels.values())))
 
 
-def _write(chosen: Mapping, source: Path, log: Path, channels: dict[str, Rows]) -> None:
+def _write(chosen: Mapping, files: list[Path], log: Path, channels: dict[str, Rows]) -> None:
     with LogWriter.create(log, overwrite=True) as writer:
         facts = {
             "source": ", ".join(path.name for path in files),
