@@ -6,6 +6,8 @@ from pathlib import Path
 
 from onboard.cli.common import Commands, load_vehicle, progress, warn, worst
 
+_STANDARD = "mcap"
+
 
 def add(commands: Commands) -> None:
     """Make the command known."""
@@ -16,7 +18,8 @@ def add(commands: Commands) -> None:
         nargs=2,
         metavar=("FORMAT", "DIR"),
         required=True,
-        help="csv, parquet, npz or mat; DIR gets one file per channel; csv - writes one channel to stdout",
+        help="csv, parquet, npz or mat; DIR gets one file a channel; csv - writes one channel to stdout; mcap: IMUs, "
+        "joint states and transforms as standard ROS 2 messages",
     )
     dump.add_argument("--channel", action="append", help="only this channel (may be repeated)")
     dump.add_argument("--from", dest="start", type=float, metavar="S", help="from S seconds after the first record")
@@ -42,6 +45,11 @@ def _dump(arguments: argparse.Namespace) -> int:
     from onboard.recording.segments import flights, logs
 
     kind, target = arguments.to
+    if kind == _STANDARD:
+        chosen = (arguments.channel, arguments.start, arguments.until, arguments.phase, arguments.aligned)
+        if target == "-" or any(chosen):
+            raise ValueError("--to mcap writes whole flights as standard messages into a directory; drop the selection")
+        return _standard(arguments, Path(target))
     opener(kind)  # an unknown format is reported before a missing log
     channels = tuple(arguments.channel) if arguments.channel else None
     selection = Selection(channels, arguments.start, arguments.until, tuple(arguments.phase))
@@ -66,6 +74,26 @@ def _dump(arguments: argparse.Namespace) -> int:
                 result = dump_aligned(log, where, arguments.aligned, selection, kind=kind, force=force, progress=bar)
             for path in result.files:
                 print(path)
+            warn(result.damage)
+            codes.append(result.exit_code)
+    return worst(codes)
+
+
+def _standard(arguments: argparse.Namespace, target: Path) -> int:
+    from onboard.offline.export.standard import dump_standard
+    from onboard.offline.tables.flight_tables import FlightTables
+    from onboard.recording.reader import LogReader
+    from onboard.recording.segments import flights
+
+    vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
+    groups = flights(arguments.logs)
+    codes = []
+    with progress() as bar:
+        for group in groups:
+            tables = FlightTables(LogReader(group[0] if len(group) == 1 else group), vehicle)
+            where = target / group[0].stem if len(groups) > 1 else target
+            result = dump_standard(tables, where, force=arguments.force, progress=bar)
+            print(result.files[0])
             warn(result.damage)
             codes.append(result.exit_code)
     return worst(codes)

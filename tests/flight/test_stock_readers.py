@@ -3,12 +3,16 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+import heft
+from onboard import cli
 from tests.flight.missions import Result
 
 LAYOUT = Path(__file__).resolve().parents[2] / "docs" / "lichtblick_rocksat.json"
@@ -51,6 +55,46 @@ def test_rosbags_decodes_every_channel(mission: Result) -> None:
     assert len(with_rows) > 10
     for name in with_rows:
         assert seen[name] == log.read(name)["sequence"].tolist(), name
+
+
+def test_standard_messages_say_what_the_flight_measured(mission: Result, tmp_path: Path) -> None:
+    """Read by rosbags with its own definitions of the messages; transforms against Pinocchio's kinematics."""
+    assert cli.main(["dump", str(mission.path), "--to", "mcap", str(tmp_path)]) == cli.OK
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    said: dict[str, list[Any]] = {}
+    with (tmp_path / "standard.mcap").open("rb") as file:
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            decoded: Any = store.deserialize_cdr(message.data, schema.name)
+            if hasattr(decoded, "header"):
+                assert decoded.header.stamp.sec * 10**9 + decoded.header.stamp.nanosec == message.log_time
+            said.setdefault(channel.topic, []).append(decoded)
+    log = heft.open(mission.path)
+    imu = log["imu_base"].to_numpy()
+    assert {one.header.frame_id for one in said["/imu/imu_base"]} == {"imu_base"}
+    measured = np.array([one.angular_velocity.z for one in said["/imu/imu_base"]])
+    assert np.array_equal(measured, imu["gyro_imu_base_z"][imu["status"] == 0])
+    angles = [dict(zip(one.name, one.position, strict=True)) for one in said["/joint_states"]]
+    assert len(angles) == len(said["/tf"]) > 2500
+    even = log.resample(50.0, ["joint_1"]).columns["joint_1.value"]
+    assert np.array_equal([one.get("joint_1", np.nan) for one in angles], even, equal_nan=True)
+    [description] = said["/robot_description"]
+    model = pinocchio.buildModelFromXML(description.data)
+    for number in range(500, 2500, 400):
+        frames = {}
+        for one in said["/tf"][number].transforms:
+            q, p = one.transform.rotation, one.transform.translation
+            turn = pinocchio.Quaternion(q.w, q.x, q.y, q.z).matrix()
+            frames[one.child_frame_id] = one.header.frame_id, pinocchio.SE3(turn, np.array([p.x, p.y, p.z]))
+        placed, link = pinocchio.SE3.Identity(), "tip_mass"
+        while link in frames:
+            link, step = frames[link]
+            placed = step * placed
+        assert link == "plate"
+        data = model.createData()
+        pinocchio.framesForwardKinematics(model, data, np.array([angles[number]["joint_1"]]))
+        theirs = data.oMf[model.getFrameId("tip_mass")]
+        assert np.allclose(placed.homogeneous, theirs.homogeneous, atol=1e-12)
 
 
 def plotted() -> list[str]:

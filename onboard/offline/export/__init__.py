@@ -46,4 +46,4 @@ def opener(kind: str) -> Callable[[Path | BinaryIO, Sequence[Column]], TableWrit
             from onboard.offline.export.matlab import MatTable
 
             return MatTable
-    raise ValueError(f"--to {kind}: known formats: {', '.join(FORMATS)}")
+    raise ValueError(f"--to {kind}: known formats: {', '.join(FORMATS)}, mcap")

@@ -35,6 +35,20 @@ def attached_vehicle(log: LogReader) -> config.Vehicle:
         return vehicle_of(log, Path(directory))
 
 
+def urdf_of(log: LogReader, vehicle: config.Vehicle) -> str:
+    """The URDF of ``vehicle``: beside its file, or attached to ``log`` where the file was too.
+
+    Raises:
+        ConfigError: it is in neither place.
+    """
+    if vehicle.urdf_path.exists():
+        return vehicle.urdf_path.read_text(encoding="utf-8")
+    attached = log.attachments.get(vehicle.file.vehicle.urdf)
+    if attached is None:
+        raise config.ConfigError(f"{vehicle.file.vehicle.urdf} is neither beside its vehicle file nor in {log.path}")
+    return attached.data.decode()
+
+
 def flown_by(logs: Sequence[LogReader], directory: Path) -> config.Vehicle:
     """The vehicle that all of ``logs`` carry, its attached files laid out in ``directory``.
 
