@@ -1,14 +1,18 @@
 """Foreign recordings into logs: counts, axes, signs, clocks; what cannot be right is refused by name."""
 
 import hashlib
+import re
 import resource
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import heft
 from drivers import records
 from drivers.records import SampleStatus
+from onboard import cli
 from onboard.offline.bring_in import foreign, importer, mapping
 from onboard.offline.bring_in.errors import MappingError, SourceError
 from onboard.offline.bring_in.foreign import read_npz
@@ -415,3 +419,31 @@ def test_an_import_that_fails_leaves_an_earlier_log_as_it_was(bench, tmp_path, m
         import_recordings(tmp_path / "bench.toml", tmp_path / "run.csv", tmp_path / "logs")
     assert first.path.read_bytes() == before
     assert list((tmp_path / "logs").iterdir()) == [first.path]
+
+
+def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).resolve().parents[3] / "docs" / "import.md").read_text()
+    blocks = dict(re.findall(r"```(\w*)\n(.*?)```", page, re.DOTALL))
+    monkeypatch.chdir(tmp_path)
+    Path("bench.csv").write_text(blocks["csv"])
+    Path("bench.toml").write_text(blocks["toml"])
+    commands = blocks[""].splitlines()
+    assert len(commands) == 3
+    for command in commands:
+        assert cli.main(command.split()[1:]) == cli.OK
+    log = heft.open("logs/bench.mcap")
+    imu, joint = log["imu_base"].to_numpy(), log["joint_1"].to_numpy()
+    assert imu["time_s"].tolist() == pytest.approx([0.0, 0.002, 0.004, 0.006])
+    assert imu["accel_x"] == pytest.approx(np.array([3, 2, 4, 3]) * 9.80665 / 2048)
+    assert joint["value"] == pytest.approx(np.deg2rad([0.0, 0.01, 0.03, 0.06]))
+    assert log["load_cell"].to_numpy()["value"] == pytest.approx([-0.10, -0.11, -0.09, -0.12])
+
+
+def test_the_documentation_has_every_key_and_unit():
+    page = (Path(__file__).resolve().parents[3] / "docs" / "import.md").read_text()
+    sections = (mapping.About, mapping.Csv, mapping.Time, mapping.ImuChannel, mapping.ScalarChannel)
+    for section in (*sections, mapping.VectorMapping, mapping.Scalar):
+        for key in section.model_fields:
+            assert f"`{key}`" in page, key
+    assert all(f"`{unit}`" in page for unit in mapping.UNITS)
+    assert all(f"`{name}`" in page for name in mapping.packaged())
