@@ -134,9 +134,21 @@ class FlightLog:
 
     @property
     def estimates(self) -> Table:
-        """Onboard estimates of all determined quantities: name, value, sigma, interval, unit."""
-        rows = self._together(channels.QUANTITY)
-        return self._told("estimates", rows[rows["supported"] == 1], "supported")
+        """Every quantity as the flight reported it, from when the data first supported it: value, sigma, interval, unit.
+
+        The numbers are NaN, and ``supported`` is 0, where it was withdrawn.
+        """
+        known = self.tables.log.channels.values()
+        dtype = next((one for one in known if channels.is_quantity(one)), channels.QUANTITY)
+        rows = self._together(dtype).copy()
+        begun = np.zeros(len(rows), np.bool_)
+        for name in np.unique(rows["name"]):
+            of_name = rows["name"] == name
+            begun[of_name] = np.maximum.accumulate(rows["supported"][of_name]) == 1
+        rows = rows[begun]
+        for field in ("value", "sigma", "low", "high"):
+            rows[field][rows["supported"] == 0] = np.nan
+        return self._told("estimates", rows)
 
     @property
     def events(self) -> Table:
@@ -198,10 +210,9 @@ class FlightLog:
         rows = np.concatenate([np.empty(0, dtype), *(self.tables.log.read(name) for name in names)])
         return rows[np.argsort(rows["host_ns"], kind="stable")]
 
-    def _told(self, name: str, rows: Rows, without: str = "") -> Table:
+    def _told(self, name: str, rows: Rows) -> Table:
         at_ns = rows["vehicle_ns" if "vehicle_ns" in (rows.dtype.names or ()) else "host_ns"]
-        left_out = _BOOKKEEPING | {without}
-        shown = [column for column in columns(rows.dtype, {}, rows) if column.name not in left_out]
+        shown = [column for column in columns(rows.dtype, {}, rows) if column.name not in _BOOKKEEPING]
         return Table.of(name, shown, with_times(rows, at_ns), self.tables.times)
 
 

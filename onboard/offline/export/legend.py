@@ -24,6 +24,8 @@ _GATES = {
     GateReason.PHASE: "not an identification phase, or not settled in it",
     GateReason.RESIDUAL: "the row contradicts the estimate",
     GateReason.NOT_SYNCHRONISED: "a clock that the row depends on is not valid",
+    GateReason.STILL: "the joint is so slow that its Coulomb friction may have any size",
+    GateReason.STUCK: "a reading under the kernel is the same again and again where it must change",
 }
 _CLOCKS = {
     ClockState.ACQUIRING: "not enough marks yet",
@@ -48,6 +50,8 @@ def legend(tables: FlightTables, files: Mapping[str, str]) -> str:
         lines += [f"  {file}", *(f"      {head}{text}" for head, text in about.items() if text)]
     lines += [
         *codes(),
+        "",
+        "level of a quantity: 0 good, 1 weak, 2 do not use; supported 0: its value is not to be used",
         "",
         "device_status is the device's own byte, filter_code its own code of its low-pass filter: see its data sheet.",
         "Text that would begin a formula in a spreadsheet has an apostrophe before it.",

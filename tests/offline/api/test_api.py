@@ -43,10 +43,23 @@ def test_what_was_told_on_board_by_utc(told):
     estimates = told.estimates.to_pandas()
     assert estimates.index.tz is not None
     assert list(estimates.index) == [pd.Timestamp(WALL_NS + n * 10**9, tz="UTC") for n in (1, 2)]
-    assert estimates["value"].tolist() == [4.5, 5.0]  # what the data did not support is no estimate
+    assert estimates["value"].tolist() == [4.5, 5.0]  # what the data did not support yet is no estimate
     assert estimates["unit"].tolist() == ["kg", "kg"]
     assert told.events.to_pandas()["code"].tolist() == ["begin", "phase"]  # of all workers, by time
     assert told.gaps.to_numpy()[["first_missing", "last_missing", "cause"]].tolist() == [(3, 5, "lost")]
+
+
+def test_an_estimate_that_was_withdrawn_is_no_number(tmp_path):
+    rows = np.concatenate([quantities(), quantities()[:1]])
+    rows["value"][3], rows["vehicle_ns"][3] = 77.0, 8_000_000_000
+    older = np.dtype([(name, QUANTITY[name]) for name in QUANTITY.names if name not in ("drawn", "level", "why")])
+    before = np.zeros(4, np.dtype(older.descr, align=True))
+    for name in before.dtype.names:
+        before[name] = rows[name]
+    for number, made in enumerate((rows, before)):
+        said = heft.open(log_of(tmp_path / f"{number}.mcap", {"quantity": made})).estimates.to_numpy()
+        assert said["supported"].tolist() == [1, 1, 0]
+        assert np.array_equal(said["value"], [4.5, 5.0, np.nan], equal_nan=True)
 
 
 def test_without_a_wall_clock_time_counts_from_the_first_record(tmp_path):
