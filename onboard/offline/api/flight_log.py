@@ -134,7 +134,7 @@ class FlightLog:
 
     @property
     def estimates(self) -> Table:
-        """Every quantity as the flight reported it, from when the data first supported it: value, sigma, interval, unit.
+        """Every quantity as the flight reported it, from when the data first supported it: value, interval, unit.
 
         The numbers are NaN, and ``supported`` is 0, where it was withdrawn.
         """

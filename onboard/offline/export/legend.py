@@ -24,8 +24,9 @@ _GATES = {
     GateReason.PHASE: "not an identification phase, or not settled in it",
     GateReason.RESIDUAL: "the row contradicts the estimate",
     GateReason.NOT_SYNCHRONISED: "a clock that the row depends on is not valid",
-    GateReason.STILL: "the joint is so slow that its Coulomb friction may have any size",
-    GateReason.STUCK: "a reading under the kernel is the same again and again where it must change",
+    GateReason.STILL: "the joint is too slow: its Coulomb friction is undetermined",
+    GateReason.STUCK: "a reading under the kernel repeats where it must change",
+    GateReason.LEFT_OUT: "its instrument contradicts the others",
 }
 _CLOCKS = {
     ClockState.ACQUIRING: "not enough marks yet",
