@@ -90,7 +90,8 @@ class RecordedTorque(RecordedDevice, TorqueKeys):
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         si = {b"N m": 1.0, b"N": 1.0} | ({b"A": self.gain_N_m_A} if self.gain_N_m_A else {})
-        torque = roles.scalar(self.delay_ms, self.sigma_N_m, period_s, si)
+        noise = 0.0  # of a sample: not stated, sigma_N_m is of the model; equal readings tell nothing without it
+        torque = roles.scalar(self.delay_ms, noise, period_s, si)
         return Roles([], [], [LoadCellRole(name, name, self)], {name: torque})
 
 
