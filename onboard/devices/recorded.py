@@ -44,11 +44,16 @@ class RecordedAngle(RecordedDevice):
     joint: str
     zero_count: Annotated[int, Field(description="Raw value at angle zero.")] = 0
     noise_rad: Positive
+    repeats: Annotated[
+        bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")
+    ] = False
     scale_sigma: NotNegative = 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
-        angle = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(zero_count=self.zero_count)
+        angle = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(
+            zero_count=self.zero_count, repeats=self.repeats
+        )
         return Roles([], [JointRole(self.joint, name, scale_sigma=self.scale_sigma)], [], {name: angle})
 
 

@@ -112,6 +112,7 @@ class SmoothedChannel(NamedTuple):
     limit: float = math.inf
     absolute: bool = True
     ripple: tuple[tuple[float, float], ...] = ()
+    repeats: bool = False  # its recorder may write a reading again: equal ones do not show that it is stuck
 
     @property
     def travels(self) -> bool:

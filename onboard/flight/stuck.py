@@ -85,6 +85,8 @@ class StuckWatch:
 
 def _longest(signal: SmoothedChannel, row: np.void) -> float | None:
     """Run that may be chance; None for an angle, which is judged by its travel."""
+    if signal.repeats:
+        return math.inf
     if signal.travels:
         return None
     if signal.si:
