@@ -23,6 +23,8 @@ from onboard.ring import RingReader, RingWriter
 
 SUFFIX = "_estimation"
 CHECKPOINT_TICKS = 40
+LONGEST_STEP_NS = 500_000_000  # of the devices' rows; a step of many seconds holds up the next
+LATE_NS = 2_000_000_000
 
 
 def estimation_channels(estimator: Estimator) -> dict[str, np.dtype[np.void]]:
@@ -62,6 +64,7 @@ class EstimationWorker:
         publisher: of its answers.
         ticks: steps done.
         fresh: it has learned nothing, in place of one that died.
+        reached_ns: time of the last step done.
     """
 
     def __init__(
@@ -72,29 +75,56 @@ class EstimationWorker:
         ticks: int = 0,
         *,
         fresh: bool = False,
+        reached_ns: int | None = None,
     ) -> None:
         self.estimator, self._inputs, self._publisher = estimator, inputs, publisher
         self.period_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6)
         self.ticks, self._fresh = ticks, fresh
+        self._reached_ns, self._late = reached_ns, False
+        self._longest_ns = max(LONGEST_STEP_NS, 2 * self.period_ns)
 
     def step(self, now_ns: int) -> None:
-        """Consume what the devices have said since the last step."""
-        self._step(now_ns, None)
+        """Consume what the devices have said since the last step, the oldest 0.5 s of it where it is more."""
+        until_ns = self._until(now_ns)
+        behind_ns = now_ns - until_ns
+        said: list[Batch] = []
+        if not self._late and behind_ns > LATE_NS:
+            text = f"{1e-9 * behind_ns:.1f} s behind the devices: the computer is busy; it works that off in steps"
+            said.append(event(until_ns, Severity.WARNING, "estimator_late", "estimation", text))
+        elif self._late and not behind_ns:
+            said.append(event(until_ns, Severity.INFO, "estimator_in_time", "estimation", "caught up"))
+        self._late = behind_ns > LATE_NS or (self._late and behind_ns > 0)
+        self._step(until_ns, None, said, cut=behind_ns > 0)
 
     def finish(self, now_ns: int) -> None:
         """The last step: nothing more will arrive, so rows are made up to the last sample."""
-        self._step(now_ns, 0)
+        while (until_ns := self._until(now_ns)) < now_ns:
+            self._step(until_ns, None, [], cut=True)
+        self._step(now_ns, 0, [], cut=False)
 
-    def _step(self, now_ns: int, lag_ns: int | None) -> None:
+    def _until(self, now_ns: int) -> int:
+        """Up to when a step at ``now_ns`` consumes: a step over many seconds would take as long as it makes late."""
+        return now_ns if self._reached_ns is None else min(now_ns, self._reached_ns + self._longest_ns)
+
+    def _step(self, now_ns: int, lag_ns: int | None, said: list[Batch], *, cut: bool) -> None:
+        self._reached_ns = now_ns
         batches: dict[str, Rows] = {}
-        said: list[Batch] = []
         for name in self.estimator.inputs:
-            batches[name], lost = self._inputs[name].read()
+            batches[name], lost = self._read(name, now_ns if cut else None)
             if lost:
                 text = f"{lost} rows overran the ring before the estimator read them"
                 said.append(event(now_ns, Severity.WARNING, "estimator_overrun", name, text))
         self._publisher.publish([self._tick(now_ns, batches, final=lag_ns is not None), *said])
         self._publisher.publish(self.estimator.process(now_ns, batches, lag_ns))
+
+    def _read(self, name: str, until_ns: int | None) -> tuple[Rows, int]:
+        """Rows of an input up to ``until_ns``, all of them where it is None, and how many were lost."""
+        rows, lost = self._inputs[name].read()
+        if until_ns is None or not len(rows) or rows["host_ns"][-1] <= until_ns:
+            return rows, lost
+        kept = int(np.searchsorted(np.maximum.accumulate(rows["host_ns"]), until_ns, side="right"))
+        self._inputs[name].seek_after(int(rows["sequence"][kept]) - 1)
+        return rows[:kept], lost
 
     def _tick(self, now_ns: int, batches: Mapping[str, Rows], *, final: bool) -> Batch:
         row = np.zeros(1, channels.tick_dtype(len(batches)))
@@ -150,7 +180,7 @@ class DurableEstimation:
             self._publisher.publish([event(now_ns, Severity.WARNING, "no_checkpoint", "estimation", text)])
 
     def _take_over(self, vehicle: config.Vehicle, ticks: Rows, now_ns: int) -> EstimationWorker:
-        done = int(ticks["sequence"][-1]) + 1
+        done, reached_ns = int(ticks["sequence"][-1]) + 1, int(ticks["host_ns"][-1])
         checkpoint, why = None, "could not be restored"
         try:
             checkpoint = self._checkpoints.load()
@@ -164,13 +194,13 @@ class DurableEstimation:
             elif checkpoint is not None:
                 reader.position = checkpoint.positions[name]
         if checkpoint is not None and brought_back:
-            return EstimationWorker(checkpoint.estimator, self._inputs, self._publisher, done)
+            return EstimationWorker(checkpoint.estimator, self._inputs, self._publisher, done, reached_ns=reached_ns)
         estimator = Estimator(vehicle)
         self._checkpoints = Checkpoints(self._directory, estimator)
         estimator.go_on_from({name: self._rings[name].published for name in estimator.outputs})
         text = f"the estimator died and {why}: it restarts without data"
         self._publisher.publish([event(now_ns, Severity.ERROR, "estimator_anew", "estimation", text)])
-        return EstimationWorker(estimator, self._inputs, self._publisher, done, fresh=True)
+        return EstimationWorker(estimator, self._inputs, self._publisher, done, fresh=True, reached_ns=reached_ns)
 
     def _redo(self, checkpoint: Checkpoint, ticks: Rows) -> bool:
         """Do the steps after ``checkpoint`` again; False when the rings do not hold all that they consumed."""

@@ -171,6 +171,9 @@ def _watch(worker: Worker, tell: Callable[[Severity, str, str, str], None]) -> b
         tell(Severity.ERROR, "worker_died", worker.name, text)
     elif happened == "hung":
         tell(Severity.ERROR, "worker_hung", worker.name, f"silent for {HUNG_S:g} s: it is killed")
+    elif happened == "slow":
+        text = f"no beat for {HUNG_S:g} s, but it works: the computer is busy"
+        tell(Severity.WARNING, "worker_slow", worker.name, text)
     elif happened:
         tell(Severity.WARNING, "worker_restarted", worker.name, f"process {worker.pid}")
     return happened == "restarted"

@@ -1,17 +1,31 @@
 """Supervision of a worker process: start, heartbeat, kill if it hangs, restart."""
 
 import contextlib
+import math
 import multiprocessing
+import os
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 WATCH_PERIOD_S = 0.05
 HUNG_S = 7.0  # without a beat of a worker's; the rings hold 10 s
+LOOK_S = 4.0  # before the end of that time the process's CPU time is looked at: if it grows, it is slow, not hung
+PROGRESS_S = 0.02
+LONGEST_SILENCE_S = 60.0  # after which a worker hangs, whatever it does
 _LONGEST_PAUSE_S = 5.0  # before a worker that keeps dying is started again
 _STABLE_S = 30.0  # a worker that lived so long starts with a clean slate
+
+
+def _cpu_s(pid: int | None) -> float:
+    """CPU time that a process has had; 0 where it is gone."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return 0.0
 
 
 class FlightError(RuntimeError):
@@ -29,6 +43,8 @@ class Worker:
         self._pipe: Connection | None = None
         self._started_s = self._due_s = self._silent_until_s = 0.0
         self._pause_s = 0.0
+        self._slow_until_s = math.inf
+        self._cpu_s: float | None = None  # of the process, some seconds into its silence
 
     @property
     def pid(self) -> int | None:
@@ -55,6 +71,7 @@ class Worker:
         end.close()
         self._started_s = time.monotonic()
         self._silent_until_s = self._started_s + START_TIMEOUT_S
+        self._slow_until_s, self._cpu_s = self._silent_until_s + LONGEST_SILENCE_S, None
         self.died = False
 
     def wait_ready(self) -> None:
@@ -72,7 +89,8 @@ class Worker:
             self._pipe.recv()
         except EOFError as error:
             raise FlightError(f"the {self.name} worker did not start; its message stands above") from error
-        self._silent_until_s = time.monotonic() + HUNG_S
+        now_s = time.monotonic()
+        self._silent_until_s, self._slow_until_s = now_s + HUNG_S, now_s + LONGEST_SILENCE_S
 
     def watch(self) -> str:
         """Kill it if it hangs, start it again if it is dead and due; what there is to say of that."""
@@ -97,10 +115,16 @@ class Worker:
         with contextlib.suppress(EOFError, OSError):  # it is just dying
             while self._pipe.poll():
                 self._pipe.recv()
-                self._silent_until_s = now_s + HUNG_S
+                self._silent_until_s, self._slow_until_s = now_s + HUNG_S, now_s + LONGEST_SILENCE_S
+                self._cpu_s = None
+        if self._cpu_s is None and now_s > self._silent_until_s - LOOK_S:
+            self._cpu_s = _cpu_s(self._process.pid)
         if now_s < self._silent_until_s:
             return ""
-        self._silent_until_s = now_s + HUNG_S
+        worked_s = _cpu_s(self._process.pid) - (self._cpu_s or 0.0)
+        self._silent_until_s, self._cpu_s = now_s + HUNG_S, None
+        if worked_s > PROGRESS_S and now_s < self._slow_until_s:
+            return "slow"
         self._process.kill()
         return "hung"
 
