@@ -156,6 +156,8 @@ def _integers(values: Values) -> Cells:
 def _seconds(time_ns: NDArray[np.int64]) -> Cells:
     """Times as seconds; "nan" for NaT."""
     unknown = time_ns == _NAT
+    if unknown.all():
+        return _matrix([b"nan"])
     magnitude = np.abs(np.where(unknown, 0, time_ns))
     text = np.column_stack([_integers(magnitude // _SECOND_NS), _fraction(magnitude % _SECOND_NS)])
     if (negative := (time_ns < 0) & ~unknown).any():

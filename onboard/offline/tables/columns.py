@@ -7,6 +7,7 @@ their frame (``gyro_imu_base_x``), and the zero count is taken off converted val
 """
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -116,6 +117,7 @@ def unit_of(field: str) -> str:
     return next((_UNIT_OF_SUFFIX[suffix] for suffix in suffixes if suffix in _UNIT_OF_SUFFIX), "")
 
 
+@cache
 def timed_dtype(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
     """``dtype`` with ``time_ns``, vehicle time, behind its fields."""
     fields = dtype.fields

@@ -39,6 +39,7 @@ class FlightTables:
 
     def __init__(self, log: LogReader | str | Path, vehicle: config.Vehicle | None = None) -> None:
         self.log = log if isinstance(log, LogReader) else LogReader(log)
+        start_ns = span_of(self.log)[0]  # first: this pass surveys the log as well
         self.vehicle, self.why_none = vehicle, ""
         if vehicle is None:
             try:
@@ -46,7 +47,7 @@ class FlightTables:
             except config.ConfigError as error:
                 self.why_none = str(error)
         self.meanings: dict[str, Meaning] = meanings(self.log, self.vehicle)
-        self.times = Times(span_of(self.log)[0], utc_offset_ns(self.log.metadata))
+        self.times = Times(start_ns, utc_offset_ns(self.log.metadata))
         self.clocked = clocked(self.log, self.vehicle) if self.vehicle else []
 
     def columns(self, channel: str, sample: Rows) -> list[Column]:
