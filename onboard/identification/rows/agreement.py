@@ -40,8 +40,8 @@ class InstrumentFit(NamedTuple):
 
     instrument: str
     rows: float
-    misfit: float  # whitened residual sum over the number of rows
-    unexplained: float  # share of the readings, bias aside, that the estimate leaves over
+    misfit: float  # whitened residual sum over the number of rows, of the kind of rows that is explained worst
+    unexplained: float  # share of these readings, bias aside, that the estimate leaves over
     response: float  # rms of the readings over that predicted from the URDF; NaN for rows that read nothing
     step: Step | None  # None where there is not enough to be cut
 
@@ -59,22 +59,23 @@ def instrument_fits(
     """
     found = []
     for number, name in enumerate(blocks.instruments):
-        steps, squares = list[Step](), np.zeros(5)
+        steps, squares, worst = list[Step](), np.zeros(4), (0.0, 0.0)
         for held, own in blocks.parts:
             if own != number:
                 continue
             N, noise = blocks.of(held, number)
-            clean, (left, signal, as_drawn, gain) = N - noise, _sums(N, N - noise, mean, drawn, physical)
-            squares += [left.sum(), N[:, -1, -1].sum(), signal.sum(), as_drawn.sum(), clean[:, -2, -2].sum()]
+            left, signal, as_drawn, gain = _sums(N, N - noise, mean, drawn, physical)
+            rows = float(N[:, -1, -1].sum())
+            sums = np.array([rows, signal.sum(), as_drawn.sum(), np.abs((N - noise)[:, -2, -2]).sum()])
+            squares += sums
+            unexplained = np.sqrt(left.sum() / (left.sum() + sums[1])) if sums[1] else 1.0
+            worst = max(worst, (float(unexplained), float(left.sum() / rows)))
             steps += _steps(blocks.times_s(held, number), gain, signal)
-        left_over, rows, signal_sum, drawn_sum, read = squares
+        rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:
-            unexplained = np.sqrt(left_over / (left_over + signal_sum)) if signal_sum else 1.0
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
             step = min(steps, key=lambda one: one.chance, default=None)
-            found.append(
-                InstrumentFit(name, float(rows), float(left_over / rows), float(unexplained), float(response), step)
-            )
+            found.append(InstrumentFit(name, rows, worst[1], worst[0], float(response), step))
     return tuple(found)
 
 

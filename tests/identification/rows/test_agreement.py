@@ -58,6 +58,21 @@ def test_readings_that_no_body_explains_are_told(rng):
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
 
+def test_rows_without_the_payload_are_judged_by_themselves(rng):
+    """A tenth of all power is told late: what the whole hides, its part shows."""
+    t = 0.01 * np.arange(4000)
+    held = t < 30.0
+    Y = np.column_stack([np.where(held, 3.0, 0.0) * np.sin(5.0 * t), np.sin(5.0 * t), np.ones(t.size)])
+    late = np.column_stack([Y[:, 0], np.where(held, Y[:, 1], np.sin(5.0 * t + 0.5)), Y[:, 2]])
+    y = late @ TRUTH + 0.002 * rng.normal(size=t.size)
+    mean = np.linalg.lstsq(Y, y, rcond=None)[0]
+    seen = RowBlocks(3, 0.5, ("cell",))
+    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, np.full(t.size, 0.002), None)
+    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL)[0]
+    assert fit.unexplained > 0.4
+    assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
+
+
 # --- hypotheses -------------------------------------------------------------------------------------------------------
 
 
