@@ -21,10 +21,10 @@ MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
 DOUBTFUL_UNEXPLAINED = 0.15
 NOISE = 4.0  # residual sum a row that may still be noise
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
-LEAST_STEP, DOUBTFUL_STEP = 0.03, 0.015  # of a gain: instruments creep, and gears ripple
+LARGE_STEP, LEAST_STEP, DOUBTFUL_STEP = 0.1, 0.03, 0.015  # of a gain: instruments creep, and gears ripple
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
 _FEWEST = 2  # blocks on each side of a step
-_LOADED = 0.1  # of the mean information on the gain: a block with less is not asked
+_LOADED = 0.005  # of the mean information on the gain: a block with less is not asked
 
 
 class Step(NamedTuple):
@@ -126,6 +126,6 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
     step = fit.step
     if step is not None and step.chance < DOUBTFUL_CHANCE and abs(step.size) > DOUBTFUL_STEP:
         said = f"{name} reads {step.size:+.0%} of the motion from one time on: it or a joint's sensor has changed"
-        is_sure = step.chance < STEP_CHANCE and abs(step.size) > LEAST_STEP
+        is_sure = (step.chance < STEP_CHANCE and abs(step.size) > LEAST_STEP) or abs(step.size) > LARGE_STEP
         (against if is_sure else doubts).append(said)
     return against, doubts

@@ -165,9 +165,9 @@ class Hypotheses:
         self._chosen, self._findings = chosen, said
 
     def _is_clean(self, member: Member, findings: Findings) -> bool:
-        """Whether no finding refuses any of its estimates."""
+        """Whether no finding refuses any of its estimates or makes them doubtful."""
         quantities = self._members[member].estimate().quantities
-        return not findings.against and all(
+        return findings == Findings() and all(
             standing(quantity, findings).level is not Level.DO_NOT_USE for quantity in quantities
         )
 
