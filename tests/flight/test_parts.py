@@ -35,7 +35,7 @@ def test_history_is_the_tail_of_a_list(batches: list[int], capacity: int) -> Non
         ticks = np.arange(told, told + count)
         rows = np.zeros(count, records.SCALAR)
         rows["tick"], rows["host_ns"] = ticks, 7 * ticks
-        history.append(rows, np.column_stack([ticks, -ticks]).astype(float), ticks % 3 > 0)
+        history.append(rows, np.column_stack([ticks, -ticks]).astype(float), ticks % 3)
         told += count
         ticks = history.stamps["tick"]
         kept = len(ticks)
@@ -43,7 +43,7 @@ def test_history_is_the_tail_of_a_list(batches: list[int], capacity: int) -> Non
         assert ticks.tolist() == list(range(told - kept, told))
         assert (history.stamps["host_ns"] == 7 * ticks).all()
         assert (history.values[:, 1] == -ticks).all()
-        assert (history.valid == (ticks % 3 > 0)).all()
+        assert (history.wrong == ticks % 3).all()
     history.clear()
     assert len(history.stamps) == len(history.values) == 0
 
@@ -260,7 +260,7 @@ def recorded(*channels: str) -> Timebase:
 )
 def test_rows_become_si_by_their_own_unit(tmp_path: Path, channel: str, unit: bytes, expected: float) -> None:
     signals = SignalSmoother(mixed_vehicle(tmp_path))
-    assert signals.append({channel: scalar_rows(250, 0.01, unit)}) == {}
+    assert signals.append({channel: scalar_rows(250, 0.01, unit)}) == []
     smoothed = signals.at(channel, recorded(channel), np.array([250_000_000]), 0)
     assert smoothed.refused.tolist() == [0]
     assert smoothed.derivatives[0][0, 0] == pytest.approx(expected, rel=1e-12)
@@ -268,10 +268,11 @@ def test_rows_become_si_by_their_own_unit(tmp_path: Path, channel: str, unit: by
 
 def test_rows_of_a_unit_that_the_role_has_not_are_refused_and_told_once(tmp_path: Path) -> None:
     signals = SignalSmoother(mixed_vehicle(tmp_path))
-    said = signals.append({"wrist_force": scalar_rows(1, 1.0, b"V")})
-    assert said == {"wrist_force": "unit 'V' is none of N, kg: not used, correct its device"}
-    assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"V", 500)}) == {}
-    assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"N", 1000)}) == {}
+    ((channel, said),) = signals.append({"wrist_force": scalar_rows(1, 1.0, b"V")})
+    assert (channel, said.code) == ("wrist_force", "not_usable")
+    assert said.text == "unit 'V' is none of N, kg: not used, correct its device"
+    assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"V", 500)}) == []
+    assert signals.append({"wrist_force": scalar_rows(1, 1.0, b"N", 1000)}) == []
     at_ns = np.array([250, 750, 1250]) * 1_000_000
     smoothed = signals.at("wrist_force", recorded("wrist_force"), at_ns, 0)
     assert (smoothed.refused == 0).tolist() == [False, False, True]
@@ -296,8 +297,8 @@ def test_after_a_reset_only_an_absolute_encoder_still_knows_its_zero(
     rows = scalar_rows(100, 0.01, b"rad", 0, period_ms)
     rows["status"][20] = records.SampleStatus.AFTER_RESET
     said = signals.append({channel: rows})
-    assert (said == {}) is absolute
-    assert signals.append({channel: scalar_rows(100, 0.01, b"rad", 500, period_ms)}) == {}
+    assert (said == []) is absolute
+    assert signals.append({channel: scalar_rows(100, 0.01, b"rad", 500, period_ms)}) == []
     smoothed = signals.at(channel, recorded(channel), np.array([700_000_000]), 0)
     assert bool(smoothed.refused[0] == 0) is absolute
 
