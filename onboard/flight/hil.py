@@ -126,9 +126,12 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
             urls = {name: str(url) for name, url in start.items() if name in vehicle.file.bus}
             duration_s = float(start.get("duration_s", 60.0))
             flight = runner.fly(vehicle.with_urls(urls), log, progress=lambda s: progress(min(1.0, s / duration_s)))
-            end = json.loads(devices.stdout.readline())
+            end = devices.stdout.readline()
+            if not end:
+                raise FlightError(f"the simulated devices died in flight: no counts and no truth; the log is {log}")
         finally:
             devices.terminate()
     if flight.died:
         raise FlightError(f"died in flight: {', '.join(flight.died)}; the log holds what they said")
-    return Flown(log, end["produced"], end["truth"])
+    counted = json.loads(end)
+    return Flown(log, counted["produced"], counted["truth"])

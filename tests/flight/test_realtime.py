@@ -111,3 +111,23 @@ def test_a_bus_that_appears_late_joins_and_the_gap_until_then_is_in_the_log(tmp_
         assert len(rows) > 100
     assert b"imu_base" not in absent["channel"].tolist()
     assert b"bus_opened" in read.read("event")["code"].tolist()
+
+
+@pytest.mark.timeout(120)
+def test_devices_that_die_in_a_rehearsal_end_it_with_a_sentence(tmp_path: Path) -> None:
+    log = tmp_path / "cut.mcap"
+    command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--realtime", "--log", str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as hil:
+        deadline = time.monotonic() + 60
+        while not log.exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        children = Path(f"/proc/{hil.pid}/task/{hil.pid}/children").read_text().split()
+        [serve] = [int(pid) for pid in children if b"hil_sim.serve" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        os.kill(serve, signal.SIGKILL)
+        time.sleep(2.0)
+        hil.send_signal(signal.SIGTERM)
+        _, err = hil.communicate(timeout=60)
+    assert hil.returncode == cli.FAILED, err
+    assert "the simulated devices died in flight" in err
+    assert "Traceback" not in err
+    assert LogReader(log).complete
