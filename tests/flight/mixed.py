@@ -33,6 +33,16 @@ DEVICES = Path(__file__).with_name("mixed.toml").read_text(encoding="utf-8")
 _INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 
 
+def force_n(time_s: float) -> float:
+    """A force that rises slowly: a reading that repeats to the bit for seconds is a stuck one."""
+    return FORCE_N + 0.02 * time_s
+
+
+def dithered(mean: float, size: float) -> Callable[[float], float]:
+    """A constant whose counts move, so that it does not look stuck."""
+    return lambda time_s: mean + size * float(np.sin(2.0 * np.pi * 37.7 * time_s))
+
+
 def urdf() -> str:
     """A chain of joints ``joint_1`` .. about z, on a body."""
     links = "".join(f'<link name="{name}">{_INERTIA}</link>' for name in ("body", *map(_link, range(1, LINKS + 1))))
@@ -94,7 +104,7 @@ class MixedWorld:
         self.encoder = Encoder406(1, Analog(angle(1)), START_NS, zero_count=1000)
         nodes = [
             self.encoder,
-            LoadCell404(2, Analog(lambda t: FORCE_N), START_NS),
+            LoadCell404(2, Analog(force_n), START_NS),
             ArmController(3, [(0.0, 1), (1.0, 2), (1.5, 4)], START_NS),
             Drive402(4, Analog(angle(2)), Analog(lambda t: TORQUE_N_M), START_NS),
         ]
@@ -109,8 +119,8 @@ class MixedWorld:
             bus["can_0"].add(node)
         bus["tty_imu"].add(NimuTwin(StairImu(), RateClock(0.002), START_NS))
         bus["tty_joint"].add(self.qsb)
-        bus["tty_cell"].add(ModbusLoadCellTwin(Analog(lambda t: FORCE_N), RateClock(), START_NS))
-        bus["tty_grip"].add(DscLoadCellTwin(Analog(lambda t: FORCE_N), RateClock(), START_NS))
+        bus["tty_cell"].add(ModbusLoadCellTwin(Analog(force_n), RateClock(), START_NS))
+        bus["tty_grip"].add(DscLoadCellTwin(Analog(force_n), RateClock(), START_NS))
         bus["tty_node"].add(self.node)
         for _ in range(BOOT_MS):
             self.advance(MS)
@@ -164,8 +174,8 @@ def _node_channels() -> list[NodeChannel]:
     i32 = ValueType.I32
     return [
         NodeChannel("angle", "deg", i32, Analog(lambda t: float(np.degrees(wave.value(t)))), 1, -5),
-        NodeChannel("force", "kg", i32, Analog(lambda t: FORCE_N / 9.80665), 1, -4),
-        *(NodeChannel(f"gyro_{axis}", "deg/s", i32, Analog(lambda t: 1.0), 1, -4) for axis in "xyz"),
-        *(NodeChannel(f"accel_{axis}", "g", i32, Analog(lambda t: 0.5), 1, -5) for axis in "xyz"),
+        NodeChannel("force", "kg", i32, Analog(lambda t: force_n(t) / 9.80665), 1, -4),
+        *(NodeChannel(f"gyro_{axis}", "deg/s", i32, Analog(dithered(1.0, 3e-4)), 1, -4) for axis in "xyz"),
+        *(NodeChannel(f"accel_{axis}", "g", i32, Analog(dithered(0.5, 3e-5)), 1, -5) for axis in "xyz"),
         NodeChannel("mode", "1", ValueType.U8, Analog(lambda t: 3.0)),
     ]

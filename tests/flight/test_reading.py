@@ -53,7 +53,7 @@ def test_a_dump_says_when_each_sample_was_taken_and_a_joint_at_zero_reads_zero(m
         steps_s = np.diff(table["time_s"][5000:])
         assert (np.abs(steps_s - 1e-3) < 3e-5).mean() > 0.999  # as its clock ticks; arrivals come by tens
     legend = (tmp_path / "README.txt").read_text()
-    assert "angle of joint joint_1; zero count 1000000 is taken off the value" in legend
+    assert "angle of joint joint_1; zero count 1000000 is subtracted from the value" in legend
     assert "2.8 ms" in legend
 
 
