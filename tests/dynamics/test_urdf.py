@@ -46,7 +46,7 @@ def test_a_link_written_again_and_nothing_else_touched():
     assert with_bodies(once, BODIES) == once
     kept = [line for line in text.splitlines() if line in once.splitlines()]
     assert len(kept) >= len(text.splitlines()) - 6  # the payload's one line and link_3's inertial
-    assert "<!-- What is held: nothing is known of it. -->" in once
+    assert "<!-- The unknown payload. -->" in once
 
 
 @pytest.mark.parametrize("name", ["rocksat", "tudelft", "dymaflex_parabolic"])

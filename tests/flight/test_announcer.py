@@ -93,7 +93,7 @@ def test_a_line_a_second_says_what_is_slow_missing_and_found(
     told = [r.getMessage() for r in said.records if r.source == "answer"]  # type: ignore[attr-defined]
     assert told == [
         "mass of payload 5 kg (4.9 to 5.1)",
-        "mass of payload is not known any more",
+        "mass of payload is no longer determined",
         "mass of payload 6 kg (5.9 to 6.1)",
         "mass of payload 6 kg (5.9 to 6.1)",
     ]

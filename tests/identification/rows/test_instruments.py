@@ -114,5 +114,5 @@ def test_whitening_makes_the_errors_of_a_tick_independent(rng):
 
 def test_a_base_that_is_held_has_no_instruments():
     spec = VehicleSpec(BaseKind.PRESCRIBED, "base", "payload")
-    with pytest.raises(SignalError, match="free ones only"):
+    with pytest.raises(SignalError, match="free bases only"):
         identifier(VehicleModel(URDF.read_text(), spec), True)
