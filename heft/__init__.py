@@ -10,13 +10,23 @@
 Re-exports of ``onboard.offline.api``; nothing is defined here.
 """
 
-from onboard.offline.api.flight_log import Channel, FlightLog, open_log
+from onboard.offline.api.flight_log import FlightLog, LogChannel, open_log
 from onboard.offline.api.identify import identify
-from onboard.offline.api.table import Table
+from onboard.offline.api.table import ChannelTable
 from onboard.offline.estimate_again.identify import Identification
 from onboard.offline.estimate_again.reestimate import Reestimate
 from onboard.offline.estimate_again.replay import Replay, replay
 
 open = open_log  # noqa: A001  # heft.open reads as what it does
 
-__all__ = ["Channel", "FlightLog", "Identification", "Reestimate", "Replay", "Table", "identify", "open", "replay"]
+__all__ = [
+    "ChannelTable",
+    "FlightLog",
+    "Identification",
+    "LogChannel",
+    "Reestimate",
+    "Replay",
+    "identify",
+    "open",
+    "replay",
+]

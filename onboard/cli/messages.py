@@ -26,7 +26,7 @@ def in_journal() -> bool:
     return "JOURNAL_STREAM" in os.environ or "INVOCATION_ID" in os.environ
 
 
-class Lines(logging.Formatter):
+class MessageLines(logging.Formatter):
     """``12:34:56 warning joint_1: no_answer: text``; under systemd ``<4>joint_1: no_answer: text``."""
 
     def __init__(self, *, journal: bool) -> None:
@@ -100,7 +100,7 @@ def spoken(*, quiet: bool, json_lines: bool) -> Iterator[float | None]:
     journal = in_journal() and not json_lines
     logger = logging.getLogger("heft")
     handler = Handler(sys.stderr)
-    handler.setFormatter(JsonLines() if json_lines else Lines(journal=journal))
+    handler.setFormatter(JsonLines() if json_lines else MessageLines(journal=journal))
     before = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.WARNING if quiet else logging.INFO)

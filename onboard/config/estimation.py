@@ -39,7 +39,7 @@ class Gates(Section):
         return self
 
 
-class Memory(Section):
+class MemoryKeys(Section):
     """Weighting of earlier rows: all count in full, unless one of the two is given.
 
     ``forgetting_s``: a row's weight falls by 1/e in this time. ``window_s``: rows are used for this long.
@@ -49,7 +49,7 @@ class Memory(Section):
     window_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_at_most(self) -> "Memory":
+    def _one_at_most(self) -> "MemoryKeys":
         if self.forgetting_s is not None and self.window_s is not None:
             raise ValueError("forgetting_s and window_s exclude each other; give one of the two")
         return self
@@ -101,7 +101,7 @@ class Masses(Section):
     drawing: dict[str, LinkTolerance] = Field(default_factory=dict)
 
 
-class ImuPrior(Section):
+class ImuPriorKeys(Section):
     """Prior on instrument errors of the base IMU: standard deviations per axis; zero: exact.
 
     Files written before the words changed say ``doubt`` and ``turn`` in place of ``imu_prior`` and ``misalignment``.
@@ -122,7 +122,7 @@ class ImuPrior(Section):
     delay_s: NotNegative = 0.0
 
 
-class Motor(Section):
+class MotorKeys(Section):
     """A motor coupled to several joints: its rate per joint rate, and its presliding length (Dahl)."""
 
     ratios: Annotated[dict[str, float], Field(min_length=2)]
@@ -143,7 +143,7 @@ class Carried(Section):
     sensitivity: list[list[float]]
 
 
-class Exiddm(Section):
+class ExiddmKeys(Section):
     """The non-linear estimator: payload state at the start, prior of the payload, rate of false alarms."""
 
     held_at_start: bool = True
@@ -188,11 +188,11 @@ class Estimation(Section):
     phases: Phases | None = None
     zero: Zero | None = None
     gates: Gates = Gates()
-    memory: Memory = Memory()
+    memory: MemoryKeys = MemoryKeys()
     prior: Prior = Prior()
     masses: Masses | None = None
-    motor: dict[str, Motor] = Field(default_factory=dict)
+    motor: dict[str, MotorKeys] = Field(default_factory=dict)
     nuisance: list[str] = Field(default_factory=list)
     carried: Carried | None = None
-    exiddm: Exiddm = Exiddm()
-    imu_prior: ImuPrior = Field(default=ImuPrior(), validation_alias=AliasChoices("imu_prior", "doubt"))
+    exiddm: ExiddmKeys = ExiddmKeys()
+    imu_prior: ImuPriorKeys = Field(default=ImuPriorKeys(), validation_alias=AliasChoices("imu_prior", "doubt"))

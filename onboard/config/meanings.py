@@ -8,14 +8,14 @@ from typing import NamedTuple
 from onboard.config.estimation import (
     Carried,
     Estimation,
-    Exiddm,
+    ExiddmKeys,
     Gates,
-    ImuPrior,
+    ImuPriorKeys,
     Link,
     LinkTolerance,
     Masses,
-    Memory,
-    Motor,
+    MemoryKeys,
+    MotorKeys,
     Phases,
     Prior,
     Zero,
@@ -26,15 +26,15 @@ from onboard.config.vehicle import BusSection, Recording, VehicleSection
 from onboard.section import Section
 
 
-class Meaning(NamedTuple):
+class KeyMeaning(NamedTuple):
     """Of a key: what it is, and when to change it (empty where it always is as the vehicle is)."""
 
     what: str
     change: str = ""
 
 
-_M = Meaning
-MEANINGS: dict[type[Section], dict[str, Meaning]] = {
+_M = KeyMeaning
+MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     VehicleSection: {
         "name": _M("Name of the vehicle; logs are called by it."),
         "urdf": _M(
@@ -142,7 +142,7 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         ),
         "huber_sigma": _M("Rows further than this weigh less, by Huber.", "outliers are many and mild"),
     },
-    Memory: {
+    MemoryKeys: {
         "forgetting_s": _M("A row's weight falls by 1/e in this time.", "the payload changes slowly (fuel, sloshing)"),
         "window_s": _M("Rows count for this long.", "the same, with a sharp end"),
     },
@@ -160,7 +160,7 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "absolute": _M("Absolute sigma of the other columns, SI, by name.", "a bias is known to be small"),
         "link": _M('How each link was measured, for method "exiddm"; links that are not in it are certain.'),
     },
-    Motor: {
+    MotorKeys: {
         "ratios": _M("Motor rate per joint rate, by joint; 1 where both are equal at the joint."),
         "presliding_rad": _M(
             "Presliding length of its Coulomb friction after a reversal (Dahl); 0: none.",
@@ -186,7 +186,7 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "covariance": _M("Their covariance."),
         "sensitivity": _M("Of each to what is considered and no part of the covariance."),
     },
-    Exiddm: {
+    ExiddmKeys: {
         "held_at_start": _M("Whether a payload is held when the flight begins.", "it is caught in flight: false"),
         "false_alarms_per_hour": _M("Of captures and ejections that are none.", "later alarms matter less, or more"),
         "payload_mass_sigma_kg": _M(
@@ -195,7 +195,7 @@ MEANINGS: dict[type[Section], dict[str, Meaning]] = {
         "payload_first_moment_sigma_kg_m": _M("The same of its first moment.", "as above"),
         "payload_inertia_sigma_kg_m2": _M("The same of its inertia.", "as above"),
     },
-    ImuPrior: {
+    ImuPriorKeys: {
         "gyro_bias_rad_s": _M(
             "Bias of the gyro at the start, 1 sigma by axis.", "from the data sheet, or a calibration"
         ),

@@ -27,7 +27,7 @@ _SLOW_HZ = 2.0  # channels that come less often are not judged in every line
 _NAMED = 3  # channels in a line
 
 
-class Answer(NamedTuple):
+class AnnouncedAnswer(NamedTuple):
     """The newest of a quantity that the data support."""
 
     value: float
@@ -57,7 +57,7 @@ class Announcer:
         self._missing, self._gaps = 0, 0
         self._phase = ""
         self._estimated_ns: int | None = None
-        self.answers: dict[str, Answer] = {}
+        self.answers: dict[str, AnnouncedAnswer] = {}
         self._rates = {
             channel: vehicle.rate_hz(name)
             for name, device in vehicle.file.device.items()
@@ -109,7 +109,7 @@ class Announcer:
                 LOGGER.warning("%s is no longer determined", name, extra={"source": "answer", "code": "answer_gone"})
             return
         new = name not in self.answers
-        self.answers[name] = Answer(float(row["value"]), float(row["low"]), float(row["high"]), unit)
+        self.answers[name] = AnnouncedAnswer(float(row["value"]), float(row["low"]), float(row["high"]), unit)
         if new:
             LOGGER.info("%s %s", name, self.answers[name], extra={"source": "answer", "code": "answer"})
 

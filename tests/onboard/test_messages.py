@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from onboard.cli.messages import Handler, JsonLines, Lines, spoken
+from onboard.cli.messages import Handler, JsonLines, MessageLines, spoken
 
 LOGGER = logging.getLogger("heft")
 
@@ -58,7 +58,7 @@ def test_quiet_and_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_reader_that_stands_still_holds_nobody_up() -> None:
     reading, writing = os.pipe()
     handler = Handler(os.fdopen(writing, "w"))
-    handler.setFormatter(Lines(journal=False))
+    handler.setFormatter(MessageLines(journal=False))
     record = logging.LogRecord("heft", logging.INFO, "", 0, "x" * 500, None, None)
     began = time.monotonic()
     for _ in range(5000):

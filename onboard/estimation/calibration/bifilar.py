@@ -53,7 +53,7 @@ class Suspension(NamedTuple):
         }
 
 
-class Swing(NamedTuple):
+class BifilarSwing(NamedTuple):
     """What one run says about the vertical axis through the centre of mass."""
 
     inertia_kg_m2: float
@@ -67,7 +67,9 @@ class Swing(NamedTuple):
     residual_rad_s: float  # rms of the rate
 
 
-def swing(time_s: FloatArray, rate_rad_s: FloatArray, suspension: Suspension, gyro_scale_sigma: float = 0.0) -> Swing:
+def swing(
+    time_s: FloatArray, rate_rad_s: FloatArray, suspension: Suspension, gyro_scale_sigma: float = 0.0
+) -> BifilarSwing:
     """The inertia of one free swing.
 
     Args:
@@ -90,7 +92,7 @@ def swing(time_s: FloatArray, rate_rad_s: FloatArray, suspension: Suspension, gy
     amplitude = math.hypot(angle, rate / omega)
     if amplitude > LARGEST_ANGLE_rad:
         raise CalibrationError(f"the swing reaches {np.rad2deg(amplitude):.0f} deg; begin with less than 75 deg")
-    return Swing(
+    return BifilarSwing(
         inertia,
         inertia * float(np.sqrt(sum(part**2 for part in parts.values()))),
         parts,

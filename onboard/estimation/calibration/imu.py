@@ -15,7 +15,7 @@ LARGEST_SCALE = 0.2  # beyond, a unit or a range is wrong and not a calibration
 CONTRADICTION = 5.0  # stated sigmas of a residual
 
 
-class Triad(NamedTuple):
+class TriadCalibration(NamedTuple):
     """Of one triad of axes."""
 
     matrix: FloatArray  # (3, 3) E
@@ -42,7 +42,7 @@ def six_positions(
     gravity_m_s2: float,
     fixture_sigma_rad: float = 1e-3,
     reading_sigma_m_s2: float = 0.0,
-) -> Triad:
+) -> TriadCalibration:
     """Accelerometer from its mean readings at rest; at rest the specific force is g upwards.
 
     Args:
@@ -63,7 +63,7 @@ def six_positions(
 
 def turns(
     angle_rad: FloatArray, axis: FloatArray, integral_rad: FloatArray, duration_s: FloatArray, sigma_rad: float = 1e-3
-) -> Triad:
+) -> TriadCalibration:
     """Gyro from turns by known angles, whole turns on a table say; the bias is read from runs at rest among them.
 
     Args:
@@ -85,7 +85,7 @@ def turns(
 
 def _triad(
     true: FloatArray, read: FloatArray, sigma: float, one: str, kind: str, weight: FloatArray | None = None
-) -> Triad:
+) -> TriadCalibration:
     """``read = true E' + weight bias``, least squares by axis; (k, 3) each."""
     if true.shape != read.shape or true.ndim != 2 or true.shape[1] != 3 or not np.isfinite(read).all():
         raise CalibrationError(f"{kind}: give finite readings (k, 3) and as many references")
@@ -109,7 +109,7 @@ def _triad(
             f"{kind}: {one} {worst + 1} is {np.abs(residual[worst]).max() / sigma:.0f} sigmas off the others; repeat it"
         )
     spread = np.sqrt(np.diag(inverse)) * max(sigma, rms)
-    return Triad(
+    return TriadCalibration(
         np.asarray(x[:3].T, np.float64),
         np.repeat(spread[None, :3], 3, axis=0),
         np.asarray(x[3], np.float64),

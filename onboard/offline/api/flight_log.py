@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.records import EVENT, GAP, Rows
 from onboard import channels, config
-from onboard.offline.api.table import Table
+from onboard.offline.api.table import ChannelTable
 from onboard.offline.estimate_again.reestimate import Reestimate, reestimate
 from onboard.offline.estimate_again.replay import Replay, replay
 from onboard.offline.export.aligned import aligned
@@ -28,7 +28,7 @@ _INDEX = frozenset({"time_s", "utc"})  # of the tables, whose index the time is
 _BOOKKEEPING = frozenset({"sequence", "host_ns", "tick", "vehicle_ns"})
 
 
-class Channel:
+class LogChannel:
     """One channel of a log; rows are read when a table is asked for.
 
     Attributes:
@@ -46,14 +46,14 @@ class Channel:
 
     def __repr__(self) -> str:
         about = f": {self.measures}" if self.measures else ""
-        return f"<Channel {self.name}{about}>"
+        return f"<LogChannel {self.name}{about}>"
 
     @property
     def rows(self) -> Rows:
         """The rows (n,) as recorded, in the order of the file."""
         return self._log.tables.log.read(self.name)
 
-    def table(self, *, raw: bool = False) -> Table:
+    def table(self, *, raw: bool = False) -> ChannelTable:
         """All rows.
 
         Args:
@@ -64,18 +64,18 @@ class Channel:
         chosen = chosen_columns(every, "raw" if raw else "si", self._log.tables.meanings[self.name].scratch)
         left_out = _INDEX if raw else _INDEX | _BOOKKEEPING
         shown = [column for column in chosen if column.name not in left_out]
-        return Table.of(self.name, shown, rows, self._log.tables.times, self.frame)
+        return ChannelTable.of(self.name, shown, rows, self._log.tables.times, self.frame)
 
     def to_numpy(self, *, raw: bool = False) -> Rows:
-        """See :meth:`Table.to_numpy`."""
+        """See :meth:`ChannelTable.to_numpy`."""
         return self.table(raw=raw).to_numpy()
 
     def to_pandas(self, *, raw: bool = False) -> "pd.DataFrame":
-        """See :meth:`Table.to_pandas`."""
+        """See :meth:`ChannelTable.to_pandas`."""
         return self.table(raw=raw).to_pandas()
 
     def to_xarray(self, *, raw: bool = False) -> "xr.Dataset":
-        """See :meth:`Table.to_xarray`."""
+        """See :meth:`ChannelTable.to_xarray`."""
         return self.table(raw=raw).to_xarray()
 
 
@@ -93,10 +93,10 @@ class FlightLog:
         who = self.vehicle.file.vehicle.name if self.vehicle else "no vehicle"
         return f"<FlightLog {self.path.name}: {who}; {', '.join(self)}>"
 
-    def __getitem__(self, name: str) -> Channel:
+    def __getitem__(self, name: str) -> LogChannel:
         if name not in self.tables.log.channels:
             raise ChannelError(f"{self.path} has no channel {name!r}; it has {', '.join(self)}")
-        return Channel(self, name)
+        return LogChannel(self, name)
 
     def __contains__(self, name: object) -> bool:
         return name in self.tables.log.channels
@@ -113,7 +113,7 @@ class FlightLog:
         return self.tables.log.path
 
     @property
-    def channels(self) -> Mapping[str, Channel]:
+    def channels(self) -> Mapping[str, LogChannel]:
         """By name, in the order of the log."""
         return {name: self[name] for name in self}
 
@@ -133,7 +133,7 @@ class FlightLog:
         return self.tables.log.damage
 
     @property
-    def estimates(self) -> Table:
+    def estimates(self) -> ChannelTable:
         """Every quantity as the flight reported it, from when the data first supported it: value, interval, unit.
 
         The numbers are NaN, and ``supported`` is 0, where it was withdrawn.
@@ -151,16 +151,16 @@ class FlightLog:
         return self._told("estimates", rows)
 
     @property
-    def events(self) -> Table:
+    def events(self) -> ChannelTable:
         """Events of all workers by time: severity, code, source, text."""
         return self._told("events", self._together(EVENT))
 
     @property
-    def gaps(self) -> Table:
+    def gaps(self) -> ChannelTable:
         """Gap records: channel, first and last sequence number, cause."""
         return self._told("gaps", self._together(GAP))
 
-    def resample(self, rate_hz: float, channels: Sequence[str] | None = None) -> Table:
+    def resample(self, rate_hz: float, channels: Sequence[str] | None = None) -> ChannelTable:
         """Every signal at common instants of vehicle time, known filter delays removed.
 
         Args:
@@ -174,7 +174,7 @@ class FlightLog:
         blocks = list(found.blocks)
         rows = np.concatenate(blocks) if blocks else np.empty(0, found.dtype)
         shown = [column for column in found.columns if column.name not in _INDEX | _BOOKKEEPING]
-        return Table.of(f"{self.path.stem} at {rate_hz:g} Hz", shown, rows, self.tables.times)
+        return ChannelTable.of(f"{self.path.stem} at {rate_hz:g} Hz", shown, rows, self.tables.times)
 
     @overload
     def replay(self) -> Replay: ...
@@ -210,10 +210,10 @@ class FlightLog:
         rows = np.concatenate([np.empty(0, dtype), *(self.tables.log.read(name) for name in names)])
         return rows[np.argsort(rows["host_ns"], kind="stable")]
 
-    def _told(self, name: str, rows: Rows) -> Table:
+    def _told(self, name: str, rows: Rows) -> ChannelTable:
         at_ns = rows["vehicle_ns" if "vehicle_ns" in (rows.dtype.names or ()) else "host_ns"]
         shown = [column for column in columns(rows.dtype, {}, rows) if column.name not in _BOOKKEEPING]
-        return Table.of(name, shown, with_times(rows, at_ns), self.tables.times)
+        return ChannelTable.of(name, shown, with_times(rows, at_ns), self.tables.times)
 
 
 def open_log(path: str | Path, vehicle: str | Path | config.Vehicle | None = None) -> FlightLog:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-class Table(NamedTuple):
+class ChannelTable(NamedTuple):
     """Columns of one length, and when each row is from.
 
     Attributes:
@@ -35,7 +35,7 @@ class Table(NamedTuple):
     frame: str = ""
 
     @classmethod
-    def of(cls, name: str, columns: Sequence[Column], rows: Rows, times: Times, frame: str = "") -> "Table":
+    def of(cls, name: str, columns: Sequence[Column], rows: Rows, times: Times, frame: str = "") -> "ChannelTable":
         """From rows with times (n,) and the columns that show them."""
         values = {column.name: _readable(column.values(rows)) for column in columns}
         units = {column.name: column.unit for column in columns if column.unit}

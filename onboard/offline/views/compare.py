@@ -25,7 +25,7 @@ LEVEL = 1.96  # sigmas of a 95 % interval
 DISAGREE = 0.01  # chance that flights of one value scatter so widely, below which it is said
 
 
-class Flight(NamedTuple):
+class ComparedFlight(NamedTuple):
     """One log."""
 
     path: Path
@@ -34,7 +34,7 @@ class Flight(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedQuantity:
     """One quantity over the flights, in their order.
 
     Attributes:
@@ -67,8 +67,8 @@ class Compared:
 class Comparison:
     """All flights, and every quantity that one of them answered."""
 
-    flights: tuple[Flight, ...]
-    quantities: tuple[Compared, ...]
+    flights: tuple[ComparedFlight, ...]
+    quantities: tuple[ComparedQuantity, ...]
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -99,7 +99,7 @@ def compare(logs: Sequence[LogReader], progress: Progress | None = None) -> Comp
     """
     if len(logs) < 2:
         raise ValueError("give two logs or more to compare")
-    flights = tuple(Flight(log.path, info(log, progress), summary(log, progress)) for log in logs)
+    flights = tuple(ComparedFlight(log.path, info(log, progress), summary(log, progress)) for log in logs)
     answers = [flight.said.answers for flight in flights]
     names = dict.fromkeys(name for one in answers for name, row in one.items() if row["supported"])
     if not names:
@@ -109,7 +109,7 @@ def compare(logs: Sequence[LogReader], progress: Progress | None = None) -> Comp
     return Comparison(flights, with_unit or tuple(quantities))
 
 
-def _compared(name: str, answers: Sequence[dict[str, np.void]]) -> Compared:
+def _compared(name: str, answers: Sequence[dict[str, np.void]]) -> ComparedQuantity:
     rows = [one.get(name) for one in answers]
     known = [row is not None and bool(row["supported"]) and row["sigma"] > 0 for row in rows]
     value = np.array(
@@ -121,7 +121,7 @@ def _compared(name: str, answers: Sequence[dict[str, np.void]]) -> Compared:
     unit = next((row["unit"].decode() for row in rows if row is not None and row["supported"]), "")
     at, x, s = np.flatnonzero(known).astype(float), value[known], sigma[known]
     if not len(x):
-        return Compared(name, unit, tuple(value), tuple(sigma), np.nan, np.nan, None, None)
+        return ComparedQuantity(name, unit, tuple(value), tuple(sigma), np.nan, np.nan, None, None)
     weight = 1.0 / s**2
     mean, sigma_mean = (float(np.sum(weight * one) / np.sum(weight)) for one in (x, s))
     chance = float(stats.chi2.sf(np.sum(weight * (x - mean) ** 2), len(x) - 1)) if len(x) > 1 else None
@@ -130,7 +130,7 @@ def _compared(name: str, answers: Sequence[dict[str, np.void]]) -> Compared:
         centred = at - np.sum(weight * at) / np.sum(weight)
         square = float(np.sum(weight * centred**2))
         trend = float(np.sum(weight * centred * (x - mean))) / square, square**-0.5
-    return Compared(name, unit, tuple(value.tolist()), tuple(sigma.tolist()), mean, sigma_mean, chance, trend)
+    return ComparedQuantity(name, unit, tuple(value.tolist()), tuple(sigma.tolist()), mean, sigma_mean, chance, trend)
 
 
 def render(found: Comparison) -> RenderableType:
