@@ -4,7 +4,7 @@ It owns no ring, log or clock, so the flight (:mod:`onboard.flight.estimation`),
 run the same code. Rows are made at whole multiples of the row period in vehicle time, with a fixed lag.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
-from onboard.devices.roles import TorqueKeys
+from onboard.devices.roles import LoadCellKeys, TorqueKeys
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
@@ -22,7 +22,7 @@ from onboard.flight.identification import METHODS, build_online, with_hypotheses
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import SignalSmoother, kernel_of
-from onboard.flight.witness import RateWitness
+from onboard.flight.witness import CellWitness, RateWitness
 from onboard.flight.zeroing import Zeroing
 from onboard.identification.change import Change
 from onboard.identification.online import OnlineIdentifier
@@ -83,6 +83,12 @@ class Estimator:
             if len(roles.imus) > 1
             else None
         )
+        predicts = METHODS[settings.method].tick_means and self.model.spec.payload_link is not None and roles.imus
+        self._cell_witnesses = [
+            CellWitness(self.model, cell.name, cell.channel, cell.keys, roles.imu.frame)
+            for cell in roles.cells
+            if predicts and isinstance(cell.keys, LoadCellKeys)
+        ]
         self._joints = {joint.joint: joint for joint in roles.joints}
         self._cells = {cell.name: cell for cell in roles.cells}
         motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
@@ -186,8 +192,7 @@ class Estimator:
                 friction,
                 of_rows if of_rows.any() else None,
             )
-        if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
-            made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))
+        made += self._asked(now_ns, at_ns, joints, measured)
         found = self._update(signals, at_ns, refused)
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
         for change in self.online.news():
@@ -197,6 +202,18 @@ class Estimator:
         if self.online.rows_used:
             made += self._answered(now_ns, int(at_ns[-1]))
         return made
+
+    def _asked(
+        self, now_ns: int, at_ns: NDArray[np.int64], joints: FloatArray, measured: FloatArray
+    ) -> Iterator[Batch]:
+        """Events of instruments that begin to contradict the estimate, or each other."""
+        common = self._signals, self._timebase, at_ns, self._period_ns
+        if self._witness is not None and self._witness.check(*common):
+            yield event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction)
+        estimate = self.online.estimate() if self._cell_witnesses else None
+        for cell in self._cell_witnesses:
+            if estimate is not None and cell.check(*common, joints, measured, estimate):
+                yield event(now_ns, Severity.ERROR, "contradiction", "estimation", cell.contradiction)
 
     def _update(self, signals: Signals, at_ns: NDArray[np.int64], refused: NDArray[np.int64]) -> NDArray[np.int64]:
         attached = self._phases.attached(at_ns)
@@ -313,8 +330,10 @@ class Estimator:
 
     def _answered(self, now_ns: int, vehicle_ns: int) -> list[Batch]:
         online, findings = self.online, self.online.findings()
-        if self._witness is not None and self._witness.contradiction:
-            findings = findings._replace(against=(*findings.against, self._witness.contradiction))
+        asked = [cell.contradiction for cell in self._cell_witnesses]
+        asked += [self._witness.contradiction] if self._witness is not None else []
+        if contradictions := [one for one in asked if one]:
+            findings = findings._replace(against=(*findings.against, *contradictions))
         state, answers, said = self._answers.rows(now_ns, vehicle_ns, online.estimate(), findings, online.triangle())
         return [self._numbered("estimate", state), self._numbered("quantity", answers), *said]
 
