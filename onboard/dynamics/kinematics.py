@@ -61,25 +61,16 @@ def turned(R: FloatArray, a: FloatArray) -> FloatArray:
 
 
 def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[LinkMotion, ...]:
-    """Motion of every link with columns, in the order of ``vehicle.links``; see :func:`frame_motions`."""
-    return frame_motions(vehicle, vehicle.links, q, dq, ddq)
-
-
-def frame_motions(
-    vehicle: VehicleModel, names: Sequence[str], q: FloatArray, dq: FloatArray, ddq: FloatArray
-) -> tuple[LinkMotion, ...]:
-    """Motion of frames on the vehicle, by recursion over the joints (Rodrigues' formula; Featherstone 2008).
+    """Motion of every link with columns, by recursion over the joints (Rodrigues' formula; Featherstone 2008).
 
     Args:
-        vehicle: the model.
-        names: names of links or frames.
+        vehicle: the model; the links are in the order of its ``links``.
         q: joint positions, (n, joints).
         dq: joint rates, (n, joints).
         ddq: joint accelerations, (n, joints).
 
     Raises:
         SignalError: shapes that do not fit.
-        UnknownFrameError: no such frame.
     """
     n, nj = q.shape[0], len(vehicle.joints)
     if any(signal.shape != (n, nj) for signal in (q, dq, ddq)):
@@ -105,7 +96,7 @@ def frame_motions(
             v = seat.v + swing + axis * dx
             a = seat.a + axis * ddx + 2.0 * cross(seat.w, axis * dx) + cross(seat.dw, out) + cross(seat.w, swing)
             of_joint[index] = LinkMotion(seat.R, seat.p + out, v, seat.w, a, seat.dw)
-    frames = [model.frames[vehicle.frame_id(name)] for name in names]
+    frames = [model.frames[vehicle.frame_id(name)] for name in vehicle.links]
     return tuple(_fixed(of_joint[int(frame.parentJoint)], frame.placement) for frame in frames)
 
 

@@ -1,17 +1,15 @@
-"""Wrist cells, motor currents, IMUs on any link, other bases than free ones: MuJoCo's answers."""
+"""Wrist cells, motor currents, other bases than free ones: MuJoCo's answers."""
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError
+from onboard.dynamics.errors import SignalError
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
 from onboard.regressor.rows import (
-    BaseMotion,
     RowModel,
     base_force_rows,
     base_moment_rows,
@@ -19,7 +17,6 @@ from onboard.regressor.rows import (
     load_cell_row,
     standing,
 )
-from onboard.regressor.sensor_rows import base_motion_from_link, imu_on_link
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
 
 KINDS = ["revolute", "prismatic", "revolute", "fixed"]
@@ -109,34 +106,6 @@ def test_a_known_load_tells_the_torque_constants(rng, links):
         mean = rls.solve().mean
     found = dict(zip(base.names, mean, strict=True))
     np.testing.assert_allclose([found[f"scale_torque_{j.name}"] for j in vehicle.joints], scale, atol=1e-4)
-
-
-def test_an_imu_on_any_link_is_mujocos(rng, links):
-    vehicle, model = arm(links, BaseKind.FREE), to_mujoco(links)
-    joints = tuple(rng.normal(size=(3, TICKS, 3)))
-    motion = BaseMotion(*rng.normal(size=(3, TICKS, 3)))
-    felt = imu_on_link(vehicle, "link_4", joints, motion)
-    data = mujoco.MjData(model)
-    for k in range(TICKS):
-        data.qpos[:7], data.qpos[7:] = (0, 0, 0, 1, 0, 0, 0), joints[0][k]
-        data.qvel[:] = np.r_[rng.normal(size=3), motion.rate_rad_s[k], joints[1][k]]
-        data.qacc[:] = np.r_[motion.specific_force_m_s2[k], motion.acceleration_rad_s2[k], joints[2][k]]
-        mujoco.mj_inverse(model, data)
-        mujoco.mj_rnePostConstraint(model, data)
-        velocity, acceleration = np.zeros(6), np.zeros(6)
-        site = model.site("site_link_4").id
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
-        mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_SITE, site, acceleration, 1)
-        np.testing.assert_allclose(felt.rate_rad_s[k], velocity[:3], atol=1e-9)
-        np.testing.assert_allclose(felt.acceleration_rad_s2[k], acceleration[:3], atol=1e-9)
-        np.testing.assert_allclose(felt.specific_force_m_s2[k], acceleration[3:], atol=1e-9)
-    back = base_motion_from_link(vehicle, "link_4", joints, felt)
-    for found, wanted in zip(back, motion, strict=True):
-        np.testing.assert_allclose(found, wanted, atol=1e-9)
-    with pytest.raises(UnknownFrameError, match="hand"):
-        imu_on_link(vehicle, "hand", joints, motion)
-    with pytest.raises(SignalError, match="ticks of the joints"):
-        base_motion_from_link(vehicle, "link_4", joints, BaseMotion(*(part[:-1] for part in felt)))
 
 
 def test_a_planar_base_has_three_rows(links):
