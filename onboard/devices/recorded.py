@@ -12,6 +12,9 @@ from onboard.section import NotNegative, Positive
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
 
+Repeats = Annotated[bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")]
+
+
 class RecordedDevice(DeviceSection):
     """A recorded channel."""
 
@@ -44,9 +47,7 @@ class RecordedAngle(RecordedDevice):
     joint: str
     zero_count: Annotated[int, Field(description="Raw value at angle zero.")] = 0
     noise_rad: Positive
-    repeats: Annotated[
-        bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")
-    ] = False
+    repeats: Repeats = False
     scale_sigma: NotNegative = 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:
@@ -65,11 +66,12 @@ class RecordedRate(RecordedDevice):
     kind: Literal["recorded_rate"]
     joint: str
     noise_rad_s: Positive
+    repeats: Repeats = False
     scale_sigma: Annotated[float, Field(ge=0.0, description="Of its scale, relative; intervals carry it.")] = 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
-        rate = roles.scalar(0.0, self.noise_rad_s, period_s, roles.RATE)
+        rate = roles.scalar(0.0, self.noise_rad_s, period_s, roles.RATE)._replace(repeats=self.repeats)
         return Roles([], [JointRole(self.joint, name, is_rate=True, scale_sigma=self.scale_sigma)], [], {name: rate})
 
 
