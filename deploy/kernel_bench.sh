@@ -127,17 +127,27 @@ if [ -n "$cpu" ] && taskset -c "$cpu" chrt --rr 1 true 2>/dev/null; then
     first="taskset -c $cpu chrt --rr 1"
 fi
 
-code=0
-# shellcheck disable=SC2086
-TMPDIR=$directory timeout --foreground -k 5 "${HEFT_KERNEL_TIMEOUT:-300}" $first "$kernel/usr/bin/linux.uml" \
-    "mem=${memory_mb}M" rootfstype=hostfs rootflags=/ root=/dev/root ro "init=$work/init" "uml_dir=$work/uml/" \
-    con=null ssl=null con0=null,fd:1 quiet loglevel=1 selinux=0 </dev/null 2>"$work/uml/errors" &
-guest=$!
-wait "$guest" || code=$?
+# Boots the guest: seconds that it may take, the program that it begins with.
+boot() {
+    code=0
+    # shellcheck disable=SC2086
+    TMPDIR=$directory timeout --foreground -k 5 "$1" $first "$kernel/usr/bin/linux.uml" \
+        "mem=${memory_mb}M" rootfstype=hostfs rootflags=/ root=/dev/root ro "init=$2" "uml_dir=$work/uml/" \
+        con=null ssl=null con0=null,fd:1 quiet loglevel=1 selinux=0 </dev/null 2>"$work/uml/errors" &
+    guest=$!
+    wait "$guest" || code=$?
+    guest=
+}
+
+boot "${HEFT_KERNEL_TIMEOUT:-300}" "$work/init"
 if [ -f "$work/results/status" ]; then
     exit "$(cat "$work/results/status")"
 fi
 cat "$work/uml/errors" >&2
 [ $code -ne 124 ] || heft_die 124 "the guest was stopped after ${HEFT_KERNEL_TIMEOUT:-300} s."
-heft_die 70 "the guest ended without a result (code $code). If it never started, this machine forbids ptrace or executable \
-memory in $directory: a container needs --cap-add SYS_PTRACE."
+died=$code
+boot 30 /bin/true    # the kernel says with which exit code its first program ended: 0, where programs run in it
+grep -q 'Attempted to kill init! exitcode=0x00000000' "$work/uml/errors" ||
+    heft_die 69 "not even /bin/true runs in a user-mode Linux on this machine. A container needs --cap-add SYS_PTRACE and \
+executable memory in $directory; processors with AMX save more registers than this kernel can hand on."
+heft_die 70 "the guest ended without a result (code $died)."

@@ -10,7 +10,7 @@ import pytest
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 TOOLS = (
     *("sh", "cat", "cut", "dirname", "rm", "mkdir", "cp", "chmod", "sha256sum", "mktemp", "ln", "df", "awk", "sed"),
-    *("timeout", "id", "tr", "env", "true", "uname", "sleep"),
+    *("timeout", "id", "tr", "env", "true", "uname", "sleep", "grep"),
 )
 UNAVAILABLE, DIED, TEMPORARY_FAILURE, TIMED_OUT = 69, 70, 75, 124  # sysexits.h, timeout(1)
 
@@ -27,6 +27,7 @@ GUEST = """#!/bin/sh
 for word; do
     case $word in init=*) init=${word#init=} ;; esac
 done
+[ "$init" != /bin/true ] || { echo "panic - not syncing: Attempted to kill init! exitcode=$TRUE" >&2; exit 134; }
 work=${init%/init}
 { echo "$*"; cat "$init"; tr '\\0' '|' <"$work/command"; echo; } >>"$CALLS"
 [ -z "${HANG:-}" ] || exec sleep 60
@@ -87,6 +88,7 @@ class Machine:
                 "CALLS": str(self.log),
                 "HEFT_KERNEL_CACHE": str(self.cache),
                 "OUTPUT": "tested",
+                "TRUE": "0x00000000",
                 **environment,
             },
             stdin=subprocess.DEVNULL,
@@ -133,10 +135,16 @@ def test_a_guest_that_dies_or_hangs_is_told_apart_from_tests_that_fail(machine: 
     died = machine.run()
     assert died.returncode == DIED
     assert "no ptrace here" in died.stderr
-    assert "--cap-add SYS_PTRACE" in died.stderr
+    assert "ended without a result (code 0)" in died.stderr
     hung = machine.run(HANG="1", HEFT_KERNEL_TIMEOUT="1", STATUS="0")
     assert hung.returncode == TIMED_OUT
     assert "stopped after 1 s" in hung.stderr
+
+
+def test_a_machine_on_which_no_program_runs_in_the_guest_cannot_run_the_tier(machine: Machine) -> None:
+    done = machine.run(TRUE="0x0000000b")  # as on a processor with AMX, whose registers are too many for the guest
+    assert done.returncode == UNAVAILABLE
+    assert "--cap-add SYS_PTRACE" in done.stderr
 
 
 @pytest.mark.parametrize(
