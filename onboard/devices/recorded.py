@@ -11,7 +11,6 @@ from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, 
 from onboard.section import NotNegative, Positive
 from onboard.timebase.specs import ChannelClock, RecordedChannel
 
-
 Repeats = Annotated[bool, Field(description="The recorder writes a reading more than once; none is judged stuck.")]
 
 
