@@ -1,14 +1,14 @@
-"""Fuzzes every decoder: whatever the bytes, nothing but its named error may come out.
+"""Fuzzes every decoder and what reads files: whatever the bytes, nothing but the named error may come out.
 
 ::
 
     python bench/fuzz.py [--seconds 600] [--seed 1] [--jobs 2] [--engine atheris|own] [DECODER ...]
     python bench/fuzz.py --replay bench/fuzz_findings/qsb/0123456789abcdef.bin
 
-Both engines are guided by coverage of ``drivers``: atheris (libFuzzer) where it is installed (extra ``fuzz``: Linux on
-x86-64, Python 3.11 to 3.13), and one of our own, which mutates inputs and keeps those that go from one line to another
-where none went before. By seed and number of executions our own does the same every time; that is the slice CI runs.
-Warnings are errors, and a call of more than ``findings.HANG_S`` is a finding as well.
+Both engines are guided by coverage of ``drivers`` and ``onboard``: atheris (libFuzzer) where it is installed (extra
+``fuzz``: Linux on x86-64, Python 3.11 to 3.13), and one of our own, which mutates inputs and keeps those that go from
+one line to another where none went before. By seed and number of executions our own does the same every time; that is
+the slice CI runs. Warnings are errors, and a call of more than ``findings.HANG_S`` is a finding as well.
 
 A finding is shortened and saved as ``bench/fuzz_findings/DECODER/HASH.bin``, with the traceback beside it; of those
 that end at the same line the first is kept. Exit code 1 when there are any.
@@ -27,7 +27,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.fuzzing import NAMES, atheris_engine, own_engine, targets
+from bench.fuzzing import NAMES, atheris_engine, own_engine, target
 from bench.fuzzing.findings import FOLDER, ROOT, Findings, Result
 
 
@@ -46,16 +46,16 @@ def fuzz(name: str, engine: str, seed: int, seconds: float) -> Result:
 
 def child(name: str, seed: int, seconds: float) -> None:
     """One decoder by our own engine, in this process; one JSON line."""
-    target = targets()[name]
-    findings = Findings(target.call, FOLDER / name)
-    result = own_engine.fuzz(target.call, target.seeds, seed, findings, None, seconds)
+    fuzzed = target(name)
+    findings = Findings(fuzzed.call, FOLDER / name)
+    result = own_engine.fuzz(fuzzed, seed, findings, None, seconds)
     print(json.dumps([*result[:3], *map(str, result.files)]))
 
 
 def replay(file: Path) -> None:
     """Give a decoder one input again; what it raises comes out."""
     warnings.simplefilter("error")
-    targets()[file.resolve().parent.name].call(file.read_bytes())
+    target(file.resolve().parent.name).call(file.read_bytes())
     print("nothing was raised")
 
 

@@ -1,12 +1,13 @@
 """Random flights with faults and model errors, alone and in pairs: does a wrong answer ever look like a right one?
 
-Run ``python bench/honesty.py [--flights 20] [--first 1] [--vehicle rocksat] [--healthy]``. Each seed is a short
-mission of its own: vehicle, faults of the vocabulary (``hil_sim.faults``), and how far the truth is from the drawing
-are drawn from it. Counted are
+Run ``python bench/honesty.py [--flights 20] [--first 1] [--vehicle rocksat] [--healthy] [--out FILE] [--jobs 1]``.
+Each seed is a short mission of its own; vehicle, faults and model errors are drawn from it
+(``bench/honest_flights/drawn.py``). With ``--out`` each flight is one line of JSON, written when it is flown; seeds
+that the file has already are not flown again, so that a campaign that was stopped goes on. Counted are
 
 - *confident nonsense*: a quantity that the flight supports while its truth lies outside its 99.9 % interval,
-- the same under a fault that no instrument on board can see (a scale that is wrong from the first sweep on, or for all
-  of what was released, where nothing stands beside): there the answer leans on a calibration,
+- the same under a fault that no instrument on board can see (``Drawn.invisible``): there the answer leans on a
+  calibration, which it names,
 - flights with a harmless fault (samples are missing, none is false) that still answer,
 - healthy flights of which some answer is not to be used,
 - faults on an instrument that another one stands beside, and whether an event names it.
@@ -15,204 +16,138 @@ Exit code 1: confident nonsense.
 """
 
 import argparse
+import json
 import os
 import sys
-import tempfile
+from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
+from bench.honest_flights.drawn import FAULTS, HARMLESS, MISSION, REDUNDANT, Drawn, draw
+from bench.honest_flights.flown import fly as fly_drawn
 
-from hil_sim.mission import open_in_process
-from hil_sim.scenario.load import load
-from onboard import config
-from onboard.flight import hil
-from onboard.offline.views import mission_table as table
+__all__ = ["MISSION", "counts", "draw", "fly"]
 
-WIDER = 3.2905 / 1.9600  # a 99.9 % interval, of a 95 % one
-SHORTEST_S, LONGEST_S = 0.2, 3.0  # of a fault that ends
-_SWEEP = {"action": "sweep", "amplitude_deg": 11.5, "pause_s": 0.05, "transfer_s": 0.5}
-_SLOW, _FAST = (
-    _SWEEP | {"phase": 3, "stroke_s": 1.0, "strokes": 3},
-    _SWEEP | {"phase": 4, "stroke_s": 0.6, "strokes": 4},
-)
+Flight = dict[str, Any]
 
 
-def _hold(duration_s: float, phase: int = 0) -> dict[str, Any]:
-    return {"phase": phase, "action": "hold", "duration_s": duration_s}
-
-
-MISSION = [
-    *(_hold(2.5), _SLOW, _hold(0.4), _FAST, _hold(0.3), {"phase": 5, "action": "eject", "duration_s": 0.8}),
-    *(_SLOW, _hold(0.4), _FAST, _hold(0.5, 9)),
-]
-FIRST_SWEEP_S, LAST_HELD_S, RELEASED_S, END_S = 2.6, 9.1, 10.9, 17.0
-_MISSING = [("off", 0.0), ("reset", 0.0), ("silent", 0.0), ("intermittent", 0.1)]
-_FALSE = [("stuck", 0.0), ("wrong", np.nan), ("delayed", 0.1)]  # NaN: a scale is drawn
-FAULTS: dict[str, dict[str, list[tuple[str, float]]]] = {
-    "rocksat": {
-        "imu_base": [*_MISSING[:2], *_FALSE, ("saturated", 1.0), ("garbage", 0.0)],
-        "joint_1": [*_MISSING, *_FALSE, ("garbage", 0.0)],
-        "load_cell": [*_MISSING, *_FALSE, ("saturated", 1.0), ("garbage", 0.0)],
-        "arm_phase": [("wrong", 1.0), ("wrong", 2.0), ("delayed", 0.2)],
-        "can_0": [("frame_drop", 0.0), ("intermittent", 0.1), ("error_frames", 0.01)],
-        "sync_line": [("pulse_drop", 0.0), ("delayed", 0.02)],
-    },
-    "rocksat_serial": {
-        "imu_base": [*_MISSING, *_FALSE, ("saturated", 1.0)],
-        "joint_1": [*_MISSING, *_FALSE, ("slow", 0.2)],
-        "load_cell": [*_MISSING, *_FALSE, ("saturated", 1.0)],
-        "cell_port": [("byte_loss", 0.02), ("byte_garble", 0.02), ("unplug", 0.0)],
-        "joint_port": [("byte_loss", 0.02), ("unplug", 0.0)],
-    },
-    "rocksat_mixed": {
-        "joint_1": [*_MISSING[:1], *_FALSE],
-        "load_cell": [*_MISSING, *_FALSE],
-        "load_cell_2": [*_MISSING, *_FALSE],
-        "imu_base": [*_FALSE],
-    },
-}
-HARMLESS = {"off", "reset", "silent", "intermittent", "frame_drop", "error_frames", "pulse_drop", "byte_loss", "unplug"}
-REDUNDANT = {"rocksat_mixed": {"load_cell", "load_cell_2"}}
-
-
-class Drawn(NamedTuple):
-    """A flight to be flown."""
-
-    seed: int
-    vehicle: str
-    faults: list[dict[str, Any]]
-    overrides: dict[str, Any]  # of the scenario: what is not as drawn
-
-    @property
-    def text(self) -> str:
-        """For people."""
-        said = [
-            f"{f['kind']}({f['value']:.3g}) of {f['device']} from {f['start_s']:.1f} s"
-            + (f" to {f['end_s']:.1f} s" if "end_s" in f else "")
-            for f in self.faults
-        ]
-        return f"seed {self.seed} {self.vehicle}: {', '.join([*said, *self.overrides]) or 'healthy'}"
-
-    @property
-    def invisible(self) -> bool:
-        """A scale is wrong for all of the rows with the payload, or all of those without, and nothing stands beside."""
-        alone = [f for f in self.faults if f["kind"] == "wrong" and f["device"] in ("load_cell", "joint_1")]
-        for fault in alone:
-            starts, ends = fault["start_s"], fault.get("end_s", np.inf)
-            whole = starts < FIRST_SWEEP_S + 1.0 and ends > LAST_HELD_S - 1.0
-            whole |= starts < RELEASED_S + 1.0 and ends > END_S - 1.0 and starts > LAST_HELD_S - 1.5
-            if whole and fault["device"] not in REDUNDANT.get(self.vehicle, set()):
-                return True
-        return False
-
-
-class Outcome(NamedTuple):
-    """What came of it."""
-
-    drawn: Drawn
-    nonsense: tuple[str, ...]
-    answered: bool  # all masses
-    refused: bool  # some quantity is not to be used
-    named: bool  # by an event, every device with a fault
-
-
-def draw(seed: int, vehicle: str | None, healthy: bool) -> Drawn:
-    """What flies under a seed."""
-    rng = np.random.default_rng([seed, 0x12])
-    name = vehicle or str(rng.choice(list(FAULTS), p=[0.5, 0.2, 0.3]))
-    faults, overrides = list[dict[str, Any]](), dict[str, Any]()
-    count = 0 if healthy else int(rng.choice([1, 2], p=[0.6, 0.4]))
-    devices = rng.permutation(list(FAULTS[name]))[:count]
-    for device in devices:
-        kinds = FAULTS[name][str(device)]
-        kind, value = kinds[int(rng.integers(len(kinds)))]
-        if np.isnan(value):
-            value = float(rng.choice([-2.0, -1.0, -0.5, -0.1, 0.05, 0.1, 0.3]))
-        start_s = float(rng.choice([0.5, rng.uniform(2.0, 15.0)], p=[0.2, 0.8]))
-        fault = {"kind": kind, "device": str(device), "value": value, "start_s": start_s}
-        lasts = kind in ("stuck", "wrong", "delayed") and device != "arm_phase" and rng.random() < 0.5
-        if not lasts:
-            fault["end_s"] = start_s + float(rng.uniform(SHORTEST_S, LONGEST_S if kind in ("stuck", "wrong") else 0.8))
-        faults.append(fault)
-    if not healthy and rng.random() < 0.4:
-        overrides["body"] = {
-            body: {"as_built_factor": float(1.0 + 0.03 * rng.normal()), "com_mm": (com + rng.normal(size=3)).tolist()}
-            for body, com in (("arm", np.array([39.75, 1.41, 5.0])), ("tip_mass", np.array([0.0, -13.91, 0.0])))
-        }
-    return Drawn(seed, name, faults, overrides)
-
-
-def fly(seed: int, vehicle: str | None = None, healthy: bool = False) -> Outcome:
-    """Fly a seed's flight."""
+def fly(seed: int, vehicle: str | None = None, healthy: bool = False) -> Flight:
+    """Fly a seed's flight; a program that fails is an outcome too."""
     drawn = draw(seed, vehicle, healthy)
-    scenario = load(drawn.vehicle, {"sequence": MISSION, "fault": drawn.faults, **drawn.overrides})
-    with tempfile.TemporaryDirectory() as directory:
-        world, urls = open_in_process(scenario, seed)
-        with world:
-            path = Path(directory) / "flight.mcap"
-            flown = hil.fly_simulated(config.load(config.packaged(drawn.vehicle)), world, urls, path)
-        result = table.result(flown)
-    told = [*result["masses"], *result["centres"], *result["inertias"]]
-    wrong = [
-        f"{row['quantity']} {100.0 * (row['value'] / row['truth'] - 1.0):+.1f} %"
-        for row in told
-        if row["supported"] and abs(row["value"] - row["truth"]) > WIDER * (row["high"] - row["value"])
+    try:
+        return fly_drawn(drawn)
+    except Exception as error:  # noqa: BLE001 - counted, printed, and the campaign goes on
+        return drawn._asdict() | {"failed": f"{type(error).__name__}: {error}"}
+
+
+def text_of(flight: Flight) -> str:
+    """What was flown."""
+    return Drawn(*(flight[field] for field in Drawn._fields)).text
+
+
+def told(flight: Flight) -> Iterator[str]:
+    """What is remarkable about a flight."""
+    if "failed" in flight:
+        yield f"FAILED: {text_of(flight)}: {flight['failed']}"
+    elif flight["nonsense"]:
+        kind = "leans on calibration" if flight["invisible"] else "NONSENSE"
+        yield f"{kind}: {text_of(flight)}: {'; '.join(flight['nonsense'])}"
+    elif not flight["answered"] and not _visible_lies(flight):
+        yield f"no answer: {text_of(flight)}: {next(iter(flight['standings'].values()), '')}"
+
+
+def counts(flights: list[Flight]) -> list[str]:
+    """The campaign's numbers, a line each."""
+    flown = [one for one in flights if "failed" not in one]
+    invisible = [one for one in flown if one["invisible"]]
+    others = [one for one in flown if not one["invisible"]]
+    nonsense = [one for one in others if one["nonsense"]]
+    harmless = [one for one in flown if one["faults"] and not one["model_errors"] and not _visible_lies(one)]
+    model_only = [one for one in flown if one["model_errors"] and not one["faults"]]
+    healthy = [one for one in flown if not one["faults"] and not one["model_errors"]]
+    beside = [one for one in flown if _has_one_beside(one)]
+    inside, shown = (sum(one["covered"][k] for one in healthy) for k in (0, 1))
+    vehicles = ", ".join(f"{name} {count}" for name, count in Counter(one["vehicle"] for one in flown).items())
+    return [
+        f"flights: {len(flown)} ({vehicles}); failed programs: {len(flights) - len(flown)}",
+        f"confident nonsense: {_share(len(nonsense), len(others))}",
+        f"invisible to every instrument: {len(invisible)}, wrong in {sum(bool(one['nonsense']) for one in invisible)}, "
+        f"which name the calibration: {sum(_names_calibration(one) for one in invisible if one['nonsense'])}",
+        f"harmless faults answered: {_share(sum(one['answered'] for one in harmless), len(harmless))}",
+        f"model errors alone answered: {_share(sum(one['answered'] for one in model_only), len(model_only))}",
+        f"healthy flights that say do not use: {_share(sum(one['refused'] for one in healthy), len(healthy))}",
+        f"healthy flights answered: {_share(sum(one['answered'] for one in healthy), len(healthy))}",
+        f"truths inside the 95 % interval of healthy flights: {_share(inside, shown)}",
+        f"faulty redundant instrument named: {_share(sum(one['named'] for one in beside), len(beside))}",
     ]
-    events = " ".join(result["events"])
-    return Outcome(
-        drawn,
-        tuple(wrong),
-        all(row["supported"] for row in result["masses"]),
-        any(row["standing"].startswith("do not use") for row in told),
-        all(fault["device"] in events for fault in drawn.faults),
-    )
+
+
+def _visible_lies(flight: Flight) -> bool:
+    """Whether some fault makes false readings, and not only missing ones."""
+    return not {fault["kind"] for fault in flight["faults"]} <= HARMLESS
+
+
+def _has_one_beside(flight: Flight) -> bool:
+    """Whether one instrument alone is false and another one measures the same."""
+    if len(flight["faults"]) != 1 or flight["model_errors"]:
+        return False
+    (fault,) = flight["faults"]
+    return fault["kind"] in ("stuck", "wrong") and fault["device"] in REDUNDANT.get(flight["vehicle"], set())
+
+
+def _names_calibration(flight: Flight) -> bool:
+    """Whether what is said of an answer names the instrument whose scale is wrong."""
+    said = " ".join(flight["leans"]) + " ".join(flight["standings"].values())
+    return any(fault["device"] in said for fault in flight["faults"] if fault["kind"] == "wrong")
 
 
 def _share(part: int, whole: int) -> str:
     return f"{part} of {whole}" + (f" ({100.0 * part / whole:.1f} %)" if whole else "")
 
 
+def _flown_before(path: Path | None) -> list[Flight]:
+    """Whole lines of a campaign's file; one cut short by a kill is taken out and flown again."""
+    if path is None or not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    if lines and not lines[-1].endswith("\n"):
+        lines.pop()
+        path.write_text("".join(lines), encoding="utf-8")
+    return [json.loads(line) for line in lines]
+
+
 def main() -> int:
-    """Print what went wrong as it comes, then the counts."""
+    """Print what is remarkable as it comes, then the counts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=20)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--vehicle", choices=list(FAULTS))
-    parser.add_argument("--healthy", action="store_true", help="no fault, all as drawn")
+    parser.add_argument("--healthy", action="store_true", help="no fault and no model error")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="a line of JSON a flight; what it has already is not flown again")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.flights)
-    done: list[Outcome] = []
+    done = _flown_before(arguments.out)
+    left = [seed for seed in seeds if seed not in {one["seed"] for one in done}]
+    for one in done:
+        for line in told(one):
+            print(line)
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        for one in pool.map(partial(fly, vehicle=arguments.vehicle, healthy=arguments.healthy), seeds):
+        job = partial(fly, vehicle=arguments.vehicle, healthy=arguments.healthy)
+        for one in pool.map(job, left):
             done.append(one)
-            if one.nonsense:
-                kind = "leans on calibration" if one.drawn.invisible else "NONSENSE"
-                print(f"{kind}: {one.drawn.text}: {', '.join(one.nonsense)}", flush=True)
-            elif arguments.healthy and (one.refused or not one.answered):
-                print(f"no answer: {one.drawn.text}", flush=True)
-    nonsense = [one for one in done if one.nonsense and not one.drawn.invisible]
-    invisible = [one for one in done if one.drawn.invisible]
-    harmless = [one for one in done if one.drawn.faults and {f["kind"] for f in one.drawn.faults} <= HARMLESS]
-    beside = [
-        one
-        for one in done
-        if len(one.drawn.faults) == 1
-        and one.drawn.faults[0]["device"] in REDUNDANT.get(one.drawn.vehicle, set())
-        and one.drawn.faults[0]["kind"] in ("stuck", "wrong")
-    ]
-    healthy = [one for one in done if not one.drawn.faults and not one.drawn.overrides]
-    print(f"confident nonsense: {_share(len(nonsense), len(done) - len(invisible))}")
-    print(f"invisible to every instrument: {len(invisible)}, wrong in {sum(bool(one.nonsense) for one in invisible)}")
-    print(f"harmless faults answered: {_share(sum(one.answered for one in harmless), len(harmless))}")
-    print(f"healthy flights with an answer not to be used: {_share(sum(o.refused for o in healthy), len(healthy))}")
-    print(f"faulty redundant instrument named: {_share(sum(one.named for one in beside), len(beside))}")
-    return int(bool(nonsense))
+            if arguments.out is not None:
+                with arguments.out.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(one) + "\n")
+            for line in told(one):
+                print(line, flush=True)
+    print("\n".join(counts(done)))
+    return int(any(one.get("nonsense") and not one["invisible"] for one in done))
 
 
 if __name__ == "__main__":

@@ -10,24 +10,27 @@ class Position:
     Of the two possible steps between samples the shorter is taken, which is right up to 2^31 counts. A step of more
     than one revolution is rejected and does not change the reference, so that corrupted data leave no wrap behind. A
     new position that persists (the joint moved while not sampled) is accepted after ``ACCEPTED_AFTER`` consistent
-    samples.
+    samples. The first position is the one nearest to the joint's zero: an encoder that reads 0 there reads 2^32 - 1 one
+    count below it.
 
     Args:
         counts_per_revolution: Counts per revolution of the joint.
+        zero_count: Reading at joint angle zero.
 
     Attributes:
         at: The last accepted position, counts; None before the first.
     """
 
-    def __init__(self, counts_per_revolution: int) -> None:
+    def __init__(self, counts_per_revolution: int, zero_count: int = 0) -> None:
         self.at: int | None = None
+        self._zero = zero_count
         self._counts = counts_per_revolution
         self._rejected = 0  # the last rejected position
         self._agreeing = 0  # samples in a row that agree with it
 
     def place(self, word: int) -> tuple[int, bool]:
         """Position with the 32 bits ``word`` (signed or not) nearest to the last one, and whether it is accepted."""
-        before = word if self.at is None else self.at
+        before = self._nearest(word, self._zero) if self.at is None else self.at
         position = self._nearest(word, before)
         if abs(position - before) > self._counts:
             agrees = self._agreeing and abs(self._nearest(word, self._rejected) - self._rejected) <= self._counts

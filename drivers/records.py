@@ -67,7 +67,8 @@ GAP = np.dtype(
         ("last_missing", "<u8"),
         ("duration_ns", "<i8"),
         ("channel", "S32"),
-        ("cause", "S24"),  # GapCause
+        ("cause", "S23"),
+        ("counted", "u1"),  # 1: by a counter of the device or of a queue; 0: estimated, about as many are missing
     ],
     align=True,
 )
@@ -109,8 +110,20 @@ def event(now_ns: int, severity: Severity, code: str, source: str, text: str) ->
     return Batch("event", row)
 
 
-def gap(now_ns: int, channel: str, first_missing: int, last_missing: int, duration_ns: int, cause: str) -> Batch:
-    """A GAP row as a batch of the channel ``gap``: samples ``first_missing..last_missing`` of ``channel`` are lost."""
+def gap(
+    now_ns: int,
+    channel: str,
+    first_missing: int,
+    last_missing: int,
+    duration_ns: int,
+    cause: str,
+    *,
+    counted: bool = False,
+) -> Batch:
+    """A GAP row as a batch of the channel ``gap``: samples ``first_missing..last_missing`` of ``channel`` are lost.
+
+    ``counted``: a counter of the device or of a queue says how many they are; else they are about as many.
+    """
     row = np.zeros(1, GAP)
-    row[0] = (0, now_ns, first_missing, last_missing, duration_ns, channel.encode(), cause.encode())
+    row[0] = (0, now_ns, first_missing, last_missing, duration_ns, channel.encode(), cause.encode(), counted)
     return Batch("gap", row)

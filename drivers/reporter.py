@@ -41,10 +41,21 @@ class Reporter:
         self._batches.append(event(now_ns, severity, code, source, text))
 
     def gap(
-        self, now_ns: int, channel: str, first_missing: int, last_missing: int, duration_ns: int, cause: str
+        self,
+        now_ns: int,
+        channel: str,
+        first_missing: int,
+        last_missing: int,
+        duration_ns: int,
+        cause: str,
+        *,
+        counted: bool = False,
     ) -> None:
-        """Record samples ``first_missing..last_missing`` of ``channel`` as lost. Gaps are never suppressed."""
-        self._batches.append(gap(now_ns, channel, first_missing, last_missing, duration_ns, cause))
+        """Record samples ``first_missing..last_missing`` of ``channel`` as lost. Gaps are never suppressed.
+
+        ``counted`` as of ``drivers.records.gap``.
+        """
+        self._batches.append(gap(now_ns, channel, first_missing, last_missing, duration_ns, cause, counted=counted))
 
     def rows(self, channel: str, rows: Rows) -> None:
         """Add rows; an empty array is ignored."""

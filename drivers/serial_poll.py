@@ -179,14 +179,15 @@ class PolledDevice(SerialDevice):
     def _name_gap(self, now_ns: int) -> None:
         """Record unanswered and unsent requests as a gap (without a period: at least one)."""
         elapsed_ns = 0 if self._last_ns is None else now_ns - self._last_ns
-        lost = self._unanswered
+        lost, counted = self._unanswered, not self._was_down
         if self._was_down and self._last_ns is not None:
             period_ns = self._sample_period_ns
             lost = max(lost, round(elapsed_ns / period_ns) - 1 if period_ns else 1)
         if lost:
             first, last = self._next, self._next + lost - 1
             for channel in self._value_channels():
-                self._report.gap(now_ns, channel, first, last, elapsed_ns, self._cause or "port_lost")
+                cause = self._cause or "port_lost"
+                self._report.gap(now_ns, channel, first, last, elapsed_ns, cause, counted=counted)
             self._next = last + 1
         self._unanswered, self._cause, self._was_down = 0, "", False
 

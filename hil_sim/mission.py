@@ -7,7 +7,7 @@ noise sample. Twins are made by ``attach``, when the buses and the start time ar
 import dataclasses
 import tempfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,16 @@ import numpy as np
 
 from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import Bus, CanBus, PulseLine
-from hil_sim.faults import Fault, FaultPlan
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.faults import Fault, FaultError, FaultKind, FaultPlan
 from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
 from hil_sim.plants.rocket_arm import RocketArmPlant as RocketPlant
+from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
-from hil_sim.scenario.load import Scenario, ScenarioError, load
+from hil_sim.scenario.load import Scenario, ScenarioError
 from hil_sim.scenario.rocket_tables import RocketScenario
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 from hil_sim.sensing.sensors import DriftingClock
 from hil_sim.twins import Sensor, Twins, emulators, sensor
 
@@ -35,20 +38,22 @@ class Mission:
     Args:
         scenario: what is flown.
         seed: everything random comes from it.
+        faults: besides those of the scenario.
 
     Attributes:
         plant: the world.
         sensors: what the devices measure with, by signal.
-        faults: the scenario's ``[[fault]]`` tables.
+        faults: the scenario's ``[[fault]]`` tables, and those given.
         start_ns: ``CLOCK_MONOTONIC`` ns of mission time 0 (power-up of all devices); set by ``attach``.
         now_ns: up to when the mission has been advanced.
 
     Raises:
         ScenarioError: a device that is none, a ``[[fault]]`` table that is no fault, or a place in the plant that is
             not there.
+        FaultError: a fault that would begin after the end of the mission.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, seed: int, faults: Iterable[Fault] = ()) -> None:
         self.scenario = scenario
         self.seed = seed
         self._devices = emulators(scenario)
@@ -60,12 +65,21 @@ class Mission:
                 self.sensors[signal] = sensor(self.plant, scenario.sensor[table], self._rng(signal), at)
             for clock in device.clocks(name):
                 self._clocks[clock] = DriftingClock.draw(scenario.clock[clock], self._rng(f"clock.{clock}"))
-        self.faults = tuple(_fault(table) for table in scenario.fault)
+        self.faults = (*(_fault(table) for table in scenario.fault), *faults)
+        self._require_in_time()
         self.start_ns = _VIRTUAL_START_NS
         self.now_ns = self.start_ns
         self._twins: Twins | None = None
+        self._plan: FaultPlan | None = None
         self._buses: list[Bus] = []
         self._resources = ExitStack()
+
+    def _require_in_time(self) -> None:
+        duration_s = self.plant.program.duration_s
+        for fault in self.faults:
+            if fault.start_s >= duration_s:
+                said = f"Fault {fault.kind} of {fault.device} begins at {fault.start_s:g} s"
+                raise FaultError(f"{said}, and the mission ends at {duration_s:g} s; give an earlier start.")
 
     def _plant(self) -> Plant:
         match self.scenario:
@@ -73,6 +87,8 @@ class Mission:
                 return RocketPlant(self.scenario, self._rng("rocket"))
             case FreeFlyerScenario():
                 return FreeFlyerPlant(self.scenario, self._rng("free_flyer"))
+            case VehicleScenario():
+                return VehiclePlant(self.scenario, self._rng("vehicle"))
         raise TypeError(f"there is no plant for a {type(self.scenario).__name__}")
 
     def _rng(self, subsystem: str) -> np.random.Generator:
@@ -105,7 +121,7 @@ class Mission:
         if self._twins is not None:
             raise RuntimeError("this mission is attached already; make a new Mission for another run")
         self.start_ns = self.now_ns = start_ns
-        plan = FaultPlan(self.faults, start_ns)
+        plan = self._plan = FaultPlan(self.faults, start_ns)
         clocks = {name: dataclasses.replace(clock, start_ns=start_ns) for name, clock in self._clocks.items()}
         self._twins = Twins(self.scenario, self._devices, buses, self.sensors, clocks, plan.of, start_ns, self.seed)
         plan.check_all_taken()
@@ -140,6 +156,16 @@ class Mission:
             raise RuntimeError("no buses yet; call Mission.attach first")
         return self._twins.produced()
 
+    def possible_faults(self) -> dict[str, tuple[FaultKind, ...]]:
+        """Kinds of faults that each device and bus can have, by its name.
+
+        Raises:
+            RuntimeError: not attached.
+        """
+        if self._plan is None:
+            raise RuntimeError("no buses yet; call Mission.attach first")
+        return self._plan.possible()
+
     def truth(self) -> dict[str, Any]:
         """What an estimate is to be compared with: the plant's truth, and what else was drawn."""
         program = self.plant.program
@@ -170,20 +196,24 @@ class Mission:
         self.close()
 
 
-def open_in_process(scenario: str | Scenario, seed: int) -> tuple[Mission, dict[str, str]]:
+def open_in_process(
+    scenario: str | Scenario, seed: int, faults: Iterable[Fault] = ()
+) -> tuple[Mission, dict[str, str]]:
     """Tier T0: a mission on buses inside this process, its clock the mission's own ``now_ns``.
 
     Args:
-        scenario: a packaged scenario's name, a path to a TOML file, or a scenario.
+        scenario: a packaged scenario's name, a path to a scenario's or a vehicle's TOML file, or a scenario.
         seed: of everything random.
+        faults: besides those of the scenario.
 
     Returns:
         The mission (close it when done; it is a context manager) and the URL of each bus.
 
     Raises:
         ScenarioError: the scenario cannot be used.
+        FaultError: a fault that its device cannot have, or of a device that is not there.
     """
-    mission = Mission(load(scenario) if isinstance(scenario, str) else scenario, seed)
+    mission = Mission(scenario_of(scenario) if isinstance(scenario, str) else scenario, seed, faults)
     with ExitStack() as stack:
         directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
         tables = mission.scenario.bus

@@ -7,6 +7,9 @@ datagrams to a socket that the flight computer binds. When everything can be ope
 name of each bus, when mission time 0 is (``start_ns``) and how long the mission lasts (``duration_s``). At the end of
 the mission, or on SIGTERM or SIGINT, a second line gives ``produced``, ``truth`` and ``server`` (what was lost on the
 way, and how late the loop ever was).
+
+With ``--wait`` the first line has no ``start_ns``: the devices are powered up when a line comes on stdin, and a line
+with ``start_ns`` answers. They end when stdin does, which is when the process that started them is gone.
 """
 
 import argparse
@@ -16,6 +19,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,8 +35,10 @@ from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
 from hil_sim.buses.slcan import SlcanAdapter
+from hil_sim.faults import parse
 from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 
+_LEASH_PERIOD_S: Final = 0.1
 _PRIORITY: Final = 10  # SCHED_FIFO, below a flight computer on the same machine
 _USB_FRAME_NS: Final = 1_000_000  # no adapter hands characters over more often
 
@@ -63,8 +69,8 @@ class _I2cPort(Port):
 
 
 class _CanPort(Port):
-    def __init__(self, bit_rate: int, seed: int) -> None:
-        self._adapter = SlcanAdapter(bit_rate)
+    def __init__(self, path: Path, bit_rate: int, seed: int) -> None:
+        self._adapter = SlcanAdapter(bit_rate, path)
         self._wire = CanBus(self._adapter, bit_rate, seed)
         super().__init__(self._wire, f"can+slcan://{self._adapter.path}?bitrate={bit_rate}")
 
@@ -123,7 +129,7 @@ def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0)
             case I2cBusTable():
                 return _I2cPort(directory / f"{bus}.sock", table.bit_rate)
             case CanBusTable():
-                return _CanPort(table.bit_rate, seed)
+                return _CanPort(directory / bus, table.bit_rate, seed)
             case PulseLineTable():
                 return EdgePort(directory / f"{bus}.sock", seed)
             case SerialBusTable():
@@ -152,20 +158,44 @@ def stops_on_signals() -> list[int]:
     return stops
 
 
+class _Leash:
+    """Stdin of a process that whoever started it holds: a line lets it begin, the end of it asks for an end."""
+
+    def __init__(self, stops: list[int]) -> None:
+        self._begun, self._stops = threading.Event(), stops
+        threading.Thread(target=self._watch, name="stdin", daemon=True).start()
+
+    def _watch(self) -> None:
+        if sys.stdin.readline():
+            self._begun.set()
+            sys.stdin.read()
+        self._stops.append(signal.SIGHUP)
+
+    def wait(self) -> None:
+        """Until it may begin, or is to end."""
+        while not (self._stops or self._begun.wait(_LEASH_PERIOD_S)):
+            pass
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve one scenario to its end; returns the exit status."""
-    from hil_sim.mission import Mission  # noqa: PLC0415  (MuJoCo is loaded only where it is needed)
-    from hil_sim.scenario.load import load  # noqa: PLC0415
+    from hil_sim.devices.vehicle_file import scenario_of  # noqa: PLC0415  (MuJoCo is loaded only where it is needed)
+    from hil_sim.mission import Mission  # noqa: PLC0415
 
     parser = argparse.ArgumentParser(
         prog="python -m hil_sim.serve", description="Serve simulated devices in real time."
     )
-    parser.add_argument("scenario", help="name of a packaged scenario, or a TOML file")
+    parser.add_argument("scenario", help="name of a packaged scenario, or a TOML file of a scenario or a vehicle")
+    parser.add_argument("--over", help="a scenario file whose tables lie over it")
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
     parser.add_argument("--directory", type=Path, required=True, help="where the sockets are to be")
+    parser.add_argument("--fault", action="append", default=[], help="KIND:DEVICE:START:END[:VALUE], repeatable")
+    parser.add_argument("--wait", action="store_true", help="begin when a line comes on stdin")
     options = parser.parse_args(arguments)
     try:
-        mission = Mission(load(options.scenario), options.seed)
+        mission = Mission(
+            scenario_of(options.scenario, options.over), options.seed, [parse(text) for text in options.fault]
+        )
     except ValueError as error:  # of the scenario or a fault in it
         parser.error(str(error))
     stops = stops_on_signals()
@@ -174,12 +204,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with open_sockets(mission.scenario.bus, options.directory, options.seed) as ports:
         gc.collect()
         gc.freeze()
+        about = {**ports.urls, "duration_s": mission.plant.program.duration_s}
+        if options.wait:
+            leash = _Leash(stops)
+            say(about)
+            about = {}
+            leash.wait()
         start_ns = time.monotonic_ns()
         try:
             mission.attach(ports.buses, start_ns)
         except ValueError as error:
             parser.error(str(error))
-        say({**ports.urls, "start_ns": start_ns, "duration_s": mission.plant.program.duration_s})
+        say({**about, "start_ns": start_ns})
         server = MissionServer(ports, time.monotonic_ns)
         server.run(mission, lambda: bool(stops))
         say({"produced": mission.produced(), "truth": mission.truth(), "server": server.summary()})

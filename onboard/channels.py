@@ -53,6 +53,7 @@ def tick_dtype(channels: int) -> np.dtype[np.void]:
             *_HEAD,
             ("first_sequence", "<u8", (channels,)),
             ("last_sequence", "<u8", (channels,)),
+            ("skipped_ns", "<i8"),  # of the devices' rows left out before this step: the estimator could not keep up
             ("consumed", "<u4", (channels,)),  # rows; 0: none, and the two sequence numbers are void
             ("final", "u1"),  # 1: the last step; no later samples are awaited
             ("fresh", "u1"),  # 1: a new estimator without data replaced one that died, from this step on

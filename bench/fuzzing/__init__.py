@@ -1,21 +1,33 @@
-"""Fuzzing of every decoder: its parts. ``bench/fuzz.py`` is the command."""
+"""Fuzzing of every decoder, and of what reads files: its parts. ``bench/fuzz.py`` is the command."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-NAMES = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "node_frame", "sync_pulse")
+DECODERS = ("mpu6050", "canopen", "slcan", "nimu", "qsb", "modbus", "dsc", "node_frame", "sync_pulse")
+FILES = ("vehicle", "log", "recover", "import")
+NAMES = DECODERS + FILES
 
 
 class Target(NamedTuple):
-    """A decoder under fuzz: what is called, and valid inputs."""
+    """A decoder, or what reads a file, under fuzz.
+
+    Attributes:
+        call: What is called.
+        seeds: Valid inputs.
+        most_bytes: Longest input.
+    """
 
     call: Callable[[bytes], None]
     seeds: list[bytes]
+    most_bytes: int
 
 
-def targets() -> dict[str, Target]:
-    """All of them, by name. Imports ``drivers``: an engine that instruments them calls this while it does so."""
+def target(name: str) -> Target:
+    """One of them. Imports what it is of: an engine that instruments that calls this while it does so."""
+    if name in FILES:
+        from bench.fuzzing import file_seeds, files  # noqa: PLC0415
+
+        return Target(files.CALLS[name], file_seeds.seeds()[name], 1 << 15)
     from bench.fuzzing import decoders, seeds  # noqa: PLC0415
 
-    valid = seeds.seeds()
-    return {name: Target(decoders.CALLS[name], valid[name]) for name in NAMES}
+    return Target(decoders.CALLS[name], seeds.seeds()[name], 1 << 10)

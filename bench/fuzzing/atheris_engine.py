@@ -13,7 +13,7 @@ import tempfile
 import warnings
 from pathlib import Path
 
-from bench.fuzzing.findings import FOLDER, HANG_S, MOST_BYTES, ROOT, Findings, Result
+from bench.fuzzing.findings import FOLDER, HANG_S, ROOT, Findings, Result
 
 LEG_S = 60.0
 
@@ -57,10 +57,10 @@ def _report(text: str) -> tuple[int, float, int]:
 def run_leg(name: str, corpus: Path, seed: int, seconds: int) -> None:
     """Fuzz in this process, which ends with it. Its report goes to stderr, findings (place, tab, file) to stdout."""
     atheris = importlib.import_module("atheris")  # it may not be there, and ships no type hints
-    from bench.fuzzing import targets  # noqa: PLC0415 - drivers are instrumented as they are imported
+    from bench.fuzzing import target as of  # noqa: PLC0415 - what is ours is instrumented as they are imported
 
-    with atheris.instrument_imports(include=["drivers"], enable_loader_override=False):
-        target = targets()[name]
+    with atheris.instrument_imports(include=["drivers", "onboard"], enable_loader_override=False):
+        target = of(name)
     findings = Findings(target.call, FOLDER / name)
     warnings.simplefilter("error")
 
@@ -75,7 +75,7 @@ def run_leg(name: str, corpus: Path, seed: int, seconds: int) -> None:
     options = {
         "seed": seed,
         "max_total_time": seconds,
-        "max_len": MOST_BYTES,
+        "max_len": target.most_bytes,
         "timeout": round(6 * HANG_S),
         "print_final_stats": 1,
         "artifact_prefix": f"{FOLDER / name}/",

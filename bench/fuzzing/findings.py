@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "bench" / "fuzz_findings"
-DRIVERS = str(ROOT / "drivers") + "/"
-MOST_BYTES = 1024
+OURS = (str(ROOT / "drivers") + "/", str(ROOT / "onboard") + "/")
 HANG_S = 10.0
 SHORTENINGS = 2000  # executions spent to shorten a finding
 
@@ -104,9 +103,9 @@ def alarm(seconds: float) -> Iterator[None]:
 
 
 def place_of(error: BaseException) -> str:
-    """Kind of the exception, and the last line of ``drivers`` on its way (for a broken law: of the target)."""
+    """Kind of the exception, and the last line of ours on its way (for a broken law: of the target)."""
     frames = traceback.extract_tb(error.__traceback__)
-    ours = [frame for frame in frames if frame.filename.startswith(DRIVERS)] or frames
+    ours = [frame for frame in frames if frame.filename.startswith(OURS)] or frames
     return f"{type(error).__name__} {ours[-1].filename}:{ours[-1].lineno}"
 
 

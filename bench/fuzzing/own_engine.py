@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from types import CodeType, FrameType
 from typing import Any
 
-from bench.fuzzing.findings import DRIVERS, MOST_BYTES, Call, Findings, Result
+from bench.fuzzing import Target
+from bench.fuzzing.findings import OURS, Findings, Result
 
 INTERESTING = (b"\0", b"\xff", b"\x7f", b"\x80", b"\r", b"\n", b"!", b" ", b"+", b"0", b"\xff\xff\xff\xff", bytes(4))
 
@@ -16,7 +17,7 @@ Edge = tuple[CodeType, int, int]
 
 
 class Coverage:
-    """Steps from line to line in ``drivers``, as the interpreter's trace function sees them."""
+    """Steps from line to line in what is ours, as the interpreter's trace function sees them."""
 
     def __init__(self) -> None:
         self.seen: set[Edge] = set()
@@ -37,7 +38,7 @@ class Coverage:
 
     def _trace(self, frame: FrameType, event: str, argument: object) -> Callable[..., Any] | None:
         code = frame.f_code
-        if not code.co_filename.startswith(DRIVERS):
+        if not code.co_filename.startswith(OURS):
             return None
         add = self._now.add
         last = 0
@@ -52,7 +53,7 @@ class Coverage:
         return line
 
 
-def mutated(rng: random.Random, corpus: Sequence[bytes]) -> bytes:
+def mutated(rng: random.Random, corpus: Sequence[bytes], most_bytes: int) -> bytes:
     """One of the corpus after one to six changes: bits, bytes, stretches out, again, in another place, of another."""
     data = bytearray(rng.choice(corpus))
     for _ in range(rng.choice((1, 1, 2, 3, 6))):
@@ -81,21 +82,20 @@ def mutated(rng: random.Random, corpus: Sequence[bytes]) -> bytes:
                 data[at:at] = other[first : first + rng.choice((1, 8, 32))]
             case _ if data:
                 data[at % len(data)] = (data[at % len(data)] + rng.choice((-1, 1))) % 256
-    return bytes(data[:MOST_BYTES])
+    return bytes(data[:most_bytes])
 
 
-def fuzz(
-    call: Call, seeds: Sequence[bytes], seed: int, findings: Findings, executions: int | None, seconds: float
-) -> Result:
+def fuzz(target: Target, seed: int, findings: Findings, executions: int | None, seconds: float) -> Result:
     """Run for so many executions, or for so long when that is None."""
     rng = random.Random(seed)
+    seeds = target.seeds
     coverage, corpus = Coverage(), list(seeds)
     began = time.monotonic()
     done = paths = 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         while done < executions if executions is not None else time.monotonic() - began < seconds:
-            data = seeds[done] if done < len(seeds) else mutated(rng, corpus)
+            data = seeds[done] if done < len(seeds) else mutated(rng, corpus, target.most_bytes)
             if coverage.of(findings.run, data):
                 paths += 1
                 corpus.append(data)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from bench.identification import free_flyer as case
 from hil_sim.plants import free_flyer
 from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import VehicleModel
@@ -78,15 +77,14 @@ def unscented(online: RecursiveExiddm, ticks: Ticks) -> tuple[BodyEstimate, floa
     for first in range(0, len(ticks.time_s) - BATCH_TICKS - 1, BATCH_TICKS):
         begun = time.perf_counter()
         part = ticks.part(slice(first, first + BATCH_TICKS + 2))
-        links = link_motions(predictor.vehicle, part.q, part.dq, part.ddq)
-        sigma = part.sigma[1:-1]
+        joints, sigma = (part.q, part.dq, part.ddq), part.sigma[1:-1]
 
-        def shown(x: Floats, links=links, sigma=sigma) -> Floats:  # type: ignore[no-untyped-def]
-            return np.asarray((predictor.predict(links, x).values / sigma).ravel(), np.float64)
+        def shown(x: Floats, joints=joints, sigma=sigma) -> Floats:  # type: ignore[no-untyped-def]
+            return np.asarray((predictor.predict(*joints, x).values / sigma).ravel(), np.float64)
 
         peer.predict()
         peer.update((part.measured[1:-1] / sigma).ravel(), hx=shown)
-        peer.predict(fx=lambda x, dt, links=links: predictor.predict(links, x).state)
+        peer.predict(fx=lambda x, dt, joints=joints: predictor.predict(*joints, x).state)
         times.append(time.perf_counter() - begun)
     return body_estimate(peer.x[3:13], peer.P[3:13, 3:13]), float(np.median(times)) / BATCH_TICKS
 

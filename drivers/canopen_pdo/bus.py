@@ -23,6 +23,7 @@ OVERDUE = 2.5  # SYNC periods without SYNC after which held TPDOs become rows
 STALLED = 100.0  # SYNC periods without SYNC after which all waiting frames are read before numbering
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
+STOOD_NS = 500_000_000  # between two pumps: the process stood still (SIGSTOP), or got no CPU
 DRAINS, DRAIN_S = 16, 0.03  # receives in ``stop``, until one is empty
 
 
@@ -63,7 +64,10 @@ class CanopenBus:
         self._sync_rows: list[tuple[int, int, int, int]] = []
         self._sync_sent_ns: int | None = None
         self._sync_missed = False
+        self._bad_syncs = 0  # since the last one that could be read
         self._started_ns = 0
+        self._pumped_ns: int | None = None
+        self._stood_from_ns = self._stood_to_ns = 0  # of the last time that nobody pumped
         self._channels: list[PdoChannel] = []
         self._synchronous: list[SyncChannel] = []
         values = [data for config in nodes for data in config.process_data()]
@@ -107,6 +111,11 @@ class CanopenBus:
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
         """Receive the waiting frames and return their batches; waits up to ``timeout_s`` for the first frame."""
         self._port.now_ns = now_ns
+        if self._pumped_ns is not None and now_ns - self._pumped_ns > STOOD_NS:
+            self._stood_from_ns, self._stood_to_ns = self._pumped_ns, now_ns
+            text = f"not read for {1e-9 * (now_ns - self._pumped_ns):.1f} s: the process stood still"
+            self._report.event(now_ns, Severity.WARNING, "not_read", text)
+        self._pumped_ns = now_ns
         self._dispatch(self._receive(timeout_s))
         for node in self._nodes:
             node.poll(now_ns)
@@ -127,9 +136,12 @@ class CanopenBus:
             if not frames:
                 break
             self._dispatch(frames)
+        last = self._lost_at_the_end(now_ns, last)
         for channel in self._synchronous:
             channel.finish(now_ns, last)
         for each in self._channels:
+            if isinstance(each, EventChannel):
+                each.finish(now_ns)
             each.live = False
         text = f"stopped after {self._sync_sequence} SYNCs, {self.unclaimed} unclaimed frames"
         self._report.event(now_ns, Severity.INFO, "stopped", text)
@@ -177,6 +189,7 @@ class CanopenBus:
             counter = frame.decode_sync(data)
         except FrameError as error:
             self._report.event(host_ns, Severity.WARNING, "bad_sync", str(error))
+            self._bad_syncs += 1
             return
         if counter == 0:
             text = "SYNC carries no counter, losses are counted by arrival time only: write 240 to its 1019h"
@@ -184,10 +197,13 @@ class CanopenBus:
         before_tick, before_ns = self._sync.tick, self._sync.host_ns
         tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns)
         self._sync_sent_ns = None
+        lost = max(lost, self._bad_syncs) if restarted else lost  # those that could not be read are in no other gap
+        self._bad_syncs = 0
         if self._sync_missed:
             self._sync_missed = False
             self._report.event(host_ns, Severity.INFO, "sync_recovered", f"SYNC received again, number {tick}")
-        if self._sync.pause_ns:
+        stood = self._stood_from_ns <= host_ns < self._stood_to_ns + STOOD_NS  # it may lack what the bus did carry
+        if self._sync.pause_ns and not stood:
             pause_ms = self._sync.pause_ns // 1_000_000
             text = f"SYNC paused for {pause_ms} ms, none is missing: its producer paused, or frames were delayed"
             self._report.event(host_ns, Severity.WARNING, "sync_paused", text)
@@ -196,23 +212,35 @@ class CanopenBus:
             for channel in self._synchronous:
                 channel.close(before_tick, before_ns, next_tick)
         if restarted and before_tick is not None:
-            text = f"SYNC counter {counter} does not continue number {before_tick}: its producer restarted"
+            why = "frames were lost while the process stood still" if stood else "its producer restarted"
+            text = f"SYNC counter {counter} does not continue number {before_tick}: {why}"
             self._report.event(host_ns, Severity.ERROR, "sync_restarted", text)
             for channel in self._synchronous:
                 channel.sync_restarted(host_ns, before_tick, tick)
         if lost:
             first = self._sync_sequence
             duration_ns = lost * self._period_ns
-            self._report.gap(host_ns, self._sync_channel, first, first + lost - 1, duration_ns, "no_sync")
+            cause = "not_read" if stood else "no_sync"
+            self._report.gap(host_ns, self._sync_channel, first, first + lost - 1, duration_ns, cause)
             self._sync_sequence += lost
         self._sync_rows.append((self._sync_sequence, host_ns, tick, counter))
         self._sync_sequence += 1
+
+    def _lost_at_the_end(self, now_ns: int, last: int | None) -> int | None:
+        """Number of the run's last SYNC; those that should have come after ``last``, the last one seen, are a gap."""
+        lost = int(self._sync.silence(now_ns) - 0.5)
+        if last is None or lost < OVERDUE:
+            return last
+        first = self._sync_sequence
+        self._report.gap(now_ns, self._sync_channel, first, first + lost - 1, lost * self._period_ns, "no_sync")
+        self._sync_sequence += lost
+        return last + lost
 
     def _watch_sync(self, now_ns: int) -> None:
         if self._sync.silence(now_ns) > OVERDUE:
             for channel in self._synchronous:
                 channel.settle()
-        heard_ns = self._started_ns if self._sync.tick is None else self._sync.host_ns
+        heard_ns = max(self._started_ns if self._sync.tick is None else self._sync.host_ns, self._stood_to_ns)
         if not self._sync_missed and now_ns - heard_ns > SYNC_LIMIT_NS:
             self._sync_missed = True
             text = f"no SYNC for {(now_ns - heard_ns) // 1_000_000} ms: check its producer"

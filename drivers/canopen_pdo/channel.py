@@ -112,8 +112,8 @@ class PdoChannel(ABC):
     def accept(self, host_ns: int, data: bytes) -> None:
         """A TPDO arrived."""
 
-    def suspect(self, host_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is
-        """The node reported an error: TPDOs may have been lost."""
+    def suspect(self, host_ns: int, *, bus: bool) -> None:  # noqa: B027 - a hook that may be left as it is
+        """The node reported an error, of its ``bus`` or another one: TPDOs may have been lost."""
 
     def check(self, now_ns: int) -> Setup | None:
         """SDO transfers that read the value back, if due now; else None."""

@@ -28,6 +28,7 @@ class Cia402Config:
     Attributes:
         node: Node number.
         counts_per_revolution: Position units in a revolution of the joint, gear included.
+        zero_count: What it reads at joint angle zero, counts.
         position: Channel of 6064h, rad.
         velocity: Channel of 606Ch, rad/s.
         torque: Channel of 6077h, N m.
@@ -39,6 +40,7 @@ class Cia402Config:
 
     node: int
     counts_per_revolution: int
+    zero_count: int = 0
     position: str | None = None
     velocity: str | None = None
     torque: str | None = None
@@ -113,7 +115,7 @@ class DriveValue(ProcessData):
         self._start = sum(each & 0xFF for each in before) // 8
         self._size = (entry & 0xFF) // 8
         self._length = sum(each & 0xFF for each in self._mapping) // 8
-        self._position = Position(config.counts_per_revolution)
+        self._position = Position(config.counts_per_revolution, config.zero_count)
         per_count = TWO_PI / config.counts_per_revolution
         if entry == POSITION:
             self.unit, self.scale = "rad", per_count

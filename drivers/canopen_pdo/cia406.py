@@ -23,11 +23,13 @@ class Cia406Config:
         name: Channel.
         node: Node number.
         counts_per_revolution: Counts in a revolution of the joint (gear and quadrature included); checked at the node.
+        zero_count: What it reads at joint angle zero, counts.
     """
 
     name: str
     node: int
     counts_per_revolution: int
+    zero_count: int = 0
 
     def __post_init__(self) -> None:
         if self.counts_per_revolution < 1:
@@ -52,7 +54,7 @@ class Encoder(ProcessData):
         super().__init__(config.name, config.node, frame.TPDO[SYNC_TPDO] + config.node)
         self.scale = 2.0 * math.pi / config.counts_per_revolution
         self._counts = config.counts_per_revolution
-        self._position = Position(config.counts_per_revolution)
+        self._position = Position(config.counts_per_revolution, config.zero_count)
 
     def setup(self) -> Setup:
         """Check the resolution, disable the event TPDO, map the position to the SYNC TPDO.

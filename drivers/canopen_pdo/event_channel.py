@@ -15,6 +15,7 @@ from drivers.records import SampleStatus, Severity
 from drivers.reporter import Reporter
 
 CHECK_NS = 500_000_000
+OUTAGE_NS = 600_000_000  # without a TPDO and since an answered check was begun: changes may have been missed
 QUIET_NS = 20_000_000  # after a TPDO, before it is read back; a further TPDO restarts the wait
 
 
@@ -37,6 +38,8 @@ class EventChannel(PdoChannel):
         self._row_ns = 0
         self._heard_ns = 0  # of the last TPDO
         self._checked_ns = 0
+        self._confirmed_ns = 0  # of the last TPDO, or answer to a check
+        self._cut = False  # the node was cut off since: it may have sent what did not arrive
 
     def go_live(self) -> None:
         """The node has been started: the value read during set-up becomes the first row."""
@@ -55,19 +58,28 @@ class EventChannel(PdoChannel):
         sample = self._decoded(host_ns, data) if self.live else None
         if sample is None:
             return
-        self._heard_ns = host_ns
+        self._heard_ns = self._confirmed_ns = host_ns
         counter = self._object.counter(data)
         if counter is None or self._counter is None or self._object.steps(self._counter, counter) <= 1:
+            if counter is None and self._cut:
+                self._lose(host_ns, 1)
             self._accept(host_ns, sample, counter)
         elif self._rejected and self._object.steps(self._rejected[-1], counter) <= 1:
-            self._lose(host_ns, self._object.steps(self._counter, counter) - len(self._rejected) - 1)
+            missed = self._object.steps(self._counter, counter) - len(self._rejected) - 1
+            self._lose(host_ns, missed, counted=True)
             self._accept(host_ns, sample, counter)
         else:
             self._rejected.append(counter)
             self._put(host_ns, sample, SampleStatus.NOT_VALID)
 
-    def suspect(self, host_ns: int) -> None:
+    def node_reset(self) -> None:
+        """See ``PdoChannel``. The value may have changed and changed back."""
+        super().node_reset()
+        self._cut = self.started
+
+    def suspect(self, host_ns: int, *, bus: bool) -> None:
         """See ``PdoChannel``."""
+        self._cut |= bus and self.started
         self._checked_ns = min(self._checked_ns, host_ns - CHECK_NS)
 
     def check(self, now_ns: int) -> Setup | None:
@@ -81,41 +93,51 @@ class EventChannel(PdoChannel):
 
     def _check(self, now_ns: int) -> Setup:
         counter = yield from self._object.read_counter()
+        if counter is not None and counter == self._counter:
+            self._confirmed_ns = now_ns
         open_question = self._unconfirmed or bool(self._rejected)
         if counter is not None and counter == self._counter and not open_question:
             return
         host_ns, sample, _ = yield from self._object.read_value()
         if self._heard_ns >= now_ns:  # a TPDO arrived meanwhile: which of the two is older is not known
             self._put(host_ns, sample, SampleStatus.NOT_VALID)
-        elif counter is not None or open_question or sample.value_raw != self._value:
+        elif counter is not None or open_question or sample.value_raw != self._value or self._cut:
             self._read(Reading(host_ns, sample, counter))
+        self._confirmed_ns = now_ns
 
     def _read(self, reading: Reading) -> None:
         """Compare the value read back with the last row; record a row if it is new."""
         host_ns, sample, counter = reading
         if counter is not None and self._counter is not None:
-            self._lose(host_ns, self._object.steps(self._counter, counter) - len(self._rejected))
-        elif self._value is not None and sample.value_raw != self._value:
+            self._lose(host_ns, self._object.steps(self._counter, counter) - len(self._rejected), counted=True)
+        elif self._value is not None and (sample.value_raw != self._value or self._cut):
             self._lose(host_ns, 1)
-        self._checked_ns = host_ns
+        self._checked_ns = self._confirmed_ns = host_ns
         self._accept(host_ns, sample, counter)
+
+    def finish(self, now_ns: int) -> None:
+        """Last call: without a sign of life, changes up to the end may have been missed."""
+        if self.started and self._object.is_readable and now_ns - self._confirmed_ns > OUTAGE_NS:
+            self._lose(now_ns, 1)
 
     def _accept(self, host_ns: int, sample: Sample, counter: int | None) -> None:
         self._unconfirmed = sample.value_raw != self._value
         self._value, self._counter = sample.value_raw, counter
         self._rejected.clear()
+        self._cut = False
         self._put(host_ns, sample, SampleStatus.OK)
 
     def _put(self, host_ns: int, sample: Sample, status: SampleStatus) -> None:
         self._row_ns = host_ns
         self._append(host_ns, self._sync.tick or 0, sample._replace(status=sample.status | status), 0)
 
-    def _lose(self, host_ns: int, count: int) -> None:
-        """Record a gap of ``count`` TPDOs that did not arrive."""
+    def _lose(self, host_ns: int, count: int, *, counted: bool = False) -> None:
+        """Record a gap of ``count`` TPDOs that did not arrive. A node that was cut off may not have sent them."""
         if count <= 0:
             return
         name, first = self.data.name, self._next
-        self._report.gap(host_ns, name, first, first + count - 1, host_ns - self._row_ns, "no_pdo")
+        span_ns = host_ns - self._row_ns
+        self._report.gap(host_ns, name, first, first + count - 1, span_ns, "no_pdo", counted=counted and not self._cut)
         self._next += count
         text = f"{count} TPDOs {self.data.cob_id:03X}h did not arrive, by its counter or its value now: check the bus"
         self._report.event(host_ns, Severity.WARNING, "pdo_lost", text, name)

@@ -17,6 +17,7 @@ HEARTBEAT_LIMIT_NS = 1_500_000_000
 SETTLE_NS = 1_000_000_000  # heartbeats sent before a node took our NMT command may still arrive
 BACKOFF_NS = 500_000_000
 LONGEST_BACKOFF_NS = 8_000_000_000
+COMMUNICATION = 0x8100  # error codes of this class (CiA 301, table 26)
 
 _CODES = {
     WrongDeviceError: "wrong_device",
@@ -148,7 +149,7 @@ class Node:
             self._report.event(host_ns, Severity.WARNING, "bad_emergency", str(error), self.source)
             return
         for channel in self.channels:
-            channel.suspect(host_ns)
+            channel.suspect(host_ns, bus=emergency.code & 0xFF00 == COMMUNICATION)
         severity = Severity.WARNING if emergency.code else Severity.INFO
         what = f"{emergency.code:04X}h, register {emergency.register:02X}h, {emergency.vendor.hex()}"
         text = f"node {self.number} EMCY {what}" if emergency.code else f"node {self.number} EMCY: errors are over"

@@ -94,6 +94,8 @@ class SyncCounter:
             ahead = least + ROUND * round((elapsed - least) / ROUND)
             restarted = ahead < 1 or (ahead > 1 and abs(elapsed - ahead) > SLACK)
             ahead = max(ahead, least)
+            if restarted and least == 1:  # the very next number, late: a pause. Of restarts 1 in 240 looks like it
+                ahead, restarted = 1, False
         self.pause_ns = self._late_ns if elapsed > 0.5 * ahead else 0
         late = elapsed - ahead
         self._late_ns = round(late * self.period_ns) if late > LATE and not restarted else 0

@@ -6,6 +6,7 @@ from drivers.records import Severity
 from drivers.reporter import Reporter
 
 SILENT_AFTER = 20  # SYNCs without an answer before an event
+FIRST_ANSWER = 4  # SYNCs after the start of a node until its first answer is late
 LATEST = 400  # SYNCs after a gap during which late answers to it are discarded
 
 
@@ -28,6 +29,8 @@ class SyncChannel(PdoChannel):
         self._period_ns = sync.period_ns
         self._held: list[tuple[int, bytes]] = []
         self._last_tick = 0  # of the last row
+        self._live_tick: int | None = None  # when the node was started, before any row
+        self._before_sync = 0  # TPDOs that came before any SYNC
         self._unanswered = 0  # SYNCs seen since the last row without an answer
         self._silent = 0  # the same, since the node went live or answered
         self._owed = 0  # answers missing in the last gap
@@ -38,6 +41,8 @@ class SyncChannel(PdoChannel):
         """The node has been started."""
         super().go_live()
         self._silent = 0
+        if not self.started:
+            self._live_tick = self._sync.tick
 
     def node_reset(self) -> None:
         """See ``PdoChannel``. TPDOs held so far become rows first."""
@@ -46,9 +51,11 @@ class SyncChannel(PdoChannel):
         self._reset_since_row = self.started
 
     def accept(self, host_ns: int, data: bytes) -> None:
-        """See ``PdoChannel``. TPDOs before the first SYNC are ignored."""
+        """See ``PdoChannel``. TPDOs before the first SYNC answer none: they are a gap before the first row."""
         if self.live and self._sync.tick is not None:
             self._held.append((host_ns, data))
+        elif self.live:
+            self._before_sync += 1
 
     def close(self, tick: int, sync_ns: int, next_tick: int) -> None:
         """Assign the TPDOs held between SYNC ``tick`` (arrived at ``sync_ns``) and the next one seen, ``next_tick``."""
@@ -85,6 +92,7 @@ class SyncChannel(PdoChannel):
         if self.started and last > self._last_tick:
             self._lose(host_ns, last)
         self._last_tick = tick - 1
+        self._live_tick = tick - 1
 
     def finish(self, now_ns: int, last: int | None) -> None:
         """Last call: record the unanswered SYNCs up to ``last`` as a gap."""
@@ -92,15 +100,27 @@ class SyncChannel(PdoChannel):
         if tick is None or last is None:
             return
         self.close(tick, self._sync.host_ns, tick + 1)
-        if self.started and last > self._last_tick:
+        if not self.started:
+            self._lose_first(now_ns, last)
+        elif last > self._last_tick:
             self._lose(now_ns, last)
+
+    def _lose_first(self, now_ns: int, up_to_tick: int) -> None:
+        """No row yet: the SYNCs since the node was started are a gap, unless they are so few as it takes to start."""
+        since = up_to_tick - self._live_tick if self.live and self._live_tick is not None else 0
+        lost = self._before_sync + (since if since > FIRST_ANSWER else 0)
+        if lost:
+            self._last_tick = up_to_tick - lost
+            self._lose(now_ns, up_to_tick)
 
     def _answer(self, tick: int, host_ns: int, data: bytes) -> None:
         sample: Sample | None = self._decoded(host_ns, data)
         if sample is None:
             self._unanswered += 1
             return
-        if self.started and tick > self._last_tick + 1:
+        if not self.started:
+            self._lose_first(host_ns, tick - 1)
+        elif tick > self._last_tick + 1:
             self._lose(host_ns, tick - 1)
         self._append(host_ns, tick, sample, 1 + tick % ROUND)
         self._last_tick = tick

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import FrameError
 from drivers.nimu.packet import STANDARD_GRAVITY_M_S2, NimuConfig, Packets, PacketStream
-from drivers.nimu.timer import PacketTicks, PacketTimer
+from drivers.nimu.timer import TURN_NS, PacketTicks, PacketTimer
 from drivers.records import IMU, SCALAR, Rows, SampleStatus, Severity
 from drivers.repeats import Repeats, longest_run
 from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
@@ -91,9 +91,11 @@ class Nimu(SerialDevice):
             lost = int(numbers[place]) - before - 1
             if lost > 0:
                 duration_ns = round(lost * (self._timer.period_ns or 0.0))
-                self._report.gap(host_ns, self.name, before + 1, before + lost, duration_ns, "packets_lost")
-                for channel in self._magnetometer_channels():
-                    self._report.gap(host_ns, channel, before + 1, before + lost, duration_ns, "packets_lost")
+                counted = 0 < duration_ns < 0.5 * TURN_NS and not placed.restarted[place]
+                for channel in (self.name, *self._magnetometer_channels()):
+                    self._report.gap(
+                        host_ns, channel, before + 1, before + lost, duration_ns, "packets_lost", counted=counted
+                    )
         if placed.stuck.any() != self._told_stuck:
             self._told_stuck = not self._told_stuck
             if self._told_stuck:

@@ -239,7 +239,8 @@ class NodeFrame(SerialDevice):
             self._named = 0
             return np.arange(first, self._next)
         lost = placed.lost
-        if self._named:
+        is_named_before = self._named > 0
+        if is_named_before:
             lost[0] = max(0, lost[0] - self._named)
             self._named = 0
         numbers = self._next + np.cumsum(lost) + np.arange(len(lost))
@@ -250,9 +251,10 @@ class NodeFrame(SerialDevice):
         for place in np.flatnonzero(lost):
             count, last = int(lost[place]), int(numbers[place]) - 1
             cause = "node_reset" if placed.rebooted[place] else "frames_lost"
+            counted = cause == "frames_lost" and not is_named_before
             for channel in self._names:
                 duration_ns = min(round(count * self._frame_ns), LONGEST_GAP_NS)
-                self._report.gap(host_ns, channel, last - count + 1, last, duration_ns, cause)
+                self._report.gap(host_ns, channel, last - count + 1, last, duration_ns, cause, counted=counted)
         self._next = int(numbers[-1]) + 1
         return numbers
 

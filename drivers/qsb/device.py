@@ -271,8 +271,11 @@ class Qsb(SerialDevice):
         interval = self._interval
         since = ticks - np.concatenate(([self._last_tick], ticks[:-1]))
         lost = np.where(since > interval + self._jitter, np.rint(since / interval).astype(np.int64) - 1, 0)
-        if jump is not None:
-            lost[jump : jump + 1] = 0
+        if jump is not None and jump < len(lost):
+            lost[jump] = 0
+            if self._last_ns is not None:  # the timestamp does not tell: by the host's clock
+                due = round((host_ns - self._last_ns) / self.config.interval_ns)
+                lost[jump] = max(0, due - len(lost) - int(lost.sum()))
         if self._last_ns is None:
             lost[0] = 0
         elif self._after_reset:

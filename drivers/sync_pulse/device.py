@@ -86,7 +86,9 @@ class SyncPulse:
                 if lost:
                     first = self._sequence
                     duration_ns = edge.edge_ns - last.edge_ns
-                    self._report.gap(edge.host_ns, self.name, first, first + lost - 1, duration_ns, "edge_lost")
+                    self._report.gap(
+                        edge.host_ns, self.name, first, first + lost - 1, duration_ns, "edge_lost", counted=True
+                    )
                     self._sequence += lost
             else:
                 text = f"line number {edge.line_sequence} after {last.line_sequence}: the line was requested again"

@@ -122,7 +122,8 @@ class _Output:
         """Record the numbers not sent as a gap."""
         if self._lost is not None:
             first, cause, since_ns = self._lost
-            self._report.gap(now_ns, self._channel, first, self.next - 1, max(now_ns - since_ns, 0), cause)
+            span_ns = max(now_ns - since_ns, 0)
+            self._report.gap(now_ns, self._channel, first, self.next - 1, span_ns, cause, counted=True)
             self._lost = None
 
     def hand_over(self) -> None:

@@ -7,7 +7,7 @@ decisions. Bus libraries are imported when a port is opened.
 from collections.abc import Callable
 
 from drivers.ports import CanPort, I2cPort, PulseOutputPort, PulsePort, SerialPort
-from drivers.transports.url import parse
+from drivers.transports.url import BusUrl, parse
 
 Clock = Callable[[], int]
 
@@ -45,7 +45,7 @@ def open_i2c(url: str, clock: Clock) -> I2cPort:
 
 
 def open_can(url: str, clock: Clock) -> CanPort:
-    """Open a CAN bus.
+    """Open a CAN bus. The port opens it again when its adapter or interface went and came back.
 
     Args:
         url: ``can+socketcan://can0?bitrate=500000`` (the bit rate is what ``ip link`` was told; it is not set here;
@@ -59,7 +59,12 @@ def open_can(url: str, clock: Clock) -> CanPort:
         UrlError: The URL is not one of these.
         OSError: The interface or tty cannot be opened.
     """
-    bus = parse(url, CAN_URLS)
+    from drivers.transports.can_reopen import ReopeningCanPort  # noqa: PLC0415
+
+    return ReopeningCanPort(lambda: _can(parse(url, CAN_URLS), clock), clock)
+
+
+def _can(bus: BusUrl, clock: Clock) -> CanPort:
     if bus.kind == "can+socketcan":
         from drivers.transports.can_socket import SocketcanPort  # noqa: PLC0415
 

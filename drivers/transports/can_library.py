@@ -52,7 +52,10 @@ class LibraryCanPort:
         stamps = url.options.get("timestamps", "realtime")
         if stamps not in {"monotonic", "realtime"}:
             raise UrlError(f"bus URL {url.text!r}: timestamps={stamps} is unknown: use monotonic or realtime")
-        bus = can.Bus(interface="virtual", channel=url.host, preserve_timestamps=True, ignore_config=True)
+        try:
+            bus = can.Bus(interface="virtual", channel=url.host, preserve_timestamps=True, ignore_config=True)
+        except can.CanError as error:
+            raise OSError(error.error_code or errno.ENODEV, f"python-can cannot open {url.host}: {error}") from error
         return cls(bus, clock, monotonic_stamps=stamps == "monotonic")
 
     def send(self, identifier: int, data: bytes) -> None:

@@ -68,7 +68,10 @@ def parse(text: str, kinds: Mapping[str, tuple[str, ...]]) -> BusUrl:
     Raises:
         UrlError: Unknown scheme or option, or a missing part. The message gives the correct form.
     """
-    parts = urlsplit(text)
+    try:
+        parts = urlsplit(text)
+    except ValueError as error:
+        raise UrlError(f"bus URL {text!r} is none: {error}") from error
     if parts.scheme not in kinds:
         raise UrlError(f"bus URL {text!r} names no transport: begin it with one of {', '.join(kinds)} and '://'")
     needed, *allowed = kinds[parts.scheme]

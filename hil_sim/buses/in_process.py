@@ -4,58 +4,17 @@ smbus2 with its ioctl answered, python-can's ``virtual`` interface, port objects
 datagrams. Nothing here reads a clock or starts a thread.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 
-import can
-
+from hil_sim.buses.can_virtual import VirtualCan, install_can
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
 from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial, install_serial
-from hil_sim.devices.can_wire import WireFrame
 from hil_sim.scenario.bus_tables import BusTable, CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
-
-
-class VirtualCan:
-    """The far end of a python-can ``virtual`` channel; ``timestamp`` is ``CLOCK_MONOTONIC`` in seconds.
-
-    Args:
-        channel: Its name in this process.
-    """
-
-    def __init__(self, channel: str) -> None:
-        self._bus = can.Bus(channel, interface="virtual", preserve_timestamps=True)
-
-    @property
-    def listening(self) -> bool:
-        """Always true in one process."""
-        return True
-
-    def take(self) -> list[tuple[int, bytes | int]]:
-        """Frames with 11-bit identifiers sent by others on the channel; see ``CanLink``."""
-        frames: list[tuple[int, bytes | int]] = []
-        while (message := self._bus.recv(0)) is not None:
-            if not (message.is_extended_id or message.is_error_frame):
-                content = message.dlc if message.is_remote_frame else bytes(message.data)
-                frames.append((message.arbitration_id, content))
-        return frames
-
-    def give(self, frames: Sequence[WireFrame]) -> None:
-        """Send frames with their stamps."""
-        for end_ns, identifier, data in frames:
-            self._bus.send(
-                can.Message(timestamp=end_ns * 1e-9, arbitration_id=identifier, is_extended_id=False, data=data)
-            )
-
-    def give_error(self, end_ns: int, classes: int) -> None:
-        """Send an error frame."""
-        self._bus.send(can.Message(timestamp=end_ns * 1e-9, arbitration_id=classes, is_error_frame=True, data=bytes(8)))
-
-    def close(self) -> None:
-        """Leave the channel."""
-        self._bus.shutdown()
 
 
 class _I2cPort(Port):
@@ -71,9 +30,12 @@ class _I2cPort(Port):
 class _CanPort(Port):
     def __init__(self, channel: str, bit_rate: int, seed: int) -> None:
         self._link = VirtualCan(channel)
+        self._installed = ExitStack()
+        self._installed.enter_context(install_can())
         super().__init__(CanBus(self._link, bit_rate, seed), f"can+virtual://{channel}?timestamps=monotonic")
 
     def close(self) -> None:
+        self._installed.close()
         self._link.close()
 
 

@@ -150,6 +150,17 @@ class ReportsCanErrors(Protocol):
         """An error frame, its classes as in linux/can/error.h."""
 
 
+@runtime_checkable
+class CanBePulled(Protocol):
+    """An interface on an adapter that can be pulled out; a controller on the board cannot."""
+
+    def unplug(self) -> None:
+        """The adapter is pulled out: it hears and sends nothing, and what is open on it fails."""
+
+    def plug(self) -> None:
+        """The adapter is back; it has to be opened again."""
+
+
 class CanBus:
     """A CAN bus with nodes on it and the flight computer at one end.
 
@@ -186,6 +197,7 @@ class CanBus:
         self._late: deque[tuple[int, WireFrame]] = deque()  # frames on their way to us, by time of arrival
         self._now_ns = 0
         self._last_stamp_ns = 0
+        self._pulled = False  # the adapter out of the flight computer
 
     @property
     def due_ns(self) -> int:
@@ -209,6 +221,7 @@ class CanBus:
             FaultKind.FLOOD,
             FaultKind.DELAYED,
             FaultKind.INTERMITTENT,
+            *((FaultKind.UNPLUG,) if isinstance(self._link, CanBePulled) else ()),
         )
         for window in faults.windows:
             if window.kind is FaultKind.FLOOD:
@@ -217,6 +230,7 @@ class CanBus:
 
     def advance(self, now_ns: int) -> None:
         """Send what the flight computer sent since the last call, let nodes and wire go on, deliver what arrived."""
+        self._pull(now_ns)
         sent = self._link.take()
         if not (self._faults and self._is_cut(self._now_ns)):
             for identifier, data in sent:
@@ -237,8 +251,21 @@ class CanBus:
             self.delivered += len(frames)
             self._link.give([self._stamped(frame) for frame in frames])
 
+    def _pull(self, now_ns: int) -> None:
+        """Pull the adapter out, or put it back in."""
+        pulled = self._faults.active(FaultKind.UNPLUG, now_ns) is not None if self._faults else False
+        if pulled != self._pulled and isinstance(self._link, CanBePulled):
+            self._pulled = pulled
+            if pulled:
+                self._link.unplug()
+                self._late.clear()
+            else:
+                self._link.plug()
+
     def _is_cut(self, now_ns: int) -> bool:
-        return self._faults.active(FaultKind.BUS_OFF, now_ns) is not None or self._faults.is_away(now_ns)
+        return (
+            self._pulled or self._faults.active(FaultKind.BUS_OFF, now_ns) is not None or self._faults.is_away(now_ns)
+        )
 
     def _is_dropped(self, frame: WireFrame) -> bool:
         fault = self._faults.active(FaultKind.FRAME_DROP, frame.end_ns)

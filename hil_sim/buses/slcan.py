@@ -11,6 +11,7 @@ import errno
 import os
 import tty
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 from hil_sim.devices.can_wire import WireFrame
@@ -29,23 +30,43 @@ class SlcanAdapter:
 
     Args:
         bit_rate: Of the bus that it hangs on, bit/s.
+        link: The symbolic link to make, also after each ``plug``; None: ``path`` is the terminal's own name.
     """
 
-    def __init__(self, bit_rate: int = 500_000) -> None:
+    def __init__(self, bit_rate: int = 500_000, link: Path | None = None) -> None:
+        self._link = link
+        self._master = -1
+        self._slave: int | None = None
+        self.lost = 0
+        self._bus_bit_rate = bit_rate
+        self._sent: list[tuple[int, bytes | int]] = []
+        self.plug()
+
+    def plug(self) -> None:
+        """Put it in, as it comes from the factory, on a terminal of its own."""
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(slave)
-        self._slave: int | None = slave  # held until the first client is there
-        self.lost = 0
+        self._slave = slave  # held until the first client is there
         self.hung_up = False  # no process has the terminal open
-        self._bus_bit_rate = bit_rate
         self._bit_rate = 0
         self._open = self._listen_only = self._stamps = False
         self._flags = 0
         self._input = bytearray()
         self._output = bytearray()
-        self._sent: list[tuple[int, bytes | int]] = []
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(self.path)
+            self.path = str(self._link)
+
+    def unplug(self) -> None:
+        """Pull it out: who has the terminal open gets an error."""
+        self.close()
+        self._open, self.hung_up = False, True
+        self._output.clear()
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
 
     def fileno(self) -> int:
         """The adapter's side of the pseudo-terminal."""
@@ -83,8 +104,10 @@ class SlcanAdapter:
         self._flush()
 
     def close(self) -> None:
-        """Unplug it."""
-        os.close(self._master)
+        """Take its terminal away."""
+        if self._master >= 0:
+            os.close(self._master)
+            self._master = -1
         if self._slave is not None:
             os.close(self._slave)
             self._slave = None
@@ -99,6 +122,8 @@ class SlcanAdapter:
         self._flush()
 
     def _read(self) -> bytes:
+        if self._master < 0:
+            return b""
         try:
             data = os.read(self._master, 4096)
         except BlockingIOError:
@@ -117,7 +142,7 @@ class SlcanAdapter:
         return data
 
     def _flush(self) -> None:
-        if not self._output:
+        if not self._output or self._master < 0:
             return
         try:
             del self._output[: os.write(self._master, self._output)]

@@ -1,13 +1,15 @@
 """The arm controller as the bus sees it: mission phase 2000h:1 and event counter 2000h:2 in TPDO1, on every change."""
 
-from collections.abc import Iterable
-from typing import Literal
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal
 
 from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import CanopenNode
-from hil_sim.devices.emulator import Bench, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, Twin
 from hil_sim.devices.object_dictionary import Access, DataType, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, reported_phases
+from hil_sim.scenario.sheets import Sheets
+from hil_sim.scenario.tables import ScenarioError
 from hil_sim.sensing.controller_sensors import PhaseSensor
 
 _PHASE = 0x2000_01_08
@@ -42,6 +44,8 @@ class ArmController(CanopenNode):
             raise ValueError("The phase changes are not in order of time; sort them.")
         self._changes = reported_phases(self._changes, faults)
         self._changes.reverse()
+        self._read_back = 0  # times
+        self._shown: tuple[int, int, int] | None = None  # when the phase was read last
         self._phase = self._events = 0  # not objects of their own: an NMT reset does not touch the sequence
         u8 = DataType.U8
         self.dictionary.add(0x2000, 0, Entry(u8, Access.RO, 2))
@@ -52,8 +56,18 @@ class ArmController(CanopenNode):
 
     @property
     def produced(self) -> int:
-        """Phases reported: a TPDO1 on entering Operational, one per change in it, and each answered SDO read."""
-        return self._tpdo_1.produced + self.uploads[0x2000, 1]
+        """Phases reported: a TPDO1 on entering Operational, one per change in it, and each SDO read.
+
+        Reads with no change, TPDO or set-up (a read of 1000h) between them are one: a lost answer is asked for again.
+        """
+        return self._tpdo_1.produced + self._read_back
+
+    def _uploaded(self, read: tuple[int, int]) -> None:
+        super()._uploaded(read)
+        shown = self._tpdo_1.produced, self._events, self.uploads[0x1000, 0]
+        if read == (0x2000, 1) and shown != self._shown:
+            self._read_back += 1
+            self._shown = shown
 
     def _next_change(self) -> None:
         if self._changes:
@@ -72,6 +86,17 @@ class ArmControllerTable(CanNodeEmulator):
     quantities = ("phase",)
 
     kind: Literal["arm_controller"]
+
+    vehicle_kind = "canopen_object"
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``: the object that tells the phases of the mission, 2000h."""
+        if sheets.phase_channel != name or (said["index"], said["subindex"]) != (_PHASE >> 16, _PHASE >> 8 & 0xFF):
+            raise ScenarioError(
+                f"device.{name}: of mapped objects the phase, 2000h:1, can be rehearsed; take the others out"
+            )
+        return Equivalent(cls.node_keys(said) | {"measures": name}, {name: {"quantity": "phase"}}, {})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -1,6 +1,7 @@
 """What the tables of all CANopen nodes have, ``[device.NAME]``."""
 
-from typing import Annotated, Literal, Protocol
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import Field
 
@@ -26,6 +27,11 @@ class CanNodeEmulator(MeasuringEmulator):
 
     node: Annotated[int, Field(ge=1, le=127)]
     supervision: Literal["heartbeat", "guarding"] = "heartbeat"
+
+    @staticmethod
+    def node_keys(said: Mapping[str, Any]) -> dict[str, Any]:
+        """Keys that a node's table in a vehicle file has too."""
+        return {key: said[key] for key in ("node", "supervision") if key in said}
 
     @property
     def place(self) -> str:

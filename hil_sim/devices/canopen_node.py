@@ -299,9 +299,13 @@ class CanopenNode:
     def _on_sdo(self, request: bytes, now_ns: int) -> None:
         answer, read = serve(self.dictionary, request, now_ns)
         if read is not None:
-            self.uploads[read] += 1
+            self._uploaded(read)
         if answer is not None:
             self._send(0x580 + self.node_id, answer, now_ns + _SDO_NS)
+
+    def _uploaded(self, read: tuple[int, int]) -> None:
+        """An object was read and answered."""
+        self.uploads[read] += 1
 
     # Heartbeat and wire
 

@@ -22,16 +22,17 @@ index  object                         here
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Annotated, Final, Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, PositiveFloat
 
 from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import OFF, OPERATIONAL, CanopenNode
-from hil_sim.devices.emulator import Bench, Signal, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, Signal, Twin
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.controller_sensors import MotorTorqueSensor
 from hil_sim.sensing.sensors import EncoderSensor
@@ -63,11 +64,12 @@ class Drive402(CanopenNode):
     Args:
         node_id: CANopen node number.
         angle: Axis angle, rad.
-        torque: Torque of the motor on the axis, N m.
+        torque: Torque of the motor on the axis, N m, gear included.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
         increments_per_revolution: 608Fh; of the axis.
         zero_increments: Position actual value at angle zero.
-        rated_torque_nm: 6076h, N m.
+        rated_torque_nm: 6076h, N m, of the motor itself.
+        gear_ratio: Revolutions of the motor in one of the axis.
         velocity_window_ns: Over which the position is differenced.
         commands: (mission time in s, controlword) given by the motion controller.
         trips: (mission time in s, error code) at which the drive faults.
@@ -87,6 +89,7 @@ class Drive402(CanopenNode):
         increments_per_revolution: int = 500_000,
         zero_increments: int = 0,
         rated_torque_nm: float = 10.0,
+        gear_ratio: float = 1.0,
         velocity_window_ns: int = 4_000_000,
         commands: Sequence[tuple[float, int]] = ENABLE,
         trips: Sequence[tuple[float, int]] = (),
@@ -100,7 +103,7 @@ class Drive402(CanopenNode):
         self._torque = FaultyScalar(torque, faults, start_ns)
         self._increments_per_rad = increments_per_revolution / math.tau
         self._zero_increments = zero_increments
-        self._rated_torque_nm = rated_torque_nm
+        self._rated_torque_nm = rated_torque_nm * gear_ratio  # at the axis
         self._window_ns = velocity_window_ns
         plan: list[tuple[float, Callable[[int, int], None], int]] = []
         plan += [(time_s, self._command, word) for time_s, word in commands]
@@ -294,6 +297,26 @@ class Drive402Table(CanNodeEmulator):
     rated_torque_Nm: PositiveFloat
     velocity_window_ms: PositiveFloat = 4.0
     channels: tuple[Literal["velocity", "torque"], ...] = ()
+    gear_ratio: float = 1.0
+
+    vehicle_kind = "cia402"
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``: the rated torque is the file's, or what the URDF allows the joint."""
+        gear = said.get("gear_ratio", 1.0)
+        rated = said.get("rated_torque_N_m", sheets.effort_n_m(said["joint"]) / abs(gear))
+        table = {
+            "zero_count": said.get("zero_count", 0),
+            "measures": name,
+            "torque": f"{name}_torque",
+            "at": said["joint"],
+            "rated_torque_Nm": rated,
+            "gear_ratio": gear,
+            "channels": [channel for channel in ("velocity", "torque") if said.get(channel)],
+        }
+        sensors = {name: sheets.encoder(name, said), f"{name}_torque": sheets.torque(rated * abs(gear), said)}
+        return Equivalent(cls.node_keys(said) | table, sensors, {})
 
     def signals(self, name: str) -> dict[str, Signal]:
         """See ``Emulator``."""
@@ -310,6 +333,7 @@ class Drive402Table(CanNodeEmulator):
             increments_per_revolution=encoder.counts_per_revolution,
             zero_increments=self.zero_count,
             rated_torque_nm=self.rated_torque_Nm,
+            gear_ratio=self.gear_ratio,
             velocity_window_ns=round(self.velocity_window_ms * 1e6),
             faults=bench.faults,
         )

@@ -17,17 +17,19 @@ within the manual's 50 ms.
 
 import math
 import re
-from typing import Annotated, Final, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field
 
-from hil_sim.devices.emulator import FORCES, Bench, MeasuringEmulator, Twin
+from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.sampled_scalar import SampledScalar
 from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import LoadCellSensor
 
@@ -226,6 +228,12 @@ class DscLoadCellTable(MeasuringEmulator):
     station: Annotated[int, Field(ge=1, le=999)] = 1
     rate_code: Annotated[int, Field(ge=0, le=9)] = 9  # 500 conversions a second
     delay_ms: tuple[NonNegative, NonNegative] = (1.0, 5.0)
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        table = {"station": said.get("station", 1), "measures": name, "at": said["frame"]}
+        return Equivalent(table, {name: sheets.load_cell(said)}, {name: "converter"})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -13,6 +13,8 @@ from hil_sim.devices.sync_box import Pin
 from hil_sim.faults import DeviceFaults
 from hil_sim.scenario.bus_tables import SerialBusTable
 from hil_sim.scenario.sensor_tables import MeasuredQuantity, Table
+from hil_sim.scenario.sheets import Sheets
+from hil_sim.scenario.tables import ScenarioError
 from hil_sim.sensing.analog import ChipClock
 
 FORCES: tuple[MeasuredQuantity, ...] = ("joint_moment", "force")
@@ -102,15 +104,46 @@ class Twin(NamedTuple):
     drive_pin: Callable[[Pin], None] | None = None
 
 
+class Equivalent(NamedTuple):
+    """What stands in a scenario for a device of a vehicle file.
+
+    Attributes:
+        device: its emulator's table, but for ``kind`` and ``bus``.
+        sensors: tables of what it measures with, by name.
+        clocks: names of its oscillators in the data sheets, by clock; a crystal where not given.
+    """
+
+    device: dict[str, Any]
+    sensors: dict[str, dict[str, Any]]
+    clocks: dict[str, str]
+
+
 class Emulator(Table):
     """What every device has."""
 
     needs: ClassVar[str] = "serial"  # kind of its bus
     has_clock: ClassVar[bool] = True  # a CANopen node has that of its twin
     baud_rates: ClassVar[tuple[int, ...]] = ()  # on a serial line: those it can have, if it cannot have all
+    vehicle_kind: ClassVar[str | None] = None  # kind of device in a vehicle file, where it is another than its own
 
     kind: str
     bus: str | None
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """What stands for a device of a vehicle file in a scenario.
+
+        Args:
+            name: of the device.
+            said: its table in the file, as it was written.
+            sheets: what the file does not say.
+
+        Raises:
+            ScenarioError: it cannot be rehearsed, with the reason.
+        """
+        raise ScenarioError(
+            f"device.{name}: a {said.get('kind')} has no emulator of its table; take it out to rehearse"
+        )
 
     @property
     def place(self) -> str:

@@ -5,15 +5,17 @@ decoding included. 6004h is unsigned and wraps modulo 2^32.
 """
 
 import math
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import CanopenNode
-from hil_sim.devices.emulator import Bench, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, Twin
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.sensors import EncoderSensor
 
@@ -114,6 +116,14 @@ class Encoder406Table(CanNodeEmulator):
 
     kind: Literal["encoder406"]
     zero_count: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    vehicle_kind = "cia406"
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        table = {"zero_count": said.get("zero_count", 0) % 2**32, "measures": name, "at": said["joint"]}
+        return Equivalent(cls.node_keys(said) | table, {name: sheets.encoder(name, said)}, {})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -4,13 +4,15 @@ The converter clips at the cell's capacity. 6150h bit 0 (value not valid) follow
 ``flags_overload`` is set: as in the units that were flown, full scale is otherwise a reading like any other.
 """
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import CanopenNode
-from hil_sim.devices.emulator import FORCES, Bench, Twin
+from hil_sim.devices.emulator import FORCES, Bench, Equivalent, Twin
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.sensors import LoadCellSensor
 
@@ -112,6 +114,14 @@ class LoadCell404Table(CanNodeEmulator):
 
     kind: Literal["loadcell404"]
     flags_overload: bool = False
+
+    vehicle_kind = "cia404"
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        table = cls.node_keys(said) | {"measures": name, "at": said["frame"]}
+        return Equivalent(table, {name: sheets.load_cell(said)}, {})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -33,16 +33,18 @@ checked against the manual's own pages: status bit 9, and the codes of unit and 
 
 import math
 from collections import deque
-from typing import Annotated, Final, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from hil_sim.devices.emulator import FORCES, Bench, MeasuringEmulator, Twin
+from hil_sim.devices.emulator import FORCES, Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.sampled_scalar import SampledScalar
 from hil_sim.devices.serial_twin import POLLED_KINDS, SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.scenario.sensor_tables import NonNegative
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import LoadCellSensor
 
@@ -312,6 +314,19 @@ class ModbusLoadCellTable(MeasuringEmulator):
     division_code: Annotated[int, Field(ge=0, le=18)] = 15  # 1 mN
     signs_in_status: bool = True
     reply_ms: NonNegative = 0.5
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``: the division nearest to the file's ``scale``, in newtons."""
+        division = said.get("scale", 1e-3)
+        table = {
+            "station": said.get("address", 1),
+            "division_code": min(range(len(DIVISIONS)), key=lambda code: abs(DIVISIONS[code] - division)),
+            "signs_in_status": said.get("sign", "status") == "status",
+            "measures": name,
+            "at": said["frame"],
+        }
+        return Equivalent(table, {name: sheets.load_cell(said)}, {name: "converter"})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

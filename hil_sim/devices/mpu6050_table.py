@@ -1,11 +1,13 @@
 """``[device.NAME]`` of an MPU-6050."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from hil_sim.devices.emulator import Bench, MeasuringEmulator, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.mpu6050 import Mpu6050Twin
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.sensors import ImuSensor
 
 
@@ -18,6 +20,13 @@ class Mpu6050Table(MeasuringEmulator):
     kind: Literal["mpu6050"]
     address: Annotated[int, Field(ge=0x68, le=0x69)] = 0x68
     sync_input: bool = True
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        table = {"address": said.get("address", 0x68), "measures": name, "at": said["frame"]}
+        clocks = {name: "gyro", f"{name}_rc": "rc"}
+        return Equivalent(table | {"sync_input": sheets.pulse}, {name: sheets.imu("mpu6050", said)}, clocks)
 
     @property
     def place(self) -> str:

@@ -22,17 +22,20 @@ instant of its timer. A packet leaves ``latency_ns`` after that instant. The dev
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
 import math
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import PositiveFloat
 
-from hil_sim.devices.emulator import Bench, MeasuringEmulator, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyImu
+from hil_sim.plants.motion import STANDARD_GRAVITY
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ChipClock, ImuAnalog
 from hil_sim.sensing.sensors import ImuSensor
 
@@ -202,6 +205,27 @@ class NimuTable(MeasuringEmulator):
     rate_Hz: PositiveFloat = 150.0
     checksum: Literal["packet", "after_sync", "payload"] = "packet"
     magnetometer: bool = True  # whether its words are recorded, as NAME_mag_x, _y, _z; they are sent always
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``: noise and delays are those of the file, from its certificate."""
+        table = {
+            "rate_Hz": said["sample_rate_hz"],
+            "checksum": said.get("checksum_span", "packet"),
+            "magnetometer": said.get("magnetometer", True),
+            "measures": name,
+            "at": said["frame"],
+        }
+        imu = sheets.imu("nimu", said)
+        for triad, noise, delay, unit in (
+            ("accel_g", "accel_noise_m_s2", "accel_delay_ms", STANDARD_GRAVITY),
+            ("gyro_deg_s", "gyro_noise_rad_s", "gyro_delay_ms", math.pi / 180.0),
+        ):
+            (bandwidth_hz,) = imu[triad]["bandwidth_Hz"]  # of two poles, which pass noise as an edge 1.11 times as far
+            imu[triad]["noise_density"] = said[noise] / unit / math.sqrt(1.11 * bandwidth_hz)
+            own_ms = 1e3 * math.sqrt(0.5) / (math.pi * bandwidth_hz)  # of these poles
+            imu[triad]["delay_ms"] = [max(said.get(delay, 0.0), own_ms if delay in said else 0.0)]
+        return Equivalent(table, {name: imu}, {name: "crystal"})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

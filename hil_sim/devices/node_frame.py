@@ -6,18 +6,21 @@ sync line latches it by input capture. A frame that finds the UART's queue full 
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
+import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from hil_sim.devices.emulator import FORCES, Bench, Emulator, Signal, Twin
+from hil_sim.devices.emulator import FORCES, Bench, Emulator, Equivalent, Signal, Twin
 from hil_sim.devices.serial_twin import SerialTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import CLOCK_KINDS, INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyClock, FaultyScalar
 from hil_sim.scenario.sensor_tables import MeasuredQuantity, Table
+from hil_sim.scenario.sheets import Sheets
+from hil_sim.scenario.tables import ScenarioError
 from hil_sim.sensing.analog import ChipClock, ScalarAnalog
 from hil_sim.sensing.sensors import ImuSensor
 
@@ -322,6 +325,39 @@ class NodeFrameTable(Emulator):
     tick_Hz: PositiveInt = 1_000_000
     sync_input: bool = True
     channel: Annotated[tuple[NodeChannelTable, ...], Field(min_length=1, max_length=65)]
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``: joints, forces and the phase; the joints count 1e-6 rad, the forces 0.1 mN."""
+        channels: list[dict[str, Any]] = []
+        sensors: dict[str, dict[str, Any]] = {}
+        for own in said["channel"]:
+            signal = f"{name}_{own['name']}"
+            match own["role"]:
+                case "joint":
+                    shape = {"at": own["joint"], "unit": "rad", "type": "i32", "exponent": -6}
+                    counts = round(2e6 * math.pi)
+                    sensors[signal] = sheets.encoder(signal, {"counts_per_revolution": counts, **own})
+                case "force":
+                    shape = {"at": own["frame"], "unit": "N", "type": "i32", "exponent": -4}
+                    sensors[signal] = sheets.load_cell(own)
+                case "record" if sheets.phase_channel == signal:
+                    shape = {"unit": "1", "type": "u8"}
+                    sensors[signal] = {"quantity": "phase"}
+                case role:
+                    raise ScenarioError(
+                        f"device.{name}: channel {own['name']!r} ({role}) cannot be rehearsed; joints, forces and the "
+                        "phase can"
+                    )
+            channels.append({"name": own["name"], "measures": signal} | shape)
+        table = {
+            "node": said.get("node", 1),
+            "rate_Hz": said["rate_hz"],
+            "tick_Hz": round(said["tick_hz"]),
+            "sync_input": sheets.pulse,
+            "channel": channels,
+        }
+        return Equivalent(table, sensors, {name: "converter"})
 
     def signals(self, name: str) -> dict[str, Signal]:
         """See ``Emulator``."""

@@ -1,9 +1,11 @@
 """``[device.NAME]`` of a QSB."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
-from hil_sim.devices.emulator import Bench, MeasuringEmulator, Twin
+from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
 from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, QsbTwin
+from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.sensors import EncoderSensor
 
 
@@ -16,6 +18,13 @@ class QsbTable(MeasuringEmulator):
     kind: Literal["qsb"]
     tick: Literal["1/512 s", "1.9 ms"] = "1/512 s"
     sync_input: bool = True
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        wired = sheets.pulse and said.get("sync_edge", "rising") != "none"
+        table = {"sync_input": wired, "measures": name, "at": said["joint"]}
+        return Equivalent(table, {name: sheets.encoder(name, said)}, {name: "converter"})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -68,6 +68,18 @@ def emulator(kind: str) -> type[Emulator]:
     return found
 
 
+def for_vehicle(kind: str) -> type[Emulator]:
+    """The emulator of a kind of device in a vehicle file.
+
+    Raises:
+        ScenarioError: none has it, or its package cannot be used.
+    """
+    for table in _PACKAGED.values():
+        if table.vehicle_kind == kind:
+            return table
+    return emulator(kind)
+
+
 def read(tables: Mapping[str, DeviceTable]) -> dict[str, Emulator]:
     """Each device's table, read by the emulator of its kind.
 

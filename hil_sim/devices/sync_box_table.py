@@ -11,13 +11,13 @@ from hil_sim.devices.sync_box import SyncBox
 class SyncBoxTable(Emulator):
     """The box that numbers time: pulses on ``line``, which also reaches every device with ``sync_input``.
 
-    On a CAN bus it sends SYNC too, every ``period_ms``.
+    On a CAN bus it sends SYNC too, every ``period_ms``; without ``line`` it does nothing else.
     """
 
     needs = "can"
 
     kind: Literal["sync_box"]
-    line: str
+    line: str | None = None
     period_ms: PositiveFloat = 5.0
     bus: str | None = None
 
@@ -27,7 +27,7 @@ class SyncBoxTable(Emulator):
         return "the sync box"
 
     @property
-    def drives(self) -> str:
+    def drives(self) -> str | None:
         """See ``Emulator``."""
         return self.line
 

@@ -4,7 +4,9 @@ import heapq
 
 import numpy as np
 
-from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultKind
+from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultError, FaultKind
+
+_MOST_CHATTER = 1e4  # edges a second
 
 
 class EdgeCapture:
@@ -57,6 +59,10 @@ class EdgeCapture:
             FaultKind.DELAYED,
             FaultKind.GARBAGE,
         )
+        for window in faults.windows:
+            if window.kind is FaultKind.GARBAGE and not (0.0 < window.value <= _MOST_CHATTER and window.end_ns < NEVER):
+                needed = f"an end, and `value`, the edges a second, above 0 and up to {_MOST_CHATTER:g}"
+                raise FaultError(f"Fault garbage of {faults.device} needs {needed}.")
         rng = faults.rng()
         self._chatter = sorted(
             round(time_ns)

@@ -3,10 +3,11 @@
 from hil_sim.faults.inputs import FaultyImu, FaultyScalar, reported_phases
 from hil_sim.faults.oscillator import FaultyClock
 from hil_sim.faults.plan import NEVER, NO_FAULTS, DeviceFaults, FaultPlan, FaultWindow, PowerCycle, garbled
-from hil_sim.faults.vocabulary import CLOCK_KINDS, INPUT_KINDS, Fault, FaultError, FaultKind
+from hil_sim.faults.vocabulary import CLOCK_KINDS, EFFECTS, INPUT_KINDS, Fault, FaultError, FaultKind, parse
 
 __all__ = [
     "CLOCK_KINDS",
+    "EFFECTS",
     "INPUT_KINDS",
     "NEVER",
     "NO_FAULTS",
@@ -21,5 +22,6 @@ __all__ = [
     "FaultyScalar",
     "PowerCycle",
     "garbled",
+    "parse",
     "reported_phases",
 ]

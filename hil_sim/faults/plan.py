@@ -1,13 +1,12 @@
 """The faults of a mission on the true clock, distributed to their devices."""
 
-import math
 import zlib
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
-from hil_sim.faults.vocabulary import Fault, FaultError, FaultKind
+from hil_sim.faults.vocabulary import Fault, FaultError, FaultKind, meant
 
 NEVER = 1 << 62  # ns; later than any clock here
 
@@ -29,10 +28,15 @@ class PowerCycle(NamedTuple):
 
 
 class DeviceFaults:
-    """The faults of one device, on the true clock."""
+    """The faults of one device, on the true clock.
+
+    Attributes:
+        possible: Kinds that the device says it can have.
+    """
 
     def __init__(self, device: str, windows: Iterable[FaultWindow] = ()) -> None:
         self.device = device
+        self.possible: tuple[FaultKind, ...] = ()
         self.windows = tuple(sorted(windows, key=lambda w: w.start_ns))
 
     def __bool__(self) -> bool:
@@ -44,6 +48,7 @@ class DeviceFaults:
         Raises:
             FaultError: a fault that the device cannot have.
         """
+        self.possible = kinds
         for window in self.windows:
             if window.kind not in kinds:
                 possible = ", ".join(kinds)
@@ -141,16 +146,20 @@ class FaultPlan:
 
     def __init__(self, faults: Iterable[Fault], start_ns: int) -> None:
         self._windows: dict[str, list[FaultWindow]] = {}
-        self._asked: set[str] = set()
+        self._asked: dict[str, DeviceFaults] = {}
         for fault in faults:
-            end_ns = NEVER if math.isinf(fault.end_s) else start_ns + round(fault.end_s * 1e9)
+            end_ns = NEVER if fault.end_s * 1e9 >= NEVER - start_ns else start_ns + round(fault.end_s * 1e9)
             window = FaultWindow(fault.kind, start_ns + round(fault.start_s * 1e9), end_ns, fault.value)
             self._windows.setdefault(fault.device, []).append(window)
 
     def of(self, device: str) -> DeviceFaults:
         """The faults of one device."""
-        self._asked.add(device)
-        return DeviceFaults(device, self._windows.get(device, ()))
+        self._asked[device] = DeviceFaults(device, self._windows.get(device, ()))
+        return self._asked[device]
+
+    def possible(self) -> dict[str, tuple[FaultKind, ...]]:
+        """Kinds of faults that each device and bus can have, which asked for theirs."""
+        return {name: faults.possible for name, faults in self._asked.items()}
 
     def check_all_taken(self) -> None:
         """Check that every fault was asked for by a device.
@@ -161,7 +170,8 @@ class FaultPlan:
         left = sorted(self._windows.keys() - self._asked)
         if left:
             there = ", ".join(sorted(self._asked))
-            raise FaultError(f"No device is called {', '.join(left)}; devices here are: {there}.")
+            named = ", ".join(f"{name}{meant(name, self._asked)}" for name in left)
+            raise FaultError(f"No device is called {named}; devices here are: {there}.")
 
 
 def garbled(data: bytes, rng: np.random.Generator) -> bytes:

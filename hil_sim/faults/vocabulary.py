@@ -1,64 +1,17 @@
-"""Kinds of faults and their effects, applied by the twins and the buses.
+"""Kinds of faults: what each does in a device or on a bus between ``start_s`` and ``end_s``, and what ``value`` means.
 
-In the twins:
-
-==================  =======================  ==========================================================================
-kind                devices                  effect between ``start_s`` and ``end_s``
-==================  =======================  ==========================================================================
-``off``             any twin                 no supply; it starts again, from its reset values, at ``end_s``
-``reset``           any twin                 brown-out at ``start_s``: starts again at once (``end_s`` is not used)
-``silent``          all but the IMU          open connector: neither hears nor is heard, keeps its state
-``intermittent``    any twin, any bus        loose connector: open for the first half of every ``value`` seconds
-``stuck``           analogue inputs, phase   the input holds its last value
-``saturated``       imu, load cell, node     the input is at full scale; the sign of ``value`` says which end
-``wrong``           analogue inputs          plausible and false: the reading is ``1 + value`` times what it should be
-``wrong``           phase, SYNC counter      ``value`` is added to the number
-``delayed``         analogue inputs, phase   the input shows what was ``value`` seconds ago
-``garbage``         any twin                 it sends random bits, in transfers, CAN frames and characters of the
-                                             right form
-``slow``            CAN nodes, polled cells  it answers (SYNC, SDO, a question) ``value`` seconds late
-``slow``            all that have a clock    its oscillator runs slow by the share ``value`` (0.02: 2 %)
-``clock_jump``      all that have a clock    its clock stands still for ``-value`` s at ``start_s`` (``end_s`` is not
-                                             used); that of all but the MPU-6050 may also be put forward, by a
-                                             positive ``value``
-``nack``            imu                      every transfer fails with errno ``value`` (0: EREMOTEIO)
-``timeout``         imu                      it stretches the clock for ever: a transfer is made, and ends in ETIMEDOUT
-``who_am_i``        imu                      WHO_AM_I reads ``value``
-``pulse_drop``      recorders of the pulse   the edge never reaches this pin
-``pulse_spurious``  recorders of the pulse   one more edge every ``value`` seconds, beginning at ``start_s``
-==================  =======================  ==========================================================================
-
-On the wires:
-
-==================  =======================  ==========================================================================
-kind                bus                      effect between ``start_s`` and ``end_s``
-==================  =======================  ==========================================================================
-``nack``            I2C                      no slave acknowledges; errno as above
-``timeout``         I2C                      transfers are made, and end in ETIMEDOUT
-``stuck_bus``       I2C                      SDA is held low: no transfer begins, EBUSY
-``bus_off``         CAN                      the flight computer's controller is off the bus; error frames say when
-``error_frames``    CAN                      a bus error every ``value`` seconds; what it hit is sent again
-``flood``           CAN                      a babbling node sends ``value`` (a COB-ID) without pause
-``frame_drop``      CAN                      the flight computer loses frames with COB-ID ``value`` (0: every frame)
-``delayed``         CAN, sync line           frames, or edges, are stamped and delivered ``value`` seconds late
-``pulse_drop``      sync line                edges are not seen
-``pulse_spurious``  sync line                one more edge every ``value`` seconds, beginning at ``start_s``
-``garbage``         sync line                chatter: ``value`` more edges a second, at random times
-``byte_loss``       serial                   each character is lost with probability ``value``
-``byte_garble``     serial                   each character has one bit inverted with probability ``value``
-``unplug``          serial                   the adapter is pulled out of the flight computer
-==================  =======================  ==========================================================================
-
-Devices with a clock: MPU-6050, sync box, nIMU, QSB, custom node. Polled cells: Modbus and DSC.
-
-Random numbers are seeded by the device's name, so a fault is reproducible. A fault that its device cannot apply is
-refused when the device is built; ignored, it would make a fault test pass for the wrong reason.
+``EFFECTS`` has them for people; ``heft hil SCENARIO --faults`` prints it with the devices of a scenario. A fault is
+applied by the twin or the bus it is of. Random numbers are seeded by the device's name, so a fault is reproducible. A
+fault that its device cannot apply is refused when the device is built; ignored, it would make a fault test pass for the
+wrong reason.
 """
 
+import difflib
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Final, cast
 
 
 class FaultError(ValueError):
@@ -94,13 +47,42 @@ class FaultKind(StrEnum):
     UNPLUG = "unplug"
 
 
+EFFECTS: Final = {
+    FaultKind.OFF: "no supply; it starts again from its reset values at the end",
+    FaultKind.RESET: "brown-out at the start: it starts again at once (the end is not used)",
+    FaultKind.SILENT: "open connector: it neither hears nor is heard, and keeps its state",
+    FaultKind.INTERMITTENT: "loose connector: open for the first half of every VALUE seconds",
+    FaultKind.STUCK: "the input holds its last value",
+    FaultKind.SATURATED: "the input is at full scale, at the end that the sign of VALUE says",
+    FaultKind.WRONG: "the reading is 1 + VALUE times the true one; a phase code or SYNC counter is VALUE too high",
+    FaultKind.DELAYED: "the input shows what was VALUE seconds ago; CAN frames and edges arrive VALUE seconds late",
+    FaultKind.GARBAGE: "it sends random bits in frames of the right form; the sync line has VALUE more edges a second",
+    FaultKind.SLOW: "CAN nodes and polled cells answer VALUE seconds late; a clock runs slow by the share VALUE",
+    FaultKind.CLOCK_JUMP: "its clock stands still for -VALUE seconds, or is put forward by VALUE (not the MPU-6050's)",
+    FaultKind.NACK: "every transfer fails with errno VALUE (0: EREMOTEIO)",
+    FaultKind.TIMEOUT: "transfers are made, and end in ETIMEDOUT",
+    FaultKind.STUCK_BUS: "SDA is held low: no transfer begins (EBUSY)",
+    FaultKind.WHO_AM_I: "WHO_AM_I reads VALUE",
+    FaultKind.PULSE_DROP: "edges of the sync pulse do not reach it",
+    FaultKind.PULSE_SPURIOUS: "one more edge every VALUE seconds",
+    FaultKind.BUS_OFF: "the flight computer's controller is off the bus; error frames say when",
+    FaultKind.ERROR_FRAMES: "a bus error every VALUE seconds; the frame it hit is sent again",
+    FaultKind.FLOOD: "a babbling node sends COB-ID VALUE without pause",
+    FaultKind.FRAME_DROP: "the flight computer loses frames of COB-ID VALUE (0: every frame)",
+    FaultKind.BYTE_LOSS: "each character is lost with probability VALUE",
+    FaultKind.BYTE_GARBLE: "each character has one bit inverted with probability VALUE",
+    FaultKind.UNPLUG: "the adapter is pulled out of the flight computer",
+}
+"""Of each kind, between its start and its end."""
+
 INPUT_KINDS: Final = (FaultKind.STUCK, FaultKind.WRONG, FaultKind.DELAYED)
 """What ``FaultyScalar`` and ``FaultyImu`` apply to any analogue input; ``SATURATED`` is for inputs that have an end."""
 
 CLOCK_KINDS: Final = (FaultKind.SLOW, FaultKind.CLOCK_JUMP)
 """What ``FaultyClock`` applies to any oscillator."""
 
-_ABOVE_ZERO: Final = {
+_SHORTEST_S, _LONGEST_S = 1e-4, 1e6
+_SECONDS: Final = {
     FaultKind.INTERMITTENT: "the seconds from one interruption to the next",
     FaultKind.DELAYED: "the delay in seconds",
     FaultKind.SLOW: "the seconds it answers late, or the share by which its oscillator is slow",
@@ -114,6 +96,8 @@ _NOT_ZERO: Final = {
 _WITHIN: Final = {
     FaultKind.WHO_AM_I: (0, 0xFF, "the byte to read (0 to 255)"),
     FaultKind.FLOOD: (0, 0x7FF, "the COB-ID to send (0 to 7FFh)"),
+    FaultKind.FRAME_DROP: (0, 0x7FF, "the COB-ID to lose (0: all)"),
+    FaultKind.NACK: (0, 133, "an errno (0: EREMOTEIO)"),
     FaultKind.BYTE_LOSS: (1e-9, 1.0, "a probability above 0 and up to 1"),
     FaultKind.BYTE_GARBLE: (1e-9, 1.0, "a probability above 0 and up to 1"),
 }
@@ -145,7 +129,8 @@ class Fault:
             object.__setattr__(self, "kind", FaultKind(self.kind))
         except ValueError:
             known = ", ".join(FaultKind)
-            raise FaultError(f"No fault is called {self.kind!r}; name one of: {known}.") from None
+            said = f"No fault is called {self.kind!r}{meant(str(self.kind), FaultKind)}"
+            raise FaultError(f"{said}; name one of: {known}.") from None
         if not (math.isfinite(self.start_s) and self.start_s >= 0.0 and self.end_s > self.start_s):
             raise FaultError(
                 f"Fault {self.kind} of {self.device} lasts from {self.start_s} s to {self.end_s} s; "
@@ -156,9 +141,11 @@ class Fault:
             raise FaultError(f"Fault {self.kind} of {self.device} needs {why}.")
 
     def _nonsense(self) -> str | None:
-        if self.kind in _ABOVE_ZERO and not self.value > 0.0:
-            return f"`value`, {_ABOVE_ZERO[self.kind]}, above 0"
-        if self.kind in _NOT_ZERO and not (math.isfinite(self.value) and self.value):
+        if not abs(self.value) <= _LONGEST_S:
+            return f"a `value` between -{_LONGEST_S:g} and {_LONGEST_S:g}"
+        if self.kind in _SECONDS and not self.value >= _SHORTEST_S:
+            return f"`value`, {_SECONDS[self.kind]}, of {_SHORTEST_S:g} or more"
+        if self.kind in _NOT_ZERO and not self.value:
             return f"`value`, {_NOT_ZERO[self.kind]}, other than 0"
         low, high, what = _WITHIN.get(self.kind, (-math.inf, math.inf, ""))
         if not low <= self.value <= high:
@@ -166,3 +153,29 @@ class Fault:
         if self.kind is FaultKind.INTERMITTENT and math.isinf(self.end_s):
             return "`end_s`: a connector is not loose for ever"
         return None
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """``: did you mean X?`` where one of ``known`` is like ``word``; else nothing."""
+    like = difflib.get_close_matches(word, list(known), 1)
+    return f" (did you mean {like[0]}?)" if like else ""
+
+
+def parse(text: str) -> Fault:
+    """A fault as ``--fault`` has it: ``KIND:DEVICE:START:END[:VALUE]``, times in s, no END for the rest of the mission.
+
+    Raises:
+        FaultError: it is not of this form, or no such fault.
+    """
+    kind, _, rest = text.partition(":")
+    device, *numbers = rest.split(":")
+    try:
+        start_s, end_s, value = (
+            float(number) if number else default
+            for number, default in zip([*numbers, "", ""][:3], (math.nan, math.inf, 0.0), strict=True)
+        )
+    except ValueError:
+        start_s = math.nan
+    if not device or not 1 <= len(numbers) <= 3 or math.isnan(start_s):
+        raise FaultError(f"{text} is no fault: write KIND:DEVICE:START:END[:VALUE], e.g. off:imu_base:10:12.")
+    return Fault(cast("FaultKind", kind), device, start_s, end_s, value)  # which checks and converts it

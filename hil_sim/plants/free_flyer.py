@@ -17,30 +17,11 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
+from hil_sim.plants import body as bodies
 
+Body = bodies.Body
 JOINTS = 5
 _STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error
-
-
-@dataclass(frozen=True)
-class Body:
-    """Inertial parameters in the body's own frame."""
-
-    mass_kg: float
-    centre_of_mass_m: FloatArray  # (3,)
-    inertia_kg_m2: FloatArray  # (3, 3) about the centre of mass
-
-    @staticmethod
-    def box(mass_kg: float, size_m: Sequence[float], centre_of_mass_m: Sequence[float]) -> "Body":
-        """A solid box along the frame's axes."""
-        squares = np.square(np.asarray(size_m, np.float64))
-        inertia = np.diag(mass_kg / 12.0 * (squares.sum() - squares))
-        return Body(mass_kg, np.asarray(centre_of_mass_m, np.float64), inertia)
-
-    def grown(self, mass_kg: float) -> "Body":
-        """The body scaled about its frame's origin to another mass at the same density."""
-        factor = (mass_kg / self.mass_kg) ** (1.0 / 3.0)
-        return Body(mass_kg, self.centre_of_mass_m * factor, self.inertia_kg_m2 * factor**5)
 
 
 class _Mount(NamedTuple):
@@ -58,6 +39,7 @@ _ARM = (
     _Mount(Body.box(0.399, (0.05, 0.05, 0.09), (0.001, -0.003, 0.045)), (0.0, 0.0, 0.140), (0.0, 0.0, 1.0)),
 )
 ARM = tuple(mount.body for mount in _ARM)
+AS_DRAWN = np.zeros((JOINTS, 3))  # joints where they are drawn, m
 COUNTS_PER_TURN = 500_000  # 1250 lines, four edges each, behind a gear of 100
 GRASP_m = (0.0, 0.0, 0.090)  # the payload's frame in the last link, axes alike
 IMU_POSITION_m, IMU_QUATERNION = (0.120, -0.080, 0.050), (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # x of it along base y
@@ -107,6 +89,15 @@ class FreeFlightSignals(NamedTuple):
     specific_force_m_s2: FloatArray  # (n, 3) at the IMU, its axes: a - g, in free fall the acceleration itself
     wrist_force_n: FloatArray  # (n, 3) through the last joint's flange, on all beyond it, in the last link's axes
     wrist_moment_n_m: FloatArray  # (n, 3) about the flange's origin, the same
+    torque_n_m: FloatArray  # (n, 5) of the joints' drives
+
+
+class Slosh(NamedTuple):
+    """A part of the base's mass that swings about the base's centre of mass along all axes."""
+
+    mass_kg: float
+    frequency_Hz: float  # noqa: N815
+    damping_ratio: float = 0.005
 
 
 class Jump(NamedTuple):
@@ -129,23 +120,41 @@ def _inertial(body: Body) -> str:
     return f'<inertial pos="{place}" mass="{body.mass_kg!r}" fullinertia="{tensor}"/>'
 
 
-def body_xml(name: str, body: Body, position_m: Sequence[float], inside: str = "") -> str:
+def body_xml(name: str, body: Body, position_m: Sequence[float] | FloatArray, inside: str = "") -> str:
     """A body in MJCF, its axes those of the one it is in; ``inside`` are its joints, sites and bodies."""
     return f'<body name="{name}" pos="{_numbers(position_m)}">{_inertial(body)}{inside}</body>'
 
 
-def arm_xml(held: str, arm: Sequence[Body] = ARM) -> str:
-    """The five links in MJCF, the first in the base's axes; ``held`` is inside the last."""
+def arm_xml(held: str, arm: Sequence[Body] = ARM, offsets_m: FloatArray = AS_DRAWN) -> str:
+    """The five links in MJCF, the first in the base's axes, joints so far off the drawing; ``held`` is in the last."""
     for index in reversed(range(JOINTS)):
         hinge = f'<joint name="joint_{index + 1}" type="hinge" axis="{_numbers(_ARM[index].axis)}"/>'
-        held = body_xml(f"link_{index + 1}", arm[index], _ARM[index].position_m, hinge + held)
+        held = body_xml(f"link_{index + 1}", arm[index], _ARM[index].position_m + offsets_m[index], hinge + held)
     return held
 
 
-def world(payload: Body | None, base: Body = BASE, arm: Sequence[Body] = ARM, step_s: float = 2e-3) -> mujoco.MjModel:
+def _slosh_xml(slosh: Slosh, centre_m: FloatArray) -> str:
+    rate = 2.0 * np.pi * slosh.frequency_Hz
+    spring = f'stiffness="{slosh.mass_kg * rate**2!r}" damping="{2.0 * slosh.damping_ratio * slosh.mass_kg * rate!r}"'
+    slides = "".join(f'<joint type="slide" axis="{axis}" {spring}/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    small = 1e-4 * slosh.mass_kg * np.eye(3)
+    return body_xml("slosh", Body(slosh.mass_kg, np.zeros(3), small), centre_m, slides)
+
+
+def world(
+    payload: Body | None,
+    base: Body = BASE,
+    arm: Sequence[Body] = ARM,
+    step_s: float = 2e-3,
+    offsets_m: FloatArray = AS_DRAWN,
+    slosh: Slosh | None = None,
+) -> mujoco.MjModel:
     """MuJoCo model of the vehicle: a free base, five hinges, the payload welded to the last link."""
     held = "" if payload is None else body_xml("payload", payload, GRASP_m)
-    inner = arm_xml(f'<site name="wrist"/>{held}', arm)
+    inner = arm_xml(f'<site name="wrist"/>{held}', arm, offsets_m)
+    if slosh is not None:  # after the arm, so that the joints' places among the degrees of freedom do not change
+        base = Body(base.mass_kg - slosh.mass_kg, base.centre_of_mass_m, base.inertia_kg_m2)
+        inner += _slosh_xml(slosh, base.centre_of_mass_m)
     site = f'<site name="imu" pos="{_numbers(IMU_POSITION_m)}" quat="{_numbers(IMU_QUATERNION)}"/>'
     return mujoco.MjModel.from_xml_string(
         '<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>'
@@ -184,6 +193,8 @@ class FreeFlight:
         base: of the vehicle.
         arm: its five links.
         step_s: between samples.
+        offsets_m: of its joints from the drawing, (5, 3).
+        slosh: of a part of the base's mass.
 
     Attributes:
         payload: what is held now.
@@ -201,10 +212,12 @@ class FreeFlight:
         base: Body = BASE,
         arm: Sequence[Body] = ARM,
         step_s: float = 2e-3,
+        offsets_m: FloatArray = AS_DRAWN,
+        slosh: Slosh | None = None,
     ) -> None:
-        self._motion, self._base, self._arm = motion, base, arm
+        self._motion, self._base, self._arm, self._off_drawing = motion, base, arm, (offsets_m, slosh)
         self.payload, self.step_s = payload, step_s
-        self.model = world(payload, base, arm, step_s)
+        self.model = world(payload, base, arm, step_s, *self._off_drawing)
         self.data = _released(self.model, motion, rate_rad_s)
         self._samples = 0
         self.impulse_m_s = np.zeros(3)
@@ -288,7 +301,7 @@ class FreeFlight:
     def _swap(self, payload: Body | None) -> tuple[mujoco.MjModel, mujoco.MjData]:
         before = self.data
         self.payload = payload
-        self.model = world(payload, self._base, self._arm, self.step_s)
+        self.model = world(payload, self._base, self._arm, self.step_s, *self._off_drawing)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:], self.data.qvel[:] = before.qpos, before.qvel
         mujoco.mj_forward(self.model, self.data)
@@ -315,7 +328,7 @@ def fly_with_capture(flight: FreeFlight, capture: Capture, duration_s: float) ->
 def _released(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float] | FloatArray) -> mujoco.MjData:
     data = mujoco.MjData(model)
     q, dq, _ = motion.at(np.zeros(1))
-    data.qpos[7:], data.qvel[6:] = q[0], dq[0]
+    data.qpos[7 : 7 + JOINTS], data.qvel[6 : 6 + JOINTS] = q[0], dq[0]
     data.qvel[3:6] = rate_rad_s
     return data
 
@@ -342,22 +355,32 @@ def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: 
     half_s = 0.5 * model.opt.timestep  # the stages of RK4 lie on half steps
     q, dq, ddq = motion.at(half_s * np.arange(2 * first, 2 * (first + samples) + 1))
     data.time = 0.0  # of this chunk
+    told = np.arange(6, 6 + JOINTS)  # degrees of freedom that do as they are told
+    free = np.setdiff1d(np.arange(model.nv), told)
+    of_sample: list[FloatArray] = []  # torque of a step's first stage, which has the state of the sample
+    angles, rates = slice(7, 7 + JOINTS), slice(6, 6 + JOINTS)
 
     def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         stage = round(data.time / half_s)
-        pull = _STIFFNESS * (q[stage] - data.qpos[7:]) + _DAMPING * (dq[stage] - data.qvel[6:])
+        pull = _STIFFNESS * (q[stage] - data.qpos[angles]) + _DAMPING * (dq[stage] - data.qvel[rates])
         acceleration = ddq[stage] + pull
         M = _mass_matrix(model, data)
-        base = np.linalg.solve(M[:6, :6], -data.qfrc_bias[:6] - M[:6, 6:] @ acceleration)
-        data.qfrc_applied[6:] = data.qfrc_bias[6:] + M[6:, :6] @ base + M[6:, 6:] @ acceleration
+        force = data.qfrc_bias - data.qfrc_passive
+        others = np.linalg.solve(M[np.ix_(free, free)], -force[free] - M[np.ix_(free, told)] @ acceleration)
+        data.qfrc_applied[told] = force[told] + M[np.ix_(told, free)] @ others + M[np.ix_(told, told)] @ acceleration
+        if not of_sample:
+            of_sample.append(data.qfrc_applied[told])
 
-    flight = FreeFlightSignals(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3, 3)))
+    flight = FreeFlightSignals(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3, 3, JOINTS)))
     mujoco.set_mjcb_control(torque)
     try:
+        mujoco.mj_forward(model, data)  # the torque of the first sample
         for k in range(samples):
-            flight.q_rad[k], flight.dq_rad_s[k] = data.qpos[7:], data.qvel[6:]
+            flight.q_rad[k], flight.dq_rad_s[k] = data.qpos[angles], data.qvel[rates]
+            of_sample.clear()
             mujoco.mj_step(model, data)  # its sensors are those of the state before the step
-            for sensor, rows in enumerate(flight[3:]):
+            flight.torque_n_m[k] = of_sample[0]
+            for sensor, rows in enumerate(flight[3:7]):
                 rows[k] = data.sensordata[3 * sensor : 3 * sensor + 3]
     finally:
         mujoco.set_mjcb_control(None)

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import free_flyer, world
 from hil_sim.plants.arm_swings import ArmSwings
+from hil_sim.plants.body import Body, built
 from hil_sim.scenario.free_flyer_tables import JOINTS, Built, FreeFlyerScenario, Payload
 from hil_sim.scenario.tables import ScenarioError
 
@@ -39,11 +40,14 @@ class FreeFlyerPlant(world.Plant):
 
     Args:
         scenario: the mission.
-        rng: draws the as-built errors, the release, the motion and the capture, in this order.
+        rng: draws the as-built errors, the release, the motion and the capture, in this order; a stream of its own the
+            places of joints and IMUs.
 
     Attributes:
         base: as built.
         arm: its links, as built.
+        joint_offsets_m: of the joints from the drawing, (5, 3).
+        imu_offsets_m: of each site from the drawing, (3,).
         payload: what is captured.
         capture_s: mission time of the capture.
         flight: true signals of the whole flight; rows from ``count`` on are not yet released.
@@ -52,9 +56,12 @@ class FreeFlyerPlant(world.Plant):
     def __init__(self, scenario: FreeFlyerScenario, rng: np.random.Generator) -> None:
         physics = scenario.physics
         self._scenario = scenario
-        self.base = _built(free_flyer.BASE, scenario.as_built.base, rng)
-        self.arm = tuple(_built(link, scenario.as_built.link, rng) for link in free_flyer.ARM)
+        self.base, self.arm = as_built(scenario, rng)
         self.payload = _box(scenario.payload)
+        [places] = rng.spawn(1)
+        self.joint_offsets_m = 1e-3 * scenario.as_built.joint_place_mm * places.standard_normal((JOINTS, 3))
+        off_m = 1e-3 * scenario.as_built.imu_place_mm
+        self.imu_offsets_m = {name: off_m * places.standard_normal(3) for name in scenario.site}
         self.release_rate_rad_s = scenario.release.rate_rad_s * rng.uniform(-1.0, 1.0, 3)
         self.program: ArmSwings = ArmSwings(scenario, rng)
         self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
@@ -66,17 +73,20 @@ class FreeFlyerPlant(world.Plant):
         every, capture = self._scenario.physics.integration_steps, self._scenario.capture
         coarse_s, steps = every * self.step_s, -(-self.rows // every) + 1
         held = self.payload if capture is None else None
-        flight = free_flyer.FreeFlight(self.program, self.release_rate_rad_s, held, self.base, self.arm, coarse_s)
+        sloshes = self._scenario.slosh
+        slosh = None if sloshes is None else free_flyer.Slosh(sloshes.mass_kg, sloshes.frequency_Hz)
+        built = self.base, self.arm, coarse_s, self.joint_offsets_m, slosh
+        flight = free_flyer.FreeFlight(self.program, self.release_rate_rad_s, held, *built)
         if capture is None:
-            return 0.0, _refined(flight.advance(steps), every, self.rows)
+            return 0.0, self._refined(flight.advance(steps), every, self.rows)
         first = round(rng.uniform(capture.earliest_s, capture.latest_s) / coarse_s)
-        before = _refined(flight.advance(first), every, first * every)
+        before = self._refined(flight.advance(first), every, first * every)
         velocity_m_s = capture.velocity_sigma_m_s * rng.standard_normal(3)
         rate_rad_s = capture.rate_sigma_rad_s * rng.standard_normal(3)
         jump = flight.capture(self.payload, velocity_m_s, rate_rad_s)
         held_flight = flight.advance(steps - first)
         held_flight.specific_force_m_s2[0] -= jump.velocity_m_s / coarse_s
-        after = _refined(held_flight, every, self.rows - first * every)
+        after = self._refined(held_flight, every, self.rows - first * every)
         for rows, change in (
             (after.specific_force_m_s2, jump.velocity_m_s),
             (after.acceleration_rad_s2, jump.rate_rad_s),
@@ -90,9 +100,10 @@ class FreeFlyerPlant(world.Plant):
         """See ``world.Plant``: f = f_0 + dw x r + w x (w x r), r from the IMU that MuJoCo has."""
         self._check(at, self._scenario.site)
         site = self._scenario.site[at]
-        R_BS = _rotation(_quaternion(np.deg2rad(site.roll_pitch_yaw_deg)))
+        R_BS = mounting(self._scenario, at)
         R_B0 = _rotation(np.asarray(free_flyer.IMU_QUATERNION))
-        r = R_B0.T @ (1e-3 * np.asarray(site.position_mm) - free_flyer.IMU_POSITION_m)
+        place_m = 1e-3 * np.asarray(site.position_mm) + self.imu_offsets_m[at]
+        r = R_B0.T @ (place_m - free_flyer.IMU_POSITION_m)
         w, dw, f = self.flight.rate_rad_s, self.flight.acceleration_rad_s2, self.flight.specific_force_m_s2
         turn = R_B0.T @ R_BS
         return world.Inertial((f + np.cross(dw, r) + np.cross(w, np.cross(w, r))) @ turn, w @ turn, 0.0)
@@ -102,10 +113,10 @@ class FreeFlyerPlant(world.Plant):
         self._check(at, JOINT_NAMES)
         return self.flight.q_rad[:, JOINT_NAMES.index(at)].copy()
 
-    def moment_n_m(self, at: str) -> FloatArray:
+    def moment_n_m(self, at: str, axis: world.Axis = world.Z) -> FloatArray:
         """See ``world.Plant``."""
         self._check(at, (WRIST,))
-        return self.flight.wrist_moment_n_m[:, 2]
+        return np.asarray(self.flight.wrist_moment_n_m @ (np.asarray(axis) / np.linalg.norm(axis)))
 
     def force_n(self, at: str) -> FloatArray:
         """See ``world.Plant``."""
@@ -130,7 +141,17 @@ class FreeFlyerPlant(world.Plant):
             "release_rate_rad_s": self.release_rate_rad_s,
             "base_mass_kg": self.base.mass_kg,
             "arm_mass_kg": [link.mass_kg for link in self.arm],
+            "joint_offsets_m": self.joint_offsets_m,
+            "imu_offsets_m": self.imu_offsets_m,
         }
+
+    def _refined(self, flight: free_flyer.FreeFlightSignals, every: int, rows: int) -> TrueSignals:
+        """A flight on a grid ``every`` times as fine, its first ``rows`` rows; joints as on their motors' side."""
+        at_s = flight.time_s[0] + (flight.time_s[1] - flight.time_s[0]) / every * np.arange(rows)
+        q_rad = flight.q_rad + self._scenario.as_built.compliance_rad_N_m * flight.torque_n_m
+        parts = q_rad, flight.rate_rad_s, flight.specific_force_m_s2, flight.wrist_force_n, flight.wrist_moment_n_m
+        q, rate, force, wrist_n, wrist_n_m = (CubicSpline(flight.time_s, values) for values in parts)
+        return TrueSignals(q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s))
 
     def _check(self, at: str, known: Iterable[str]) -> None:
         if at not in known:
@@ -143,29 +164,33 @@ class FreeFlyerPlant(world.Plant):
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 
 
-def _refined(flight: free_flyer.FreeFlightSignals, every: int, rows: int) -> TrueSignals:
-    """A flight on a grid ``every`` times as fine, its first ``rows`` rows."""
-    at_s = flight.time_s[0] + (flight.time_s[1] - flight.time_s[0]) / every * np.arange(rows)
-    q, _, rate, force, wrist_n, wrist_n_m = (CubicSpline(flight.time_s, values) for values in flight[1:])
-    return TrueSignals(q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s))
+def as_built(scenario: FreeFlyerScenario, rng: np.random.Generator) -> tuple[Body, tuple[Body, ...]]:
+    """The base and the links of the arm of a seed: the first that the plant draws."""
+    base = _built(free_flyer.BASE, scenario.as_built.base, rng)
+    return base, tuple(_built(link, scenario.as_built.link, rng) for link in free_flyer.ARM)
 
 
-def _box(payload: Payload) -> free_flyer.Body:
+def mounting(scenario: FreeFlyerScenario, at: str) -> FloatArray:
+    """Rotation from an IMU's axes to the base's, ``R_BS`` (3, 3).
+
+    Raises:
+        ScenarioError: no such place.
+    """
+    if at not in scenario.site:
+        raise ScenarioError(f"there is no {at!r} to measure at; `at` is one of {', '.join(scenario.site)}")
+    return _rotation(_quaternion(np.deg2rad(scenario.site[at].roll_pitch_yaw_deg)))
+
+
+def _box(payload: Payload) -> Body:
     """The payload in the axes of the grasp."""
     size_m, centre_m = (1e-3 * np.asarray(v) for v in (payload.size_mm, payload.centre_of_mass_mm))
-    box = free_flyer.Body.box(payload.mass_kg, size_m.tolist(), centre_m.tolist())
-    R = _rotation(_quaternion(np.deg2rad(payload.roll_pitch_yaw_deg)))
-    return free_flyer.Body(box.mass_kg, box.centre_of_mass_m, R @ box.inertia_kg_m2 @ R.T)
+    box = Body.box(payload.mass_kg, size_m.tolist(), centre_m.tolist())
+    return box.turned(_rotation(_quaternion(np.deg2rad(payload.roll_pitch_yaw_deg))))
 
 
-def _built(drawn: free_flyer.Body, sigma: Built, rng: np.random.Generator) -> free_flyer.Body:
+def _built(drawn: Body, sigma: Built, rng: np.random.Generator) -> Body:
     """A part with its as-built errors."""
-    change = np.zeros((3, 3))
-    half_trace = 0.5 * np.trace(drawn.inertia_kg_m2)
-    mass_kg = drawn.mass_kg * (1.0 + sigma.mass_relative * rng.standard_normal())
-    centre_m = drawn.centre_of_mass_m + 1e-3 * sigma.centre_mm * rng.standard_normal(3)
-    change[np.triu_indices(3)] = sigma.inertia_relative * half_trace * rng.standard_normal(6)
-    return free_flyer.Body(mass_kg, centre_m, drawn.inertia_kg_m2 + change + np.triu(change, 1).T)
+    return built(drawn, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
 
 
 def _quaternion(roll_pitch_yaw: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from mujoco import rollout
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import world
 from hil_sim.plants.motion import ArmProgram, PlateMotion, base_motion
-from hil_sim.scenario.rocket_tables import BodyTable, Inertia, RocketScenario
+from hil_sim.scenario.rocket_tables import BodyTable, BuiltPart, Inertia, RocketScenario
 from hil_sim.scenario.tables import ScenarioError
 
 _BASE_MASS_kg = 1e6
@@ -73,12 +73,40 @@ def mass_properties(scenario: RocketScenario, *, with_tip: bool) -> MassProperti
     return MassProperties(mass, first, inertia)
 
 
+def as_built(scenario: RocketScenario, rng: np.random.Generator) -> RocketScenario:
+    """The scenario with its parts as built: ``[body]`` and ``[geometry]`` moved by draws of ``[as_built]``."""
+    limits = scenario.as_built
+    arm = _built(scenario.body.arm, limits.arm, rng)
+    tip = _built(scenario.body.tip_mass, limits.tip_mass, rng)
+    longer_mm = limits.length_mm * float(_deviates(rng, 1)[0])
+    geometry = scenario.geometry.model_copy(update={"frame_5_a_mm": scenario.geometry.frame_5_a_mm + longer_mm})
+    body = scenario.body.model_copy(update={"arm": arm, "tip_mass": tip})
+    return scenario.model_copy(update={"body": body, "geometry": geometry})
+
+
+def _built(body: BodyTable, sigma: BuiltPart, rng: np.random.Generator) -> BodyTable:
+    mass, stretch, *moved = _deviates(rng, 5).tolist()
+    com_mm = tuple(c + sigma.centre_mm * deviate for c, deviate in zip(body.com_mm, moved, strict=True))
+    elements = {
+        name: value * (1.0 + sigma.inertia_relative * stretch)
+        for name, value in body.inertia_g_mm2.model_dump().items()
+    }
+    factor = body.as_built_factor * (1.0 + sigma.mass_relative * mass)
+    update = {"com_mm": com_mm, "inertia_g_mm2": Inertia(**elements), "as_built_factor": factor}
+    return body.model_copy(update=update)
+
+
+def _deviates(rng: np.random.Generator, count: int) -> FloatArray:
+    """Normal deviates, those beyond two standard deviations at these: a part beyond its limits is made again."""
+    return np.clip(rng.standard_normal(count), -2.0, 2.0)
+
+
 class RocketArmPlant(world.Plant):
     """The rocket's arm, computed chunk by chunk up to the requested time.
 
     Args:
         scenario: the mission.
-        rng: draws of the rocket's motion.
+        rng: draws of the rocket's motion; a generator spawned from it, those of the parts as built.
 
     Attributes:
         history: arrays of the whole mission, filled up to ``count`` rows.
@@ -86,6 +114,7 @@ class RocketArmPlant(world.Plant):
     """
 
     def __init__(self, scenario: RocketScenario, rng: np.random.Generator) -> None:
+        scenario = as_built(scenario, rng.spawn(1)[0])
         self.program: ArmProgram = ArmProgram(scenario)
         self.step_s = 1e-6 * scenario.physics.step_us
         self.chunk = scenario.physics.chunk_steps
@@ -118,9 +147,11 @@ class RocketArmPlant(world.Plant):
         self._only(at)
         return self.history.angle_rad
 
-    def moment_n_m(self, at: str) -> FloatArray:
+    def moment_n_m(self, at: str, axis: world.Axis = world.Z) -> FloatArray:
         """See ``world.Plant``."""
         self._only(at)
+        if axis != world.Z:
+            raise ScenarioError("the cell is on the joint's axis; leave `axis` out")
         return self.history.moment_n_m
 
     def force_n(self, at: str) -> FloatArray:

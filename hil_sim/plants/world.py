@@ -10,6 +10,9 @@ from typing import Any, NamedTuple
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.motion import Program
 
+Axis = tuple[float, float, float]
+Z: Axis = (0.0, 0.0, 1.0)  # that of a flange's joint
+
 
 class NotYetComputedError(RuntimeError):
     """A sensor was asked for a time not yet computed."""
@@ -53,8 +56,8 @@ class Plant(ABC):
         """Angle of a joint, (n,)."""
 
     @abstractmethod
-    def moment_n_m(self, at: str) -> FloatArray:
-        """Moment in a flange about its joint's axis, on everything beyond it, (n,)."""
+    def moment_n_m(self, at: str, axis: Axis = Z) -> FloatArray:
+        """Moment in a flange about an axis of it, on everything beyond it, (n,)."""
 
     @abstractmethod
     def force_n(self, at: str) -> FloatArray:

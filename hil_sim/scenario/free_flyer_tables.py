@@ -32,10 +32,23 @@ class Built(Table):
 
 
 class AsBuilt(Table):
-    """``[as_built]``: the base, and each link of the arm."""
+    """``[as_built]``: base, each link of the arm; standard deviation of places of joints and IMUs, by coordinate.
+
+    ``compliance_rad_N_m``: of every joint between its encoder, on the motor's side, and its link.
+    """
 
     base: Built
     link: Built
+    joint_place_mm: NonNegative = 0.0
+    imu_place_mm: NonNegative = 0.0
+    compliance_rad_N_m: NonNegative = 0.0
+
+
+class SloshTable(Table):
+    """``[slosh]``: a part of the base's mass that swings, hardly damped, along all axes."""
+
+    mass_kg: PositiveFloat
+    frequency_Hz: PositiveFloat
 
 
 class Release(Table):
@@ -117,6 +130,7 @@ class FreeFlyerScenario(Scenario):
     arm: Arm
     payload: Payload
     capture: CaptureTable | None = None
+    slosh: SloshTable | None = None
     site: dict[str, Site]
     sequence: Annotated[tuple[FreeFlyerAction, ...], Field(min_length=1)]
 

@@ -19,10 +19,12 @@ from pydantic import ValidationError
 from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
 from hil_sim.scenario.rocket_tables import RocketScenario
 from hil_sim.scenario.tables import Scenario, ScenarioError
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 
-__all__ = ["Scenario", "ScenarioError", "load", "names", "parse"]
+__all__ = ["Scenario", "ScenarioError", "load", "merged", "names", "parse"]
 
 _WIRING = {"bus", "device", "clock"}
+_SCHEMAS: dict[str, type[Scenario]] = {"free_flyer": FreeFlyerScenario, "vehicle": VehicleScenario}
 
 
 def names() -> tuple[str, ...]:
@@ -42,7 +44,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
         ScenarioError: no such scenario, not TOML, or a key that is unknown, missing, or out of range.
     """
     label, table = _read(name_or_path)
-    return parse(_merged(table, overrides or {}), label)
+    return parse(merged(table, overrides or {}), label)
 
 
 def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, dict[str, Any]]:
@@ -65,7 +67,7 @@ def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, d
     if label in above:
         raise ScenarioError(f"{label} is based on itself; take a based_on out")
     _, below = _read(str(base), (*above, label))
-    return label, _merged({key: value for key, value in below.items() if key not in _WIRING & table.keys()}, table)
+    return label, merged({key: value for key, value in below.items() if key not in _WIRING & table.keys()}, table)
 
 
 def parse(table: Mapping[str, Any], label: str = "scenario") -> Scenario:
@@ -85,12 +87,13 @@ def _schema(table: Mapping[str, Any]) -> type[Scenario]:
     """Schema of the plant that the header names; an unknown name is reported by the header's own schema."""
     header = table.get("scenario")
     plant = header.get("plant") if isinstance(header, Mapping) else None
-    return FreeFlyerScenario if plant == "free_flyer" else RocketScenario
+    return _SCHEMAS.get(str(plant), RocketScenario)
 
 
-def _merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(table)
+def merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables with others laid over them, key by key."""
+    out = dict(table)
     for key, value in overrides.items():
-        below = merged.get(key)
-        merged[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
-    return merged
+        below = out.get(key)
+        out[key] = merged(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+    return out

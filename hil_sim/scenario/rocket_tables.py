@@ -55,6 +55,25 @@ class ArmBodies(Table):
     tip_mass: BodyTable
 
 
+class BuiltPart(Table):
+    """How far a part is from its drawing, 1 sigma; drawn per seed, none beyond two sigma.
+
+    ``inertia_relative`` is of the tensor about the centre of mass, at the mass that the part has.
+    """
+
+    mass_relative: Annotated[float, Field(ge=0.0, le=0.3)] = 0.0
+    centre_mm: NonNegative = 0.0
+    inertia_relative: Annotated[float, Field(ge=0.0, le=0.3)] = 0.0
+
+
+class AsBuilt(Table):
+    """``[as_built]``: each part, and the distance of the tip mass's frame from the joint."""
+
+    arm: BuiltPart = BuiltPart()
+    tip_mass: BuiltPart = BuiltPart()
+    length_mm: NonNegative = 0.0
+
+
 class JointTable(Table):
     """``[joint]``: the harmonic drive, all referred to the joint, all proximal to the load cell."""
 
@@ -191,6 +210,7 @@ class RocketScenario(Scenario):
     physics: RocketPhysics
     geometry: Geometry
     body: ArmBodies
+    as_built: AsBuilt = AsBuilt()
     joint: JointTable
     servo: Servo
     stops: Stops

@@ -69,6 +69,7 @@ class EncoderTable(Table):
     gear_ratio: PositiveFloat
     eccentricity_urad: NonNegative
     transmission_error_urad: NonNegative
+    zero_sigma_mrad: NonNegative = 0.0
 
 
 class _Bridge(Table):
@@ -89,9 +90,10 @@ class _Bridge(Table):
 
 
 class LoadCellTable(_Bridge):
-    """The moment about the joint's axis beyond the actuator, as a force on a lever."""
+    """The moment about ``axis`` of a flange (its joint's, where not given), on all beyond, as a force on a lever."""
 
     quantity: Literal["joint_moment"]
+    axis: Vector = (0.0, 0.0, 1.0)
     lever_mm: PositiveFloat
     lever_sigma_mm: NonNegative
 

@@ -236,7 +236,7 @@ class ImuSensor:
 
 
 class EncoderSensor:
-    """A motor-side encoder behind a gear: joint angle with two cyclic errors, in whole counts."""
+    """A motor-side encoder behind a gear: joint angle with errors of its zero and two cyclic ones, in whole counts."""
 
     def __init__(self, plant: Plant, table: EncoderTable, rng: np.random.Generator, at: str = "") -> None:
         self.counts_per_revolution = table.counts_per_revolution
@@ -244,6 +244,7 @@ class EncoderSensor:
         self._angle_rad = plant.angle_rad(at)
         self._table = table
         self._phase: list[float] = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
+        self.zero_rad = 1e-3 * table.zero_sigma_mrad * float(rng.standard_normal())
 
     def value(self, time_s: float) -> float:
         """Angle at ``time_s`` [rad], a whole number of counts from joint zero: the last one passed."""
@@ -257,11 +258,15 @@ class EncoderSensor:
         turn = self._table.gear_ratio * angle
         once = self._table.eccentricity_urad * math.sin(turn + self._phase[0])  # per motor turn
         twice = self._table.transmission_error_urad * math.sin(2.0 * turn + self._phase[1])  # two lobes
-        return angle + 1e-6 * (once + twice)
+        return angle + self.zero_rad + 1e-6 * (once + twice)
 
     def truth(self) -> dict[str, Any]:
-        """Phases of the cyclic errors."""
-        return {"eccentricity_phase_rad": self._phase[0], "transmission_error_phase_rad": self._phase[1]}
+        """Error of the zero, phases of the cyclic errors."""
+        return {
+            "zero_rad": self.zero_rad,
+            "eccentricity_phase_rad": self._phase[0],
+            "transmission_error_phase_rad": self._phase[1],
+        }
 
 
 class LoadCellSensor:
@@ -281,7 +286,7 @@ class LoadCellSensor:
         self._axis = np.ones(1)
         if isinstance(table, LoadCellTable):
             self.lever_m = 1e-3 * (table.lever_mm + table.lever_sigma_mm * rng.standard_normal())
-            self._load = plant.moment_n_m(at)[:, None]
+            self._load = plant.moment_n_m(at, table.axis)[:, None]
         else:
             self._load = plant.force_n(at)
             self._axis = np.asarray(table.axis) / np.linalg.norm(table.axis)

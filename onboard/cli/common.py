@@ -24,7 +24,7 @@ def console() -> "Console":
     """Console of texts and live views."""
     from rich.console import Console
 
-    return Console()
+    return Console(markup=False, emoji=False)  # what a file says is shown, not obeyed
 
 
 def show(shown: "RenderableType") -> None:
@@ -63,9 +63,9 @@ def progress() -> "Progress":
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    where = Console(stderr=True)
+    where = Console(stderr=True, markup=False, emoji=False)
     percent = TextColumn("{task.percentage:3.0f} %")
-    columns = (TextColumn("{task.description}"), BarColumn(), percent, TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), percent, TimeRemainingColumn())
     return Progress(*columns, console=where, transient=True, disable=not where.is_terminal)
 
 

@@ -41,12 +41,13 @@ def _fly(arguments: argparse.Namespace) -> int:
     from onboard.cli import messages
     from onboard.flight import runner
     from onboard.flight.runner_processes import FlightError
-    from onboard.offline.estimate_again import warm_start
-    from onboard.recording.reader import LogReader
 
     urls = dict(bus_and_url(text) for text in arguments.url)
     vehicle = load_vehicle(arguments.vehicle)
     if arguments.earlier:
+        from onboard.offline.estimate_again import warm_start
+        from onboard.recording.reader import LogReader
+
         vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))
     vehicle = vehicle.with_urls(urls)
     log = arguments.log or next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)

@@ -2,7 +2,9 @@
 
 import argparse
 import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from onboard.cli.common import (
     FAILED,
@@ -21,17 +23,30 @@ from onboard.cli.common import (
 def add(commands: Commands) -> None:
     """Make the command known."""
     hil = commands.add_parser("hil", help="fly a scenario against simulated devices")
-    hil.add_argument("scenario", help="a packaged scenario: rocksat, dymaflex, ...")
+    hil.add_argument("scenario", help="a packaged mission: rocksat, dymaflex, ...; or your vehicle.toml")
+    hil.add_argument(
+        "--scenario", dest="over", type=Path, metavar="TOML", help="a file that says otherwise: docs/rehearsal.md"
+    )
     hil.add_argument("--seed", type=int, default=1, help="seed of all random numbers of the scenario (default 1)")
     hil.add_argument("--realtime", action="store_true", help="devices and flight app as processes, on the real clock")
     hil.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
     hil.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
+    hil.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="KIND:DEVICE:START:END[:VALUE]",
+        help="something breaks between two times of the mission [s], e.g. off:imu_base:10:12; repeatable",
+    )
+    hil.add_argument("--faults", action="store_true", help="say which faults the scenario's devices can have, and end")
     add_live(hil)
     hil.set_defaults(command=_hil)
 
 
 def _hil(arguments: argparse.Namespace) -> int:
     try:
+        from hil_sim.devices.vehicle_file import scenario_of
+        from hil_sim.faults import EFFECTS, parse
         from hil_sim.mission import open_in_process
     except ModuleNotFoundError as error:
         raise ValueError(f"heft hil simulates with MuJoCo ({error}): pip install mujoco") from error
@@ -44,13 +59,24 @@ def _hil(arguments: argparse.Namespace) -> int:
     if arguments.live is not None and not arguments.realtime:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
     shown = console()
-    name, seed = arguments.scenario, arguments.seed
-    vehicle = config.named(name)
+    seed = arguments.seed
+    faults = [parse(text) for text in arguments.fault]
+    vehicle = config.named(arguments.scenario)
+    name = vehicle.file.vehicle.name if str(arguments.scenario).endswith(".toml") else arguments.scenario
+    scenario = scenario_of(arguments.scenario, arguments.over)
+    if arguments.faults or (faults and arguments.realtime):  # refused here, with the reason
+        with open_in_process(scenario, seed, faults)[0] as world:
+            possible = world.possible_faults()
+        if arguments.faults:
+            _list_faults(possible, EFFECTS)
+            return OK
     log = arguments.log or next_log(vehicle.file.recording.directory, name)
     with progress() as bar:
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)
         if arguments.realtime:
-            serve = ["-m", "hil_sim.serve", name, "--seed", str(seed)]
+            serve = ["-m", "hil_sim.serve", arguments.scenario, "--seed", str(seed)]
+            serve += ["--over", str(arguments.over)] if arguments.over else []
+            serve += [f"--fault={text}" for text in arguments.fault]
             try:
                 with serve_live(arguments.live, log):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))
@@ -58,7 +84,7 @@ def _hil(arguments: argparse.Namespace) -> int:
                 complain(error)
                 return FAILED
         else:
-            world, urls = open_in_process(name, seed)
+            world, urls = open_in_process(scenario, seed, faults)
             with world:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
     truth.write(flown.log, flown.truth)
@@ -69,3 +95,22 @@ def _hil(arguments: argparse.Namespace) -> int:
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return OK if result["identified"] and result["accounted"] else FAILED
+
+
+def _list_faults(possible: Mapping[str, Iterable[str]], effects: Mapping[Any, str]) -> None:
+    """The devices and buses with the faults they can have; then what each of these does."""
+    from rich.table import Table
+
+    devices = Table(box=None, pad_edge=False, title="--fault KIND:DEVICE:START:END[:VALUE]", title_justify="left")
+    devices.add_column("device or bus", no_wrap=True)
+    devices.add_column("can have")
+    kinds = Table(box=None, pad_edge=False)
+    kinds.add_column("kind", no_wrap=True)
+    kinds.add_column("between START and END")
+    for name, its in possible.items():
+        devices.add_row(name, ", ".join(its))
+    for kind in sorted({kind for its in possible.values() for kind in its}):
+        kinds.add_row(kind, effects[kind])
+    show(devices)
+    console().print()
+    show(kinds)

@@ -30,6 +30,11 @@ def add(commands: Commands) -> None:
     init.add_argument("--from", dest="packaged", metavar="NAME", help="copy a packaged vehicle: rocksat, dymaflex, ...")
     init.add_argument("--name", help="of the vehicle (default: that of the directory)")
     init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar"))
+    init.add_argument("--urdf", type=Path, help="one at hand: its joints and links; it is copied into the directory")
+    init.add_argument("--imu-frame", metavar="LINK", help="of --urdf, whose axes are the IMU's (default: one is added)")
+    init.add_argument(
+        "--payload-link", metavar="LINK", help="of --urdf, that holds the payload (default: one is added)"
+    )
     init.add_argument("--joints", metavar="N|NAME,NAME", help="how many, or their names from the base outwards (2)")
     init.add_argument("--imu", choices=("mpu6050", "nimu", "none"), help="on the base (mpu6050)")
     init.add_argument("--encoder", choices=("cia406", "cia402", "qsb"), help="of every joint (cia406)")
@@ -58,15 +63,24 @@ def _init(arguments: argparse.Namespace) -> int:
 
 def _ask(arguments: argparse.Namespace) -> None:
     for option, question, usual in _QUESTIONS:
-        if getattr(arguments, option) is None:
+        if getattr(arguments, option) is None and not (option == "joints" and arguments.urdf):
             setattr(arguments, option, input(f"{question} [{usual}] ").strip() or usual)
 
 
 def _wanted(arguments: argparse.Namespace) -> "Wanted":
+    from onboard.offline.begin import drawing
     from onboard.offline.begin.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, Wanted
 
+    drawn = drawing.read(arguments.urdf) if arguments.urdf else None
     joints = arguments.joints or "2"
     names = [f"joint_{n + 1}" for n in range(int(joints))] if joints.isdecimal() else joints.split(",")
+    if drawn is not None:
+        if arguments.joints:
+            raise ValueError("--joints are those of --urdf; leave one of the two out")
+        names = list(drawn.joints)
+    for link in (arguments.imu_frame, arguments.payload_link):
+        if link and (drawn is None or link not in drawn.frames):
+            raise ValueError(f"the URDF has no link {link!r}" if drawn else f"{link!r}: give the --urdf that has it")
     imu = arguments.imu or ("none" if arguments.base == "fixed" else "mpu6050")
     encoder, cell = arguments.encoder or "cia406", arguments.load_cell or "none"
     for said, known in ((arguments.base, BASES), (imu, IMUS), (encoder, ENCODERS), (cell, LOAD_CELLS)):
@@ -74,4 +88,5 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
             raise ValueError(f"{said!r} is none of {', '.join(known)}")
     name = arguments.name or arguments.directory.resolve().name
     urls = dict(bus_and_url(text, "--bus") for text in arguments.bus)
-    return Wanted(name, arguments.base, tuple(names), imu, encoder, cell, not arguments.no_pulse, urls)
+    frames = arguments.imu_frame or "imu_base", arguments.payload_link or "payload"
+    return Wanted(name, arguments.base, tuple(names), imu, encoder, cell, not arguments.no_pulse, urls, drawn, *frames)

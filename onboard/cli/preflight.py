@@ -18,6 +18,7 @@ def add(commands: Commands) -> None:
     preflight = commands.add_parser("preflight", help="check every device of a vehicle against its file")
     preflight.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
     preflight.add_argument("--seconds", type=float, metavar="S", help="run the devices for this many seconds")
+    preflight.add_argument("--minutes", type=float, metavar="M", default=60.0, help="length of the flight (default 60)")
     preflight.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
     preflight.set_defaults(command=_preflight)
 
@@ -26,8 +27,14 @@ def _preflight(arguments: argparse.Namespace) -> int:
     from onboard.flight import preflight, workers
     from onboard.flight.estimator import Estimator
 
+    minutes: float = arguments.minutes
+    if not 0.0 < minutes < 1e6:
+        raise ValueError(f"--minutes {minutes:g}: give the length of the flight, e.g. 30")
     vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
-    Estimator(vehicle)  # what heft fly would refuse is refused here
-    found = preflight.preflight(vehicle, time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds)
+    estimator = Estimator(vehicle)  # what heft fly would refuse is refused here
+    flight_s = 60.0 * minutes
+    found = preflight.preflight(
+        *(vehicle, time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds, flight_s, estimator, time.time())
+    )
     show(preflight.render(found))
     return OK if found.ready else NOT_READY

@@ -1,13 +1,15 @@
 """Reads vehicle.toml into frozen objects. Units are in the keys; unknown keys are refused with line and remedy."""
 
 from onboard.config.errors import ConfigError, Origin
-from onboard.config.estimation import Phases, Zero
+from onboard.config.estimation import JointKeys, Phases, Zero
 from onboard.config.free_body import Load
-from onboard.config.loader import load, named, packaged, parse, parse_tree, tree_of
+from onboard.config.loader import load, named, packaged, parse, parse_tree
+from onboard.config.text import read, tree_of
 from onboard.config.vehicle import Recording, Vehicle
 
 __all__ = [
     "ConfigError",
+    "JointKeys",
     "Load",
     "Origin",
     "Phases",
@@ -19,5 +21,6 @@ __all__ = [
     "packaged",
     "parse",
     "parse_tree",
+    "read",
     "tree_of",
 ]

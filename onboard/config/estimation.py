@@ -56,10 +56,14 @@ class MemoryKeys(Section):
 
 
 class Zero(Section):
-    """Zeroing of the accelerometer: coasting at rest in ``phases``, for at least ``ticks`` row periods."""
+    """Zeroing of the accelerometer: coasting at rest in ``phases``, for at least ``ticks`` row periods.
+
+    ``drift_sigma_m_s2_k``: how much the offset may change per kelvin of the chip, 1 sigma; 0: not followed.
+    """
 
     phases: list[int]
     ticks: Annotated[int, Field(ge=1)] = 100
+    drift_sigma_m_s2_k: NotNegative = 0.003
 
 
 class Link(Section):
@@ -70,30 +74,43 @@ class Link(Section):
     inertia_relative: Annotated[float, Field(ge=1e-9, le=100)]
 
 
+class JointKeys(Section):
+    """Standard deviations of a joint's place in the drawing (each coordinate), and of its encoder's errors."""
+
+    position_m: NotNegative = 0.001
+    zero_rad: NotNegative = 0.001
+    scale: NotNegative = 2e-4
+    delay_s: NotNegative = 2e-4
+
+
 class Prior(Section):
     """Prior: relative sigma by link, absolute sigma of the other columns, SI units.
 
-    ``link`` is for the method "exiddm": links not in it are exact. A relative sigma of zero makes a link exact: it is
-    not estimated, and its part moves to the rows' other side.
+    ``link`` and ``joint`` are for the method "exiddm": links not in ``link`` are exact, joints not in ``joint`` have
+    the defaults of its keys. A relative sigma of zero makes a link exact: it is not estimated, and its part moves to
+    the rows' other side.
     """
 
     relative: dict[str, NotNegative] = Field(default_factory=dict)
     absolute: dict[str, Positive] = Field(default_factory=dict)
     link: dict[str, Link] = Field(default_factory=dict)
+    joint: dict[str, JointKeys] = Field(default_factory=dict)
 
 
 class LinkTolerance(Section):
-    """How far a link may be from its drawing, 1 sigma: its mass, its centre of mass, its inertia about that."""
+    """How far a link may be from its drawing, 1 sigma: mass, centre of mass, inertia about that, place in the arm."""
 
     mass_relative: NotNegative = 0.03
     centre_m: NotNegative = 0.001
     inertia_relative: NotNegative = 0.01
+    length_m: NotNegative = 0.00025
 
 
 class Masses(Section):
     """Masses to report from the inertia about ``joint``, with the URDF's radii of gyration.
 
-    ``drawing``: by link, how far it may be from its drawing; 1 mm, 1 % of inertia and 3 % of mass where not given.
+    ``drawing``: by link, how far it may be from its drawing; where not given, 1 mm, 1 % of inertia, 3 % of mass, and
+    0.25 mm from the joint to the link.
     """
 
     joint: str
@@ -102,7 +119,7 @@ class Masses(Section):
 
 
 class ImuPriorKeys(Section):
-    """Prior on instrument errors of the base IMU: standard deviations per axis; zero: exact.
+    """Prior on errors of the base IMU and of its place in the drawing: standard deviations per axis; zero: exact.
 
     Files written before the words changed say ``doubt`` and ``turn`` in place of ``imu_prior`` and ``misalignment``.
     """
@@ -111,15 +128,16 @@ class ImuPriorKeys(Section):
     gyro_drift_rad_s2: NotNegative = 0.0
     gyro_scale: NotNegative = 0.0
     gyro_misalignment_rad: NotNegative = Field(
-        default=0.0, validation_alias=AliasChoices("gyro_misalignment_rad", "gyro_turn_rad")
+        default=0.003, validation_alias=AliasChoices("gyro_misalignment_rad", "gyro_turn_rad")
     )
     accelerometer_bias_m_s2: NotNegative = 0.0
     accelerometer_drift_m_s3: NotNegative = 0.0
     accelerometer_scale: NotNegative = 0.0
     accelerometer_misalignment_rad: NotNegative = Field(
-        default=0.0, validation_alias=AliasChoices("accelerometer_misalignment_rad", "accelerometer_turn_rad")
+        default=0.003, validation_alias=AliasChoices("accelerometer_misalignment_rad", "accelerometer_turn_rad")
     )
     delay_s: NotNegative = 0.0
+    position_m: NotNegative = 0.003
 
 
 class MotorKeys(Section):

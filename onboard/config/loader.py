@@ -2,7 +2,6 @@
 
 import difflib
 import json
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
@@ -13,6 +12,7 @@ from pydantic.fields import FieldInfo
 
 from onboard.config.checks import check
 from onboard.config.errors import ConfigError, Origin
+from onboard.config.text import read, tree_of
 from onboard.config.vehicle import Vehicle, VehicleFile
 from onboard.devices.registry import BROKEN
 
@@ -54,28 +54,12 @@ def load(path: Path, urdf: Path | None = None) -> Vehicle:
     Raises:
         ConfigError: no such file, not TOML, an unknown key, a wrong value, or an undefined name.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give the path of a vehicle.toml") from error
-    return parse(text, path, urdf)
+    return parse(read(path), path, urdf)
 
 
 def parse(text: str, path: Path, urdf: Path | None = None) -> Vehicle:
     """As :func:`load`, for a text already read (from a log, say)."""
     return parse_tree(tree_of(text, str(path)), path, Origin(str(path), text), urdf)
-
-
-def tree_of(text: str, label: str) -> dict[str, Any]:
-    """The tables of a TOML text.
-
-    Raises:
-        ConfigError: it is no TOML; the message begins with ``label``.
-    """
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{label}: not TOML: {error}") from error
 
 
 def parse_tree(tree: dict[str, Any], path: Path, origin: Origin, urdf: Path | None = None) -> Vehicle:

@@ -11,6 +11,7 @@ from onboard.config.estimation import (
     ExiddmKeys,
     Gates,
     ImuPriorKeys,
+    JointKeys,
     Link,
     LinkTolerance,
     Masses,
@@ -22,7 +23,7 @@ from onboard.config.estimation import (
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.planar import Planar, Puck
-from onboard.config.vehicle import BusSection, Recording, VehicleSection
+from onboard.config.vehicle import BusSection, LinkSection, Recording, VehicleSection
 from onboard.section import Section
 
 
@@ -56,6 +57,15 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
     },
     BusSection: {"url": _M("Where the bus is opened; the table of URLs is in docs/devices.md.")},
+    LinkSection: {
+        "mass_kg": _M("Its mass.", "it was weighed: heft calibrate balance writes it"),
+        "centre_of_mass_m": _M("Its centre of mass, link axes.", "it was balanced: heft calibrate balance writes it"),
+        "inertia_kg_m2": _M(
+            "XX, XY, YY, XZ, YZ, ZZ about its own centre of mass, link axes.",
+            "it was swung: heft calibrate bifilar writes it",
+        ),
+        "calibrated": _M("Date, log and command of its calibration."),
+    },
     Recording: {
         "directory": _M("Where logs go, relative to where heft runs.", "the medium for logs is mounted elsewhere"),
         "sync_period_ms": _M(
@@ -149,6 +159,10 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     Zero: {
         "phases": _M("Codes of the phases of coasting at rest."),
         "ticks": _M("So many row periods of it at least.", "coasting is shorter, or the accelerometer noisier"),
+        "drift_sigma_m_s2_k": _M(
+            "How much the offset changes per kelvin of the chip, 1 sigma; it is followed from rest to rest.",
+            "another accelerometer; 0: it is not followed",
+        ),
     },
     Link: {
         "mass_relative": _M("How well the link was weighed: relative, 1 sigma."),
@@ -159,6 +173,15 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "relative": _M("Relative sigma of all parameters, by link; 0 takes the link for exact.", "a link was measured"),
         "absolute": _M("Absolute sigma of the other columns, SI, by name.", "a bias is known to be small"),
         "link": _M('How each link was measured, for method "exiddm"; links that are not in it are certain.'),
+        "joint": _M(
+            'How well places and encoders of joints are known, for method "exiddm"; the defaults for joints not in it.'
+        ),
+    },
+    JointKeys: {
+        "position_m": _M("Place of the joint in the drawing, 1 sigma by coordinate.", "the arm was measured"),
+        "zero_rad": _M("Zero of its encoder (m for a sliding joint), 1 sigma.", "the zero was calibrated, or never"),
+        "scale": _M("Scale of its encoder, relative, 1 sigma.", "it is not an encoder's count"),
+        "delay_s": _M("Of its samples, beyond what is known and taken off, 1 sigma.", "its filter was not measured"),
     },
     MotorKeys: {
         "ratios": _M("Motor rate per joint rate, by joint; 1 where both are equal at the joint."),
@@ -174,10 +197,12 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     },
     LinkTolerance: {
         "mass_relative": _M(
-            "Standard deviation of the mass, relative; matters where the ratio of two masses is taken."
+            "Standard deviation of the mass, relative; the arm's checks the scales of cells and encoders, and it "
+            "counts where the ratio of two masses is taken."
         ),
         "centre_m": _M("Standard deviation of each coordinate of the centre of mass."),
         "inertia_relative": _M("Standard deviation of the inertia about the centre of mass, relative, at its mass."),
+        "length_m": _M("Standard deviation of each coordinate of its frame's place beyond the joint."),
     },
     Carried: {
         "log": _M("Log that it is from."),
@@ -209,6 +234,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "accelerometer_scale": _M("Relative error of its scale.", "from the data sheet, or a calibration"),
         "accelerometer_misalignment_rad": _M("Of its axes in the frame.", "the mounting was measured"),
         "delay_s": _M("Of its samples, beyond what is known and taken off.", "its filter was not measured"),
+        "position_m": _M("Of each coordinate of its place in the drawing.", "the mounting was measured"),
     },
     FreeBody: {
         "rotor_sigma": _M("Relative sigma of the rotors' inertia in the URDF, which all inertias scale with."),

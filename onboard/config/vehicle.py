@@ -11,10 +11,11 @@ from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
 from onboard.config.planar import Planar
+from onboard.config.text import MOST_BYTES_URDF, read
 from onboard.devices.base import BusDevice, Channels, DeviceSection
 from onboard.devices.registry import DEVICES
 from onboard.devices.roles import STANDARD_GRAVITY_M_S2
-from onboard.section import Section, Vector3
+from onboard.section import Positive, Section, Vector3, Vector6
 
 UNSTATED_BAUD = 1e9  # bit/s of a line whose URL gives no speed: its transmission time counts as none
 if TYPE_CHECKING:
@@ -45,6 +46,18 @@ class BusSection(Section):
     url: str
 
 
+class LinkSection(Section):
+    """A link as it was weighed, balanced and swung, in place of the URDF's values; link axes.
+
+    ``inertia_kg_m2``: XX, XY, YY, XZ, YZ, ZZ about its own centre of mass.
+    """
+
+    mass_kg: Positive | None = None
+    centre_of_mass_m: Vector3 | None = None
+    inertia_kg_m2: Vector6 | None = None
+    calibrated: str = ""
+
+
 class Recording(Section):
     """Recording of flights.
 
@@ -68,6 +81,7 @@ class VehicleFile(Section):
     vehicle: VehicleSection
     bus: dict[str, BusSection] = Field(default_factory=dict)
     device: dict[str, AnyDevice]
+    link: dict[str, LinkSection] = Field(default_factory=dict)
     estimation: Estimation = Estimation()
     free_body: FreeBody | None = None
     planar: Planar | None = None
@@ -102,6 +116,15 @@ class Vehicle(BaseModel):
     def urdf_path(self) -> Path:
         """The URDF beside the vehicle file."""
         return self.path.parent / self.file.vehicle.urdf if self.urdf is None else self.urdf
+
+    @property
+    def urdf_text(self) -> str:
+        """The URDF.
+
+        Raises:
+            ConfigError: it cannot be read, or is too long.
+        """
+        return read(self.urdf_path, "the vehicle's URDF", MOST_BYTES_URDF)
 
     @property
     def channels(self) -> Channels:

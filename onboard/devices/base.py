@@ -12,8 +12,16 @@ import numpy as np
 from drivers.device import Device
 from drivers.records import Rows
 from onboard.devices import roles
-from onboard.devices.roles import ImuRole, JointRole, LoadCellKeys, LoadCellRole, Roles, SmoothedChannel
-from onboard.section import NotNegative, Positive, Section
+from onboard.devices.roles import (
+    Correction,
+    ImuRole,
+    JointRole,
+    LoadCellKeys,
+    LoadCellRole,
+    Roles,
+    SmoothedChannel,
+)
+from onboard.section import IDENTITY, Gain, Matrix3, NotNegative, Positive, Section, Vector3
 from onboard.timebase.delays import Delay
 from onboard.timebase.specs import ChannelClock, FollowerChannel, SyncLine
 
@@ -127,6 +135,7 @@ class BusDevice(DeviceSection):
     shares_bus: ClassVar[bool] = False
     driver_configs: ClassVar[tuple[type, ...]] = ()  # what its driver is configured by; the keys are explained there
     rate_tolerance: ClassVar[float] = 0.1  # of nominal_hz, before a preflight finds fault
+    first_row_s: ClassVar[float] = 3.0  # from the start of a flight: a first row that is later has others before it
     marks_at_rest: ClassVar[bool] = True  # no sync pulse in its stream means that the line does not reach it
     bus: str
 
@@ -180,7 +189,9 @@ class BusDevice(DeviceSection):
 class ImuDevice(DeviceSection):
     """It measures specific force and angular rate in the axes of the URDF's ``frame``; noise is that of one sample.
 
-    ``accel_scale_sigma`` and ``gyro_scale_sigma``: of its calibration, relative; intervals by rows carry them.
+    ``accel_scale_sigma`` and ``gyro_scale_sigma``: of its calibration, relative; ``misalignment_sigma_rad``: of the
+    axes of gyro and of accelerometer; ``delay_sigma_ms``: of the samples of either. Intervals by rows carry them.
+    Readings are ``accel_matrix`` times the specific force plus ``accel_bias_m_s2``, and likewise of the gyro.
     """
 
     about_role = "IMU"
@@ -189,6 +200,14 @@ class ImuDevice(DeviceSection):
     gyro_noise_rad_s: Positive
     accel_scale_sigma: NotNegative = 0.0
     gyro_scale_sigma: NotNegative = 0.0
+    misalignment_sigma_rad: NotNegative = 0.0
+    delay_sigma_ms: NotNegative = 0.0
+    accel_matrix: Matrix3 = IDENTITY
+    accel_bias_m_s2: Vector3 = (0.0, 0.0, 0.0)
+    gyro_matrix: Matrix3 = IDENTITY
+    gyro_bias_rad_s: Vector3 = (0.0, 0.0, 0.0)
+    calibrated: str = ""
+    kelvin_per_count: ClassVar[float] = 0.0  # of the temperature word of its samples
 
     @property
     def filter_delays_s(self) -> tuple[float, float]:
@@ -200,16 +219,28 @@ class ImuDevice(DeviceSection):
         gyro_delay_s, accel_delay_s = self.filter_delays_s
         noise = (self.gyro_noise_rad_s,) * 3 + (self.accel_noise_m_s2,) * 3
         signal = SmoothedChannel((gyro_delay_s,) * 3 + (accel_delay_s,) * 3, noise, period_s, {})
-        return Roles(
-            [ImuRole((name,), self.frame, self.gyro_scale_sigma, self.accel_scale_sigma)], [], [], {name: signal}
+        gyro, accel = (self.gyro_matrix, self.gyro_bias_rad_s), (self.accel_matrix, self.accel_bias_m_s2)
+        if any(one != (IDENTITY, (0.0, 0.0, 0.0)) for one in (gyro, accel)):
+            signal = signal._replace(corrections=(Correction(*gyro), Correction(*accel)))
+        role = ImuRole(
+            (name,),
+            self.frame,
+            self.gyro_scale_sigma,
+            self.accel_scale_sigma,
+            self.kelvin_per_count,
+            self.misalignment_sigma_rad,
+            1e-3 * self.delay_sigma_ms,
         )
+        return Roles([role], [], [], {name: signal})
 
 
 class JointDevice(BusDevice):
     """It measures the angle of ``joint``: ``zero_count`` is its reading at angle zero.
 
     On the motor side of a gear it has cyclic errors: ``eccentricity_rad`` once, ``transmission_error_rad`` twice per
-    motor revolution. ``scale_sigma``: of its counts per revolution, relative; the intervals of rows contain it.
+    motor revolution. ``scale_sigma`` is of its counts per revolution, relative, ``zero_sigma_rad`` of its zero; the
+    intervals of rows contain both.
+    ``gain``: what it reads of one radian, by ``counts_per_revolution``; negative where it counts against the joint.
     """
 
     about_role = "joint angle"
@@ -219,18 +250,25 @@ class JointDevice(BusDevice):
     zero_count: int = 0
     noise_rad: Positive
     scale_sigma: NotNegative = 0.0
+    zero_sigma_rad: NotNegative = roles.ZERO_SIGMA_RAD
     gear_ratio: Positive = 1.0
     eccentricity_rad: NotNegative = 0.0
     transmission_error_rad: NotNegative = 0.0
+    gain: Gain = 1.0
+    calibrated: str = ""
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         turns = self.gear_ratio
         ripple = (turns, self.eccentricity_rad), (2.0 * turns, self.transmission_error_rad)
         signal = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(
-            zero_count=self.zero_count, absolute=self.keeps_zero, ripple=tuple(tone for tone in ripple if tone[1])
+            zero_count=self.zero_count,
+            absolute=self.keeps_zero,
+            ripple=tuple(tone for tone in ripple if tone[1]),
+            corrections=roles.corrections(self.gain, 0.0),
         )
-        return Roles([], [JointRole(self.joint, name, scale_sigma=self.scale_sigma)], [], {name: signal})
+        joint = JointRole(self.joint, name, False, self.scale_sigma, self.zero_sigma_rad)
+        return Roles([], [joint], [], {name: signal})
 
 
 class LoadCellDevice(BusDevice, LoadCellKeys):

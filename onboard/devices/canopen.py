@@ -61,6 +61,7 @@ class CanopenSyncDevice(CanDevice):
     about_role = "clock of its bus"
     about_clock = "SYNC numbers, fitted to the sync pulses by counter and code."
     records = CAN_SYNC
+    first_row_s = 0.15  # it talks unasked
     driver_configs = (SyncConfig,)
     kind: Literal["canopen_sync"]
     period_ms: Positive

@@ -1,5 +1,6 @@
 """Drive (CiA 402)."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -7,8 +8,11 @@ from pydantic import Field
 from drivers.canopen_pdo.cia402 import Cia402Config
 from drivers.canopen_pdo.guarding import GuardConfig
 from drivers.records import SCALAR
-from onboard.devices.base import Channels, JointDevice
+from onboard.devices import roles
+from onboard.devices.base import Channels, JointDevice, Problem, Surroundings
 from onboard.devices.canopen import CanopenNodeDevice
+from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
+from onboard.section import NotNegative, Positive
 
 
 class Cia402Device(CanopenNodeDevice, JointDevice):
@@ -30,12 +34,43 @@ class Cia402Device(CanopenNodeDevice, JointDevice):
     rated_torque_N_m: Annotated[  # noqa: N815
         float | None, Field(description="Rated torque of the motor; read from the drive (6076h) where not given.")
     ] = None
+    torque_sigma_N_m: Annotated[  # noqa: N815
+        Positive | None,
+        Field(description="The torque is a row of the joint, with this 1 sigma of the model's error; needs `torque`."),
+    ] = None
+    torque_scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of its torque constant.")] = 0.0
+    torque_friction: Annotated[
+        bool, Field(description="Whether friction and rotor inertia are parameters of that row.")
+    ] = True
+    torque_still_rad_s: Annotated[NotNegative, Field(description="Joint rate below which that row is left out.")] = 0.0
     gear_ratio: float = Cia402Config.gear_ratio
     tpdos: tuple[int, ...] = Cia402Config.tpdos
 
     def channels(self, name: str) -> Channels:
         """Position, velocity, torque."""
         return dict.fromkeys(self.settings(name).names, SCALAR)
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """Its joint's angle, and the torque where ``torque_sigma_N_m`` is given."""
+        found = super().roles(name, period_s)
+        if self.torque_sigma_N_m is not None:
+            row = f"{name}_torque"
+            keys = TorqueKeys(
+                joint=self.joint,
+                sigma_N_m=self.torque_sigma_N_m,
+                scale_sigma=self.torque_scale_sigma,
+                friction=self.torque_friction,
+                still_rad_s=self.torque_still_rad_s,
+            )
+            torque = roles.scalar(0.0, 0.0, period_s, {b"N m": 1.0})
+            found.add(Roles([], [], [LoadCellRole(row, row, keys)], {row: torque}))
+        return found
+
+    def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
+        """See ``DeviceSection``: a row of the torque needs the torque."""
+        yield from super().problems(name, around)
+        if self.torque_sigma_N_m is not None and not self.torque:
+            yield ["device", name, "torque_sigma_N_m"], f"{name!r} does not record its torque; give torque = true"
 
     def settings(self, name: str) -> Cia402Config:
         """See ``BusDevice``."""

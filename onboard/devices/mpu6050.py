@@ -1,7 +1,7 @@
 """MPU-6050 family IMU on I2C."""
 
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -37,6 +37,7 @@ class Mpu6050Device(I2cDevice, ImuDevice):
     records = IMU
     driver_configs = (Mpu6050Config,)
     kind: Literal["mpu6050"]
+    kelvin_per_count: ClassVar[float] = 1.0 / 340.0  # register map, registers 65 and 66
     address: Annotated[int, Field(ge=0x68, le=0x69)] = Mpu6050Config.address
     sample_rate_hz: Annotated[int, Field(ge=4, le=1000)] = Mpu6050Config.sample_rate_hz
     accel_range_g: Literal[2, 4, 8, 16] = 4

@@ -1,6 +1,6 @@
 """Memsense nIMU on a serial line."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -24,7 +24,9 @@ class NimuDevice(SerialLineDevice, ImuDevice):
     about_clock = "Its packet timer, fitted to arrival: it has no sync input. Its times include the delay of the line."
     records = IMU
     driver_configs = (NimuConfig,)
+    first_row_s = 0.3  # it talks unasked, a quarter of a second after its power came
     kind: Literal["nimu"]
+    kelvin_per_count: ClassVar[float] = 1.8165e-2  # of the gyro temperature words
     sample_rate_hz: Positive
     gyro_delay_ms: NotNegative = 0.0
     accel_delay_ms: NotNegative = 0.0

@@ -52,13 +52,16 @@ class JointChannel(FilteredChannel):
     zero_count: int = 0
     absolute: bool = False
     noise_rad: Positive
+    scale_sigma: NotNegative = 0.0
+    zero_sigma_rad: NotNegative = roles.ZERO_SIGMA_RAD
 
     def roles(self, channel: str, period_s: float) -> Roles:
         """See ``ChannelSection``."""
         angle = roles.scalar(self.delay_ms, self.noise_rad, period_s, roles.ANGLE)._replace(
             zero_count=self.zero_count, absolute=self.absolute
         )
-        return Roles([], [JointRole(self.joint, channel)], [], {channel: angle})
+        joint = JointRole(self.joint, channel, False, self.scale_sigma, self.zero_sigma_rad)
+        return Roles([], [joint], [], {channel: angle})
 
 
 class ForceChannel(ChannelSection, LoadCellKeys):

@@ -31,6 +31,7 @@ class NodeFrameDevice(SerialLineDevice):
     about_role = "by channel"
     about_clock = "The node's own, fitted to the sync edges that it stamps."
     driver_configs = (NodeFrameConfig,)
+    first_row_s = 0.15  # it talks unasked
     kind: Literal["node_frame"]
     node: int = NodeFrameConfig.node
     tick_hz: Positive

@@ -48,13 +48,14 @@ class RecordedAngle(RecordedDevice):
     noise_rad: Positive
     repeats: Repeats = False
     scale_sigma: NotNegative = 0.0
+    zero_sigma_rad: NotNegative = roles.ZERO_SIGMA_RAD
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         angle = roles.scalar(0.0, self.noise_rad, period_s, roles.ANGLE)._replace(
             zero_count=self.zero_count, repeats=self.repeats
         )
-        return Roles([], [JointRole(self.joint, name, scale_sigma=self.scale_sigma)], [], {name: angle})
+        return Roles([], [JointRole(self.joint, name, False, self.scale_sigma, self.zero_sigma_rad)], [], {name: angle})
 
 
 class RecordedRate(RecordedDevice):
@@ -66,12 +67,16 @@ class RecordedRate(RecordedDevice):
     joint: str
     noise_rad_s: Positive
     repeats: Repeats = False
-    scale_sigma: Annotated[float, Field(ge=0.0, description="Of its scale, relative; intervals carry it.")] = 0.0
+    scale_sigma: Annotated[
+        float, Field(ge=0.0, description="Of its scale since it was calibrated, relative; intervals carry it.")
+    ] = 0.01
+    delay_sigma_ms: Annotated[float, Field(ge=0.0, description="Of its samples' times; intervals carry it.")] = 0.0
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         rate = roles.scalar(0.0, self.noise_rad_s, period_s, roles.RATE)._replace(repeats=self.repeats)
-        return Roles([], [JointRole(self.joint, name, is_rate=True, scale_sigma=self.scale_sigma)], [], {name: rate})
+        joint = JointRole(self.joint, name, True, self.scale_sigma, 1e-3 * self.delay_sigma_ms)
+        return Roles([], [joint], [], {name: rate})
 
 
 class RecordedLoadCell(RecordedDevice, LoadCellKeys):

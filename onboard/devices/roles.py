@@ -4,18 +4,37 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
-from onboard.section import NotNegative, Positive, Section, Vector3
+from onboard.estimation.arrays import FloatArray
+from onboard.section import NotNegative, Positive, Real, Section, Vector3
 
 STANDARD_GRAVITY_M_S2 = 9.80665
+ZERO_SIGMA_RAD = 1e-3  # of a joint's zero where its device is silent
 ANGLE = {b"rad": 1.0, b"deg": math.pi / 180.0}
 RATE = {b"rad/s": 1.0, b"deg/s": math.pi / 180.0}
 SPECIFIC_FORCE = {b"m/s^2": 1.0, b"g": STANDARD_GRAVITY_M_S2}
 
 
+class Correction(NamedTuple):
+    """A calibration, taken off readings: these are ``matrix @ true + bias``, SI."""
+
+    matrix: tuple[tuple[float, ...], ...]  # (k, k)
+    bias: tuple[float, ...]  # (k,)
+
+    def taken_off(self, readings: FloatArray) -> FloatArray:
+        """True values from readings, (n, k)."""
+        return np.asarray((readings - np.array(self.bias)) @ np.linalg.inv(np.array(self.matrix)).T, np.float64)
+
+
+def corrections(gain: float, offset: float) -> tuple[Correction, ...]:
+    """Of a channel of one value that reads ``gain x true + offset``; none where it reads the truth."""
+    return () if (gain, offset) == (1.0, 0.0) else (Correction(((gain,),), (offset,)),)
+
+
 class LoadCellKeys(Section):
-    """A force along an axis, or a moment about one.
+    """A force along an axis, or a moment about one; it reads ``gain`` newton for each, and ``offset_N`` without load.
 
     ``measures = "moment"``: the cell's force times ``lever_m`` is the moment about ``axis`` of ``frame`` that the
     actuator exerts on everything beyond that frame. ``measures = "force"``: its force along ``axis``.
@@ -32,6 +51,9 @@ class LoadCellKeys(Section):
     delay_ms: NotNegative = 0.0
     delay_sigma_ms: NotNegative = 0.0
     gravity_m_s2: Positive = STANDARD_GRAVITY_M_S2
+    gain: Positive = 1.0
+    offset_N: Real = 0.0  # noqa: N815
+    calibrated: str = ""
 
     @property
     def relative_sigma(self) -> float:
@@ -102,6 +124,7 @@ class SmoothedChannel(NamedTuple):
         limit: values as large as this are saturated, SI.
         absolute: it keeps its zero over a reset of its device.
         ripple: its cyclic errors: periods of each in a radian of what it measures, times 2 pi, and its rms, SI.
+        corrections: its calibration, of its columns in their order: gyro and accelerometer, or one value; or none.
     """
 
     delays_s: tuple[float, ...]
@@ -113,6 +136,14 @@ class SmoothedChannel(NamedTuple):
     absolute: bool = True
     ripple: tuple[tuple[float, float], ...] = ()
     repeats: bool = False  # its recorder may write a reading again: equal ones do not show that it is stuck
+    corrections: tuple[Correction, ...] = ()
+
+    def corrected(self, readings: FloatArray) -> FloatArray:
+        """True values from readings, SI, (n, columns)."""
+        if not self.corrections:
+            return readings
+        parts = np.split(readings, len(self.corrections), axis=1)
+        return np.hstack([one.taken_off(part) for one, part in zip(self.corrections, parts, strict=True)])
 
     @property
     def travels(self) -> bool:
@@ -125,8 +156,11 @@ class ImuRole(NamedTuple):
 
     channels: tuple[str, ...]
     frame: str
-    gyro_scale_sigma: float = 0.0  # relative, of the calibration; considered by rows
+    gyro_scale_sigma: float = 0.0  # relative, of the calibration; considered by rows, as all below
     accel_scale_sigma: float = 0.0
+    kelvin_per_count: float = 0.0  # of its temperature word; 0: it has none, or its scale is not known
+    misalignment_sigma_rad: float = 0.0
+    delay_sigma_s: float = 0.0
 
 
 class JointRole(NamedTuple):
@@ -136,6 +170,8 @@ class JointRole(NamedTuple):
     channel: str
     is_rate: bool = False
     scale_sigma: float = 0.0  # relative, of its counts a revolution; considered by rows
+    zero_sigma_rad: float = 0.0  # of its zero; considered by rows
+    delay_sigma_s: float = 0.0  # considered by rows
 
 
 class LoadCellRole(NamedTuple):
@@ -181,4 +217,6 @@ def force(keys: LoadCellKeys, period_s: float) -> SmoothedChannel:
     """The channel of a load cell: N or kg, or N m where its lever is 1 m."""
     direct = keys.measures == "moment" and keys.lever_m == 1.0
     si = {b"N m": 1.0} if direct else {b"N": 1.0, b"kg": keys.gravity_m_s2}
-    return scalar(keys.delay_ms, keys.noise_N, period_s, si)._replace(limit=keys.capacity_N)
+    return scalar(keys.delay_ms, keys.noise_N, period_s, si)._replace(
+        limit=keys.capacity_N, corrections=corrections(keys.gain, keys.offset_N)
+    )

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.errors import SignalError
+from onboard.dynamics.joint_errors import ErrorColumns
 from onboard.dynamics.kinematics import (
     LinkMotion,
     bodies_of,
@@ -63,15 +64,22 @@ def predict_base(
 
 
 def predict_base_from_rate(
-    links: tuple[LinkMotion, ...], period_s: float, chi: FloatArray, rate: FloatArray, free: tuple[int, ...]
+    links: tuple[LinkMotion, ...],
+    period_s: float,
+    chi: FloatArray,
+    rate: FloatArray,
+    free: tuple[int, ...],
+    errors: ErrorColumns | None = None,
 ) -> BasePrediction:
     """As :func:`predict_base` from the base's rate w_0 at the first tick, (3,), rad/s; derivatives by (w_0, chi).
+
+    With ``errors`` their columns (:mod:`onboard.dynamics.joint_errors`) come after those of chi.
 
     ``eta_0 = J^-1 (w_0 + k)``, with the equation above solved for the rate: ``w = J eta - k``. For the state of a
     filter: the gyro's bias adds to the rate itself, but to the momentum multiplied by every inertia, so that a filter
     with the momentum as its state gains information in unobservable directions as its linearisation point moves.
     """
-    return _predict(links, period_s, chi, rate, free, by_rate=True)
+    return _predict(links, period_s, chi, rate, free, errors, by_rate=True)
 
 
 def _predict(
@@ -80,6 +88,7 @@ def _predict(
     chi: FloatArray,
     start: FloatArray,
     free: tuple[int, ...],
+    errors: ErrorColumns | None = None,
     *,
     by_rate: bool,
 ) -> BasePrediction:
@@ -103,6 +112,9 @@ def _predict(
     uncertain = LinkMotion(*(part[:, list(free)] for part in every))
     H = momentum_columns(uncertain, v, w).swapaxes(1, 2).reshape(n, 6, -1)
     W = wrench_columns(uncertain, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
+    if errors is not None:
+        of_joints = errors(bodies, v[:, 0], w[:, 0], force[:, 0], spin[:, 0])
+        H, W = (np.concatenate(pair, axis=2) for pair in zip((H, W), of_joints, strict=True))
     at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
     d_start: FloatArray = np.eye(3, 3 + at_fixed_eta.shape[2])
     if by_rate:

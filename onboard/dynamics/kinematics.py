@@ -36,6 +36,13 @@ class LinkMotion(NamedTuple):
     dw: FloatArray  # (n, 3) angular acceleration
 
 
+class Chain(NamedTuple):
+    """Motion of a vehicle's links and joints relative to the base."""
+
+    links: tuple[LinkMotion, ...]  # in the order of the vehicle's links
+    seats: tuple[LinkMotion, ...]  # the frame of each joint at its zero, fixed in the link that carries the joint
+
+
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross product ``c = a x b`` along the last axis; three times as fast as NumPy's."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
@@ -61,6 +68,13 @@ def turned(R: FloatArray, a: FloatArray) -> FloatArray:
 
 
 def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[LinkMotion, ...]:
+    """The links of :func:`chain_motion`, joints where they are drawn."""
+    return chain_motion(vehicle, q, dq, ddq).links
+
+
+def chain_motion(
+    vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, offsets: FloatArray | None = None
+) -> Chain:
     """Motion of every link with columns, by recursion over the joints (Rodrigues' formula; Featherstone 2008).
 
     Args:
@@ -68,6 +82,7 @@ def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: Floa
         q: joint positions, (n, joints).
         dq: joint rates, (n, joints).
         ddq: joint accelerations, (n, joints).
+        offsets: of each joint from its place in the drawing, (joints, 3), m, in the axes of its frame at zero.
 
     Raises:
         SignalError: shapes that do not fit.
@@ -78,9 +93,13 @@ def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: Floa
     model, zero = vehicle.model, np.zeros((n, 3))
     still = LinkMotion(np.broadcast_to(np.eye(3), (n, 3, 3)), zero, zero, zero, zero, zero)
     of_joint = {1: still}  # by Pinocchio's joint index; 1 is the base
+    seats = []
     for column, joint in enumerate(vehicle.joints):
         index = int(model.getJointId(joint.name))
         seat = _fixed(of_joint[int(model.parents[index])], model.jointPlacements[index])
+        if offsets is not None:
+            seat = _moved(seat, seat.R @ offsets[column])
+        seats.append(seat)
         axis = turned(seat.R, np.asarray(joint.axis))
         x, dx, ddx = (signal[:, column, None] for signal in (q, dq, ddq))
         if joint.revolute:
@@ -97,23 +116,22 @@ def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: Floa
             a = seat.a + axis * ddx + 2.0 * cross(seat.w, axis * dx) + cross(seat.dw, out) + cross(seat.w, swing)
             of_joint[index] = LinkMotion(seat.R, seat.p + out, v, seat.w, a, seat.dw)
     frames = [model.frames[vehicle.frame_id(name)] for name in vehicle.links]
-    return tuple(_fixed(of_joint[int(frame.parentJoint)], frame.placement) for frame in frames)
+    links = tuple(_fixed(of_joint[int(frame.parentJoint)], frame.placement) for frame in frames)
+    return Chain(links, tuple(seats))
 
 
 def _fixed(parent: LinkMotion, placement: pin.SE3) -> LinkMotion:
     """Motion of a frame fixed in its parent."""
     if placement == _NOWHERE:
         return parent
-    arm = turned(parent.R, np.asarray(placement.translation))
-    swing = cross(parent.w, arm)
-    return LinkMotion(
-        parent.R @ np.asarray(placement.rotation),
-        parent.p + arm,
-        parent.v + swing,
-        parent.w,
-        parent.a + cross(parent.dw, arm) + cross(parent.w, swing),
-        parent.dw,
-    )
+    moved = _moved(parent, turned(parent.R, np.asarray(placement.translation)))
+    return moved._replace(R=parent.R @ np.asarray(placement.rotation))
+
+
+def _moved(frame: LinkMotion, arm: FloatArray) -> LinkMotion:
+    """Motion of a frame fixed in another, its axes alike, its origin ``arm`` away, (n, 3), base axes."""
+    swing = cross(frame.w, arm)
+    return frame._replace(p=frame.p + arm, v=frame.v + swing, a=frame.a + cross(frame.dw, arm) + cross(frame.w, swing))
 
 
 def first_ticks(links: Sequence[LinkMotion], ticks: int) -> tuple[LinkMotion, ...]:
@@ -248,12 +266,16 @@ def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArra
 
 def composite_of(bodies: Bodies) -> FloatArray:
     """:func:`composite_inertia` of bodies."""
+    return np.asarray(spatial_inertias(bodies).sum(axis=1), np.float64)
+
+
+def spatial_inertias(bodies: Bodies) -> FloatArray:
+    """Spatial inertia of each link about the base's origin, (n, links, 6, 6) (Featherstone 2008)."""
     m, P = bodies.mass, bodies.arm
     shift = P @ bodies.offset
-    tensor = bodies.inertia - shift - shift.swapaxes(-1, -2) - m[..., None] * P @ P
-    C = np.zeros((len(P), 6, 6))
-    C[:, :3, :3] = m.sum() * np.eye(3)
-    C[:, 3:, :3] = hat((bodies.first + m * bodies.motion.p).sum(axis=1))
-    C[:, :3, 3:] = -C[:, 3:, :3]
-    C[:, 3:, 3:] = tensor.sum(axis=1)
+    C = np.zeros((*P.shape[:2], 6, 6))
+    C[..., :3, :3] = m[..., None] * np.eye(3)
+    C[..., 3:, :3] = hat(bodies.first + m * bodies.motion.p)
+    C[..., :3, 3:] = -C[..., 3:, :3]
+    C[..., 3:, 3:] = bodies.inertia - shift - shift.swapaxes(-1, -2) - m[..., None] * P @ P
     return C

@@ -215,6 +215,10 @@ class JackknifeEstimate:
         half = self._root @ vectors * np.sqrt(np.maximum(values, 1.0))
         return np.asarray(half @ half.T + self._common @ self._common.T, np.float64)
 
+    def causes(self, weights: ArrayLike) -> FloatArray:
+        """Change of ``weights @ chi`` by one sigma of each considered parameter, (r, k)."""
+        return np.asarray(np.atleast_2d(np.asarray(weights, np.float64)) @ self._common[:, :-1], np.float64)
+
     def formal_variance(self, weights: ArrayLike) -> FloatArray:
         """Variance of ``weights @ chi`` under the stated sigmas of rows, regressor and prior alone, (r,)."""
         return np.asarray(((np.atleast_2d(np.asarray(weights, np.float64)) @ self._root) ** 2).sum(axis=1), np.float64)

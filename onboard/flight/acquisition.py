@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from drivers.device import Device
 from drivers.errors import DriverError
 from drivers.records import Batch, Severity, event
-from onboard.flight.publisher import Publisher
+from onboard.flight.publisher import Expected, Publisher
 
 
 class Acquisition:
@@ -54,10 +54,15 @@ class Acquisition:
         """Stop every device."""
         for device in self.devices:
             self.stop_device(device, now_ns)
+        self.finish(now_ns)
 
-    def expect(self, channels: Mapping[str, float], since_ns: int) -> None:
-        """Record what ``channels`` (period in ns by name) miss from ``since_ns`` to their first row as gaps."""
+    def expect(self, channels: Mapping[str, Expected], since_ns: int) -> None:
+        """Record what ``channels`` miss from ``since_ns`` to their first row as gaps."""
         self._publisher.expect(channels, since_ns)
+
+    def finish(self, now_ns: int) -> None:
+        """Last call, when every device was stopped: what was expected and never came is a gap."""
+        self._publisher.finish(now_ns)
 
     def report(self, batches: list[Batch]) -> None:
         """Publish batches of the app itself."""

@@ -56,6 +56,7 @@ class Announcer:
         self._published: dict[str, int] = {}
         self._missing, self._gaps = 0, 0
         self._phase = ""
+        self.status = ""  # the last line that said how it stands
         self._estimated_ns: int | None = None
         self.answers: dict[str, AnnouncedAnswer] = {}
         self._rates = {
@@ -132,7 +133,8 @@ class Announcer:
         if self._estimated_ns is not None:
             parts.append(f"estimate {max(0.0, now_s - 1e-9 * self._estimated_ns):.1f} s old")
         parts += [f"{name} {answer}" for name, answer in list(self.answers.items())[:1]]
-        LOGGER.info(", ".join(part for part in parts if part), extra={"source": "status", "code": "status"})
+        self.status = ", ".join(part for part in parts if part)
+        LOGGER.info("%s", self.status, extra={"source": "status", "code": "status"})
 
     def _reader(self, name: str) -> RingReader | None:
         if name not in self._readers:

@@ -11,6 +11,7 @@ import numpy as np
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels
 from onboard.estimation.arrays import FloatArray
+from onboard.identification.change import Change
 from onboard.identification.quantities import Estimate, Findings
 from onboard.identification.verdict import LEVELS, Level, Standing, standing
 
@@ -84,3 +85,29 @@ def _put(row: np.void, found: Standing) -> None:
 
 
 WHY = channels.QUANTITY["why"].itemsize
+
+
+_HYPOTHESES = {
+    "left_out": "{} contradicts the other instruments: estimates without it",
+    "taken_back": "{} no longer contradicts the other instruments: estimates with it",
+    "release_contradicted": "a reported release of the payload is rejected: {}",
+}
+
+
+_CHANGES = {
+    "change": "change of payload or instruments, kind not yet known,",
+    "contact": "contact that left the payload as it was,",
+    "instrument": "change of an instrument, not of the payload,",
+}
+
+
+def change_event(now_ns: int, change: Change) -> Batch:
+    """A change of the payload or of the selected hypothesis, as an event."""
+    if change.kind in _HYPOTHESES:
+        return event(now_ns, Severity.WARNING, change.kind, "estimation", _HYPOTHESES[change.kind].format(change.what))
+    ago_s, since_s = (1e-9 * now_ns - at_s for at_s in (change.time_s, change.since_s))
+    text = f"{_CHANGES.get(change.kind, change.kind)} {ago_s:.2f} s ago"
+    if np.isfinite(change.score):
+        text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times their expected size"
+    severity = Severity.WARNING if change.kind == "instrument" else Severity.INFO
+    return event(now_ns, severity, change.kind, "estimation", text)

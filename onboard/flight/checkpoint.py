@@ -28,12 +28,12 @@ class Checkpoints:
 
     Args:
         directory: of the flight's rings.
-        new: an estimator of the same vehicle that has not made a step: the model in it is not written.
+        places: of an estimator of the same vehicle that has not made a step: the model in it is not written.
     """
 
-    def __init__(self, directory: Path, new: Estimator) -> None:
+    def __init__(self, directory: Path, places: Places) -> None:
         self._path, self._underway = directory / _NAME, directory / _UNDERWAY
-        self._places = Places(new)
+        self._places = places
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Put ``checkpoint`` in place of the one before.
@@ -45,6 +45,10 @@ class Checkpoints:
         unfinished = self._path.with_suffix(".new")
         write_private(unfinished, to_bytes(tuple(checkpoint), self._places))
         unfinished.rename(self._path)
+        self.taken_over()
+
+    def taken_over(self) -> None:
+        """What :meth:`load` gave has been restored: it may be loaded again."""
         self._underway.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:

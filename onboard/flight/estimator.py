@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.devices.roles import LoadCellKeys, TorqueKeys
+from onboard.dynamics.errors import UnknownFrameError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
-from onboard.flight.answers import Answers
+from onboard.flight.answers import Answers, change_event
 from onboard.flight.clocks import timebase_of
 from onboard.flight.identification import METHODS, build_online, with_hypotheses
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import SignalSmoother, kernel_of
 from onboard.flight.witness import CellWitness, RateWitness
-from onboard.flight.zeroing import Zeroing
-from onboard.identification.change import Change
+from onboard.flight.zeroing import Temperatures, Zeroing
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
@@ -68,21 +68,27 @@ class Estimator:
         self._timebase = timebase_of(vehicle)
         self._signals = SignalSmoother(vehicle)
         self._phases = PhaseTrack(settings.phases)
-        self._zeroing = Zeroing(settings.zero)
+        self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz)
         self._slow_force = np.zeros(3)
         self._period_ns = round(1e9 / settings.row_rate_hz)
         self._lag_ns = round(settings.lag_ms * 1e6)
         self._next_ns: int | None = None
+        self._now_ns = 0
+        self._left_out_ns: list[tuple[int, int]] = []  # where no rows are made
         self.inflation = correlation_inflation(
             settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle)
         )
         roles = roles_of(vehicle)
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
-        self._witness = (
-            RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
-            if len(roles.imus) > 1
-            else None
-        )
+        self._temperatures = Temperatures(self._imu)
+        try:
+            self._witness = (
+                RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
+                if len(roles.imus) > 1
+                else None
+            )
+        except UnknownFrameError as error:
+            raise config.ConfigError(f"{vehicle.label}: the IMU of {roles.imus[1].channels[0]}: {error}") from error
         predicts = METHODS[settings.method].tick_means and self.model.spec.payload_link is not None and roles.imus
         self._cell_witnesses = [
             CellWitness(self.model, cell.name, cell.channel, cell.keys, roles.imu.frame)
@@ -130,21 +136,28 @@ class Estimator:
         """Number the rows of each output from here on: another estimator's came before."""
         self._sequence = dict(sequences)
 
-    def process(self, now_ns: int, batches: Mapping[str, Rows], lag_ns: int | None = None) -> list[Batch]:
+    def process(
+        self, now_ns: int, batches: Mapping[str, Rows], lag_ns: int | None = None, skipped_ns: int = 0
+    ) -> list[Batch]:
         """One step: take in ``batches`` by channel, make the rows that are due, answer.
 
         Args:
             now_ns: time of the step; rows up to ``now_ns - lag`` are made.
             batches: what has arrived since the last step.
             lag_ns: another lag than the vehicle's (at the end of a flight nothing more arrives).
+            skipped_ns: no records of so much time after the last step were taken: no rows are made of it.
         """
         made: list[Batch] = []
+        if skipped_ns:
+            self._left_out_ns.append((self._now_ns, self._now_ns + skipped_ns))
+        self._now_ns = now_ns
         clocks = self._timebase.update(now_ns, dict(batches))
         if len(clocks):
             made.append(self._numbered("clock", clocks))
         for channel, said in self._signals.append(batches):
             made.append(event(now_ns, said.severity, said.code, channel, said.text))
         made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
+        self._temperatures.append(batches)
         at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
         if len(at_ns):
             made += self._rows(now_ns, at_ns)
@@ -156,6 +169,9 @@ class Estimator:
             self._next_ns = -(-until_ns // self._period_ns) * self._period_ns
         at_ns: NDArray[np.int64] = np.arange(self._next_ns, until_ns + 1, self._period_ns, dtype=np.int64)
         self._next_ns += len(at_ns) * self._period_ns
+        for first_ns, last_ns in self._left_out_ns:
+            at_ns = at_ns[(at_ns < first_ns) | (at_ns > last_ns)]
+        self._left_out_ns = [one for one in self._left_out_ns if one[1] >= self._next_ns]
         return at_ns
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64]) -> list[Batch]:
@@ -198,7 +214,7 @@ class Estimator:
         for change in self.online.news():
             if change.kind == "release_contradicted":
                 self._phases.reject_release()
-            made.append(_said(now_ns, change))
+            made.append(change_event(now_ns, change))
         if self.online.rows_used:
             made += self._answered(now_ns, int(at_ns[-1]))
         return made
@@ -230,7 +246,8 @@ class Estimator:
         imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
         values, rates = imu.derivatives
         known = self._zeroing.offset_m_s2 is not None
-        specific_force = self._zeroing.apply(values[:, 3:], self._phases.at(at_ns), imu.refused == 0)
+        rest = self._phases.at(at_ns), imu.refused == 0, self._temperatures.at(at_ns)
+        specific_force = self._zeroing.apply(values[:, 3:], *rest)
         if not known and self._zeroing.offset_m_s2 is not None:
             offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
             text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
@@ -342,21 +359,3 @@ class Estimator:
         rows["sequence"] = np.arange(first, first + len(rows), dtype=np.uint64)
         self._sequence[channel] = first + len(rows)
         return Batch(channel, rows)
-
-
-_HYPOTHESES = {
-    "left_out": "{} contradicts the other instruments: estimates without it",
-    "taken_back": "{} no longer contradicts the other instruments: estimates with it",
-    "release_contradicted": "a reported release of the payload is rejected: {}",
-}
-
-
-def _said(now_ns: int, change: Change) -> Batch:
-    """A change of the payload or of the selected hypothesis, as an event."""
-    if change.kind in _HYPOTHESES:
-        return event(now_ns, Severity.WARNING, change.kind, "estimation", _HYPOTHESES[change.kind].format(change.what))
-    ago_s, since_s = (1e-9 * now_ns - at_s for at_s in (change.time_s, change.since_s))
-    text = f"{change.kind} {ago_s:.2f} s ago"
-    if np.isfinite(change.score):
-        text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times their expected size"
-    return event(now_ns, Severity.INFO, change.kind, "estimation", text)

@@ -10,16 +10,18 @@ from typing import NamedTuple
 from drivers.records import Rows
 from onboard import config
 from onboard.flight.clocks import known_delays
+from onboard.flight.directories import write_private
 from onboard.flight.manifest import Manifest, Storage
 from onboard.recording.mcap_format import Attachment
 from onboard.recording.recorder import Recorder
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
 from onboard.recording.space import SpaceGuard
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader
 
 VEHICLE_ATTACHMENT = "vehicle.toml"
 DISTRIBUTIONS = ("heft-flight", "numpy", "scipy", "pin", "mcap", "smbus2", "python-can", "pyserial", "gpiod")
+PROGRESS = "recorder.progress"  # in the flight's directory
 STEP_NS = 50_000_000  # between two steps of the recorder, at most
 MIB = 1 << 20
 
@@ -79,12 +81,22 @@ def open_recorder(
     Raises:
         OSError: the log cannot be read, or no segment created.
     """
-    kept = manifest.storage
+    kept, progress = manifest.storage, manifest.directory / PROGRESS
+
+    def told(now: Progress) -> None:
+        try:
+            write_private(progress.with_suffix(".new"), now.to_bytes())
+            progress.with_suffix(".new").rename(progress)
+        except OSError:  # shared memory is full: the next recorder reads the log
+            progress.unlink(missing_ok=True)
+
     writer = SegmentedLog.resume(
         manifest.log,
         manifest.preamble,
         limits=Limits(kept.segment_span_ns, kept.segment_bytes),
         sync_interval_ns=kept.sync_period_ns - step_ns(kept),
+        progress=Progress.from_bytes(progress.read_bytes()) if progress.exists() else None,
+        told=told,
     )
     space = SpaceGuard(
         manifest.log.parent,

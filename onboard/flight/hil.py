@@ -4,6 +4,7 @@ It uses the simulator through a protocol and bus URLs, and imports none of it.
 """
 
 import json
+import select
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -18,11 +19,15 @@ from onboard.flight.devices import open_devices
 from onboard.flight.directories import scratch
 from onboard.flight.estimation import EstimationWorker, create_rings
 from onboard.flight.estimator import Estimator
+from onboard.flight.expected import expected
 from onboard.flight.flight_log import open_simulated_recorder
 from onboard.flight.publisher import Publisher
 from onboard.flight.runner_processes import FlightError
 
 Progress = Callable[[float], None]
+EARLIER_S = 0.3  # before the devices end, a flight ends that no phase has ended
+ANSWER_S = 15.0  # devices that do not end then are killed
+_DIED = "the simulated devices died in flight, or hang: no counts and no truth; the log is {}"
 
 
 class World(Protocol):
@@ -81,6 +86,8 @@ def fly_simulated(
         stack.callback(opened.close)
         acquisition = Acquisition(opened.devices, Publisher(devices))
         acquisition.report(opened.problems)
+        for bus in flying.buses:
+            acquisition.expect(expected(flying, bus), world.start_ns)
         inputs = rings.readers(directory, estimator.inputs)
         estimation = EstimationWorker(estimator, inputs, Publisher(answers, "_estimation"))
         recorder = open_simulated_recorder(vehicle, directory, log)
@@ -97,41 +104,74 @@ def fly_simulated(
     return Flown(log, world.produced(), world.truth())
 
 
+def _end(devices: subprocess.Popen[str]) -> None:
+    """End the simulated devices, also stopped ones."""
+    devices.terminate()
+    try:
+        devices.wait(ANSWER_S)
+    except subprocess.TimeoutExpired:
+        devices.kill()
+
+
 def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress: Progress = lambda _: None) -> Flown:
     """Fly devices that another process serves, with the flight app's own processes, on the real clock.
 
+    Mission time begins when the flight app is ready, however long it took to start on a busy computer. The devices end
+    with this process, whatever ends it.
+
     Args:
         vehicle: what flies.
-        serve: arguments to the interpreter that start the devices: they print one JSON line with the bus URLs when
-            ready, and one with counts and truth at the end.
+        serve: arguments to the interpreter that start the devices: with ``--wait`` they print one JSON line with the
+            bus URLs when ready, one with ``start_ns`` after a line on stdin, and one with counts and truth at the end.
         log: where to record; must not exist.
         progress: told the fraction flown.
 
     Raises:
-        FlightError: the devices or a worker did not start.
+        FlightError: the devices or a worker did not start, or died.
         ConfigError: the vehicle cannot be used.
     """
     with (
         scratch() as directory,
         subprocess.Popen(
-            [sys.executable, *serve, "--directory", str(directory)], stdout=subprocess.PIPE, text=True
+            [sys.executable, *serve, "--wait", "--directory", str(directory)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         ) as devices,
     ):
-        assert devices.stdout is not None
         try:
-            ready = devices.stdout.readline()
-            if not ready:
-                raise FlightError("the simulated devices did not start; their message stands above")
-            start = json.loads(ready)
+            start = _line_of(devices, "the simulated devices did not start; their message stands above")
             urls = {name: str(url) for name, url in start.items() if name in vehicle.file.bus}
-            duration_s = float(start.get("duration_s", 60.0))
-            flight = runner.fly(vehicle.with_urls(urls), log, progress=lambda s: progress(min(1.0, s / duration_s)))
-            end = devices.stdout.readline()
-            if not end:
-                raise FlightError(f"the simulated devices died in flight: no counts and no truth; the log is {log}")
+            mission_s = float(start["duration_s"])
+
+            def begin() -> None:
+                assert devices.stdin is not None
+                devices.stdin.write("start\n")
+                devices.stdin.flush()
+                _line_of(devices, "the simulated devices cannot fly; their message stands above")
+
+            def watch(elapsed_s: float) -> None:
+                if devices.poll():
+                    raise FlightError(_DIED.format(log))
+                progress(min(1.0, elapsed_s / mission_s))
+
+            flight = runner.fly(
+                vehicle.with_urls(urls), log, duration_s=mission_s - EARLIER_S, progress=watch, ready=begin
+            )
+            devices.terminate()  # they say their counts; samples after the flight's end are none
+            end = _line_of(devices, _DIED.format(log), ANSWER_S)
         finally:
-            devices.terminate()
+            _end(devices)
     if flight.died:
         raise FlightError(f"died in flight: {', '.join(flight.died)}; the log holds what they said")
-    counted = json.loads(end)
-    return Flown(log, counted["produced"], counted["truth"])
+    return Flown(log, end["produced"], end["truth"])
+
+
+def _line_of(devices: "subprocess.Popen[str]", otherwise: str, timeout_s: float | None = None) -> dict[str, Any]:
+    """The next line of the devices; a FlightError that says ``otherwise`` if there is none, or none in time."""
+    assert devices.stdout is not None
+    line = devices.stdout.readline() if select.select([devices.stdout], [], [], timeout_s)[0] else ""
+    if not line:
+        raise FlightError(otherwise)
+    said: dict[str, Any] = json.loads(line)
+    return said

@@ -1,15 +1,18 @@
 """From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard import config
-from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
+from onboard.config.vehicle import LinkSection
+from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.errors import ModelError, UrdfError
-from onboard.dynamics.payload import standard_covariance
+from onboard.dynamics.inertia import RigidBody, symmetric
+from onboard.dynamics.payload import body_of, standard_covariance
+from onboard.dynamics.urdf import with_bodies
 from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
@@ -18,6 +21,7 @@ from onboard.flight.roles import roles_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.online import OnlineIdentifier
@@ -49,7 +53,23 @@ def build_model(vehicle: config.Vehicle) -> VehicleModel:
     """
     section = vehicle.file.vehicle
     spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link, section.gravity_m_s2)
-    return VehicleModel(vehicle.urdf_path.read_text(encoding="utf-8"), spec)
+    urdf = vehicle.urdf_text
+    model = VehicleModel(urdf, spec)
+    measured = {name: _measured(model, name, own) for name, own in vehicle.file.link.items()}
+    return VehicleModel(with_bodies(urdf, measured), spec) if measured else model
+
+
+def _measured(model: VehicleModel, link: str, own: LinkSection) -> RigidBody:
+    """A link by what was measured of it, and by the URDF."""
+    if link not in model.links:
+        raise UrdfError(f"[link.{link}]: links with inertia are {', '.join(model.links)}")
+    at = 10 * model.links.index(link)
+    mass_kg, centre_m, inertia = body_of(model.chi[at : at + 10])
+    return RigidBody(
+        mass_kg if own.mass_kg is None else own.mass_kg,
+        centre_m if own.centre_of_mass_m is None else np.array(own.centre_of_mass_m),
+        inertia if own.inertia_kg_m2 is None else symmetric(np.array(own.inertia_kg_m2)),
+    )
 
 
 def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
@@ -102,7 +122,8 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
         model = build_model(vehicle)
         _check_joints(roles, model)
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
-        predictor = ImuPredictor(model, roles.imu.frame, 1.0 / settings.row_rate_hz, samples, covariance, imu_prior)
+        period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, covariance, imu_prior, geometry)
         known = None
         if settings.carried:
             known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
@@ -170,7 +191,21 @@ def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str
     asked = settings.exiddm
     first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
     payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
-    return covariance, ImuPrior(**settings.imu_prior.model_dump()), payload_sigma
+    return covariance, ImuPrior(**settings.imu_prior.model_dump(exclude={"position_m"})), payload_sigma
+
+
+def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:
+    """Prior on places of IMU and joints, and on the encoders' errors; silent joints have the defaults of the keys.
+
+    Raises:
+        UnknownFrameError: a joint that the URDF does not have.
+    """
+    stated = vehicle.file.estimation.prior.joint
+    joints = {}
+    for name in dict.fromkeys([*(joint.name for joint in model.joints), *stated]):
+        own = stated.get(name, config.JointKeys())
+        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, own.delay_s)
+    return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)
 
 
 def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:
@@ -206,7 +241,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
             drawing = {
-                link: Tolerance(own.mass_relative, own.centre_m, own.inertia_relative)
+                link: Tolerance(own.mass_relative, own.centre_m, own.inertia_relative, own.length_m)
                 for link, own in settings.masses.drawing.items()
             }
             _check_links(drawing, model)
@@ -283,28 +318,47 @@ def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
 
 
 def _of_motion(roles: Roles) -> list[Considered]:
-    """Scales of the sensors of motion, where the file states how well they are known."""
-    found = [
-        Considered(f"scale of {joint.channel}", joint.joint, "joint_scale", joint.scale_sigma)
-        for joint in roles.joints
-        if joint.scale_sigma
-    ]
-    if roles.imus:
-        imu = roles.imu
-        kinds: tuple[tuple[Effect, float], ...] = (
-            ("gyro_scale", imu.gyro_scale_sigma),
-            ("accelerometer_scale", imu.accel_scale_sigma),
-        )
-        for effect, sigma in kinds:
-            if sigma:
-                found.append(Considered(f"{effect} of {imu.channels[0]}", imu.frame, effect, sigma))
-    return found
+    """Errors of the sensors of motion, where the file states how well they are known."""
+    found = list[Considered]()
+    for joint in roles.joints:
+        name, at = joint.channel, joint.joint
+        found.append(Considered(f"scale of {name}", at, "joint_scale", joint.scale_sigma, f"{name} scale_sigma"))
+        found.append(Considered(f"zero of {name}", at, "joint_zero", joint.zero_sigma_rad, f"{name} zero_sigma_rad"))
+        found.append(Considered(f"delay of {name}", at, "joint_delay", joint.delay_sigma_s, f"{name} delay_sigma_ms"))
+    for imu in roles.imus[:1]:
+        found += _of_imu(imu)
+    return [cause for cause in found if cause.sigma > 0.0]
+
+
+def _of_imu(imu: ImuRole) -> Iterator[Considered]:
+    channel, turn = imu.channels[0], imu.misalignment_sigma_rad
+    kinds: tuple[tuple[str, str, Effect, Effect, Effect, float], ...] = (
+        ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay", imu.gyro_scale_sigma),
+        (
+            "accel",
+            "accelerometer",
+            "accelerometer_scale",
+            "accelerometer_misalignment",
+            "accelerometer_delay",
+            imu.accel_scale_sigma,
+        ),
+    )
+    for short, name, scale, misalignment, delay, sigma in kinds:
+        what, key = f"of {channel}'s {name}", f"{channel} {short}_scale_sigma"
+        yield Considered(f"scale {what}", imu.frame, scale, sigma, key)
+        yield Considered(f"delay {what}", imu.frame, delay, imu.delay_sigma_s, f"{channel} delay_sigma_ms")
+        for axis, letter in enumerate("xyz"):
+            turned = f"{channel} misalignment_sigma_rad"
+            yield Considered(f"scale {what} along {letter}", imu.frame, scale, sigma, key, axis)
+            yield Considered(f"misalignment {what} about {letter}", imu.frame, misalignment, turn, turned, axis)
 
 
 def _considered(cell: LoadCellRole, scaled: bool) -> list[Considered]:
     """What one cell alone can never tell from mass, and what its rows do not estimate."""
-    scale = Considered(f"scale of {cell.name}", cell.name, "scale", cell.keys.relative_sigma)
-    delay = Considered(f"delay of {cell.name}", cell.name, "delay", cell.keys.delay_sigma_ms * 1e-3)
+    name, keys = cell.name, cell.keys
+    lever = " and lever_sigma_m" if isinstance(keys, LoadCellKeys) and keys.lever_sigma_m else ""
+    scale = Considered(f"scale of {name}", name, "scale", keys.relative_sigma, f"{name} scale_sigma{lever}")
+    delay = Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3, f"{name} delay_sigma_ms")
     return [delay] if scaled else [scale, delay]
 
 

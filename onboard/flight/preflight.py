@@ -1,14 +1,13 @@
 """Preflight check of every device: presence, identity, rate and sync marks against the vehicle file.
 
 Every bus is opened as in flight, every device runs for a few seconds, and its data are compared with the vehicle file.
-Nothing is recorded. The IMUs' self tests run first, with the vehicle at rest.
+Nothing is recorded. The IMUs' self tests run first, with the vehicle at rest. The URDF is loaded as in flight, the
+disk is measured and the system clock asked (``host``), and the samples' times are fitted as in flight: how well they
+are known, with the sync pulses that came or without.
 """
 
-import os
-import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,10 @@ from drivers.errors import ConfigurationError, DriverError
 from drivers.records import EVENT, PULSE, Batch, Rows, Severity
 from onboard import config
 from onboard.devices.base import BusDevice
+from onboard.flight.clocks import sync_line, timebase_of
 from onboard.flight.devices import OpenDevices, open_devices
+from onboard.flight.estimator import Estimator
+from onboard.flight.host import Host, look_over, unsynchronised
 
 SECONDS = 4.0
 LONGEST_SECONDS = 30.0
@@ -33,7 +35,7 @@ TICK_TOLERANCE = 0.1
 LOSS_TOLERANCE = 0.05  # a QSB loses 2 % while it reports pulses
 SILENT_S = 1.0
 FLIGHT_S = 3600.0
-OVERHEAD = 1.15  # of a log over its rows
+STEP_NS = 50_000_000  # in which rows go to the clocks
 IDENTITY = (b"identified", b"described", b"scale", b"started")  # events that say who it is, the best first
 
 Clock = Callable[[], int]
@@ -53,6 +55,7 @@ class Check(NamedTuple):
         nominal_hz: what its rate should be; None: it reports changes only.
         rate_hz: of its first channel, lost samples included; None: too few rows to tell.
         marks: sync pulses seen in its own stream; None: it has no input for them.
+        time_sigma_us: 1 sigma of its samples' times, a constant delay aside; None: not known (yet), or it has no clock.
         self_test: how its own test came out; empty where it has none.
         problems: why it is not ready, with the remedy.
         warnings: what it said and can be flown with.
@@ -66,6 +69,7 @@ class Check(NamedTuple):
     nominal_hz: float | None
     rate_hz: float | None
     marks: int | None
+    time_sigma_us: float | None
     self_test: str
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -77,14 +81,14 @@ class Preflight(NamedTuple):
     Attributes:
         checks: by device, in the order of the file.
         problems: of buses and of the host, with the remedy.
-        free_bytes: room where flights are recorded.
-        bytes_per_s: what this vehicle records, about.
+        warnings: of the host and of the sync line.
+        host: what the computer offers.
     """
 
     checks: tuple[Check, ...]
     problems: tuple[str, ...]
-    free_bytes: int
-    bytes_per_s: float
+    warnings: tuple[str, ...]
+    host: Host
 
     @property
     def ready(self) -> bool:
@@ -93,7 +97,14 @@ class Preflight(NamedTuple):
 
 
 def preflight(
-    vehicle: config.Vehicle, clock: Clock, wait: Wait, run: RunDevices | None = None, seconds: float | None = None
+    vehicle: config.Vehicle,
+    clock: Clock,
+    wait: Wait,
+    run: RunDevices | None = None,
+    seconds: float | None = None,
+    flight_s: float = FLIGHT_S,
+    estimator: Estimator | None = None,
+    wall_s: float | None = None,
 ) -> Preflight:
     """Look a vehicle over.
 
@@ -104,6 +115,9 @@ def preflight(
         run: runs open devices for so many seconds and gives what they said (``workers.run_for``); in turn, on this
             thread, where not given.
         seconds: how long its devices run; by their rates where not given.
+        flight_s: how long the flight is to last.
+        estimator: that flies with it, and whose answers are recorded too.
+        wall_s: what the system clock says, Unix time; None: it is not looked at.
     """
     slowest_hz = min(vehicle.rate_hz(name) for name, _ in _on_buses(vehicle))
     run_s = seconds or min(max(SECONDS, FEWEST_ROWS / slowest_hz), LONGEST_SECONDS)
@@ -117,19 +131,17 @@ def preflight(
     end_ns = clock()
     rows = _rows(batches)
     said = rows.get("event", np.zeros(0, EVENT))
+    known = _time_sigmas_us(vehicle, rows)
     checks = tuple(
         _check(vehicle, name, device, rows, said, self_tests.get(name, ("", "")), device.bus in opened.by_bus, end_ns)
         for name, device in _on_buses(vehicle)
     )
+    checks = tuple(check._replace(time_sigma_us=known.get(check.device)) for check in checks)
     others = ~np.isin(said["source"], [name.encode() for name in vehicle.file.device])
     problems = [f"{e['source'].decode()}: {_text(e)}" for e in said[others & (said["severity"] >= Severity.ERROR)]]
-    bytes_per_s = OVERHEAD * sum(
-        records.itemsize * vehicle.rate_hz(name)
-        for name, device in _on_buses(vehicle)
-        for records in device.channels(name).values()
-    )
-    free_bytes, room = _room(Path(vehicle.file.recording.directory), bytes_per_s)
-    return Preflight(checks, (*dict.fromkeys(problems), *room), free_bytes, bytes_per_s)
+    computer = look_over(vehicle, estimator, flight_s, clock, wall_s, unsynchronised())
+    warnings = [*computer.warnings, *_without_pulses(vehicle, checks)]
+    return Preflight(checks, (*dict.fromkeys(problems), *computer.problems), tuple(warnings), computer)
 
 
 def _on_buses(vehicle: config.Vehicle) -> list[tuple[str, BusDevice]]:
@@ -221,7 +233,7 @@ def _check(
         else:
             warnings.append("no sync pulse in its stream: few are reported while the joint rests; move it and repeat")
     return Check(
-        *(name, device.kind, device.bus, _identity(mine), len(stamps), nominal_hz, rate_hz, marks, outcome),
+        *(name, device.kind, device.bus, _identity(mine), len(stamps), nominal_hz, rate_hz, marks, None, outcome),
         *(tuple(problems), tuple(warnings)),
     )
 
@@ -272,17 +284,34 @@ def _text(event: np.void) -> str:
     return str(event["text"].decode("utf-8", "replace"))
 
 
-def _room(directory: Path, bytes_per_s: float) -> tuple[int, list[str]]:
-    """Free bytes where flights are recorded, and what is wrong there."""
-    there = next(path for path in (directory.absolute(), *directory.absolute().parents) if path.exists())
-    free_bytes = shutil.disk_usage(there).free
-    problems = []
-    if not os.access(there, os.W_OK | os.X_OK):
-        problems.append(f"{there} cannot be written: give this user the right to, or name another recording directory")
-    if bytes_per_s and free_bytes / bytes_per_s < FLIGHT_S:
-        minutes = free_bytes / bytes_per_s / 60.0
-        problems.append(f"{there} has room for {minutes:.0f} minutes of this vehicle: clear it, or name another")
-    return free_bytes, problems
+def _time_sigmas_us(vehicle: config.Vehicle, rows: dict[str, Rows]) -> dict[str, float]:
+    """How well the times of each device's samples are known at the end, 1 sigma, us: of its first channel."""
+    stamps = [part["host_ns"] for part in rows.values() if len(part)]
+    if not stamps:
+        return {}
+    timebase = timebase_of(vehicle)
+    until_ns = int(max(part.max() for part in stamps))
+    for now_ns in range(int(min(part.min() for part in stamps)), until_ns + STEP_NS, STEP_NS):
+        fresh = {n: r[(r["host_ns"] >= now_ns) & (r["host_ns"] < now_ns + STEP_NS)] for n, r in rows.items()}
+        timebase.update(now_ns + STEP_NS, {name: part for name, part in fresh.items() if len(part)})
+    found = {}
+    for name, device in _on_buses(vehicle):
+        channel = next(iter(device.channels(name)))
+        if channel in timebase.channels and np.isfinite(sigma_ns := timebase.sigma_ns(channel, until_ns)):
+            found[name] = 1e-3 * sigma_ns
+    return found
+
+
+def _without_pulses(vehicle: config.Vehicle, checks: Iterable[Check]) -> list[str]:
+    """What it costs that no sync line is wired."""
+    if sync_line(vehicle) is not None:
+        return []
+    known = {check.device: check.time_sigma_us for check in checks if check.time_sigma_us is not None}
+    each = ", ".join(f"{name} {sigma:.0f} us" for name, sigma in known.items()) or "not known yet"
+    return [
+        f"no sync pulse is wired: times come from arrival, 1 sigma {each}, and delays of the buses remain in them; "
+        "a pulse line to a GPIO and to each device brings them to some us (docs/sync_pulse.md)"
+    ]
 
 
 def render(found: Preflight) -> RenderableType:
@@ -290,7 +319,7 @@ def render(found: Preflight) -> RenderableType:
     table = Table(box=SIMPLE_HEAD)
     for heading in ("device", "kind", "is"):
         table.add_column(heading)
-    for heading in ("rate, Hz", "nominal", "sync"):
+    for heading in ("rate, Hz", "nominal", "sync", "time, us"):
         table.add_column(heading, justify="right")
     table.add_column()
     for check in found.checks:
@@ -303,12 +332,18 @@ def render(found: Preflight) -> RenderableType:
             *(check.device, check.kind, Text(identity), rate if check.nominal_hz else f"{check.rows} rows"),
             "" if check.nominal_hz is None else f"{check.nominal_hz:.1f}",
             "" if check.marks is None else str(check.marks),
+            "" if check.time_sigma_us is None else f"{check.time_sigma_us:.0f}",
             Text(*verdict),
         )
     lines = [Text(f"{check.device}: {text}", "yellow") for check in found.checks for text in check.warnings]
     lines += [Text(f"{check.device}: {text}", "red") for check in found.checks for text in check.problems]
+    lines += [Text(text, "yellow") for text in found.warnings]
     lines += [Text(text, "red") for text in found.problems]
-    hours = found.free_bytes / found.bytes_per_s / 3600.0 if found.bytes_per_s else 0.0
-    room = f"room for {hours:.0f} hours of flight ({found.free_bytes / 1e9:.1f} GB)"
+    host = found.host
+    hours = host.free_bytes / host.bytes_per_s / 3600.0
+    room = (
+        f"records {3.6 * host.bytes_per_s / 1e3:.0f} MB an hour, room for {hours:.1f} hours "
+        f"({host.free_bytes / 1e9:.1f} GB); the disk takes {host.write_bytes_s / 1e6:.0f} MB/s"
+    )
     end = Text("ready", "bold green") if found.ready else Text("not ready", "bold red")
     return Group(table, *lines, Text(room), end)

@@ -5,7 +5,7 @@ their numbers are shifted past those estimated to be lost meanwhile, which a GAP
 """
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,18 @@ from onboard.ring import RingWriter
 
 SHARED_CHANNELS = ("event", "gap")
 RESTART, ABSENT = "worker_restart", "absent_at_start"
-LATE_NS = 3_000_000_000
+
+
+class Expected(NamedTuple):
+    """What a channel that has no row yet is to bring.
+
+    Attributes:
+        period_ns: nominal, between rows; 0 where it has no rate.
+        within_ns: a first row that comes so long after the start is in time: devices take a while to be set up.
+    """
+
+    period_ns: float
+    within_ns: int
 
 
 class _Left(NamedTuple):
@@ -26,6 +37,8 @@ class _Left(NamedTuple):
     period_ns: float
     cause: str = RESTART
     status: int = SampleStatus.AFTER_RESET  # of the first row that follows
+    value: int | None = None  # of a channel that tells changes: the last one
+    within_ns: int = 0  # a first row so soon is in time
 
 
 class Publisher:
@@ -35,9 +48,18 @@ class Publisher:
         rings: by channel name. Those that hold rows are taken over from a process that died.
         suffix: appended to the names of shared channels, so that every process has its own (``event_estimation``).
         renumber: devices start their numbers at 0 in this process.
+        changes: channels of devices that send on change. Of these at least one row is lost if the value is another one
+            than before; if it is the same, none is known to be.
     """
 
-    def __init__(self, rings: Mapping[str, RingWriter], suffix: str = "", *, renumber: bool = False) -> None:
+    def __init__(
+        self,
+        rings: Mapping[str, RingWriter],
+        suffix: str = "",
+        *,
+        renumber: bool = False,
+        changes: Collection[str] = (),
+    ) -> None:
         self._rings, self._suffix = rings, suffix
         self._lock = threading.Lock()
         self._shift: dict[str, int] = {}
@@ -45,20 +67,27 @@ class Publisher:
         if renumber:
             for name, ring in rings.items():
                 if name not in SHARED_CHANNELS and len(rows := ring.newest()):
-                    self._left[name] = _left(rows)
+                    left = _left(rows)
+                    if name in changes:
+                        left = left._replace(period_ns=0.0, value=int(rows["value_raw"][-1]))
+                    self._left[name] = left
 
-    def expect(self, channels: Mapping[str, float], since_ns: int) -> None:
+    def expect(self, channels: Mapping[str, Expected], since_ns: int) -> None:
         """Rows of ``channels`` were to come since ``since_ns``: what is missed until a late first one becomes a gap.
 
-        A first row within :data:`LATE_NS` is in time: devices take a while to be set up.
-
         Args:
-            channels: their periods in ns; 0 where it is not known how many rows are missed.
+            channels: what is expected of each.
             since_ns: CLOCK_MONOTONIC.
         """
-        for channel, period_ns in channels.items():
+        for channel, (period_ns, within_ns) in channels.items():
             if not self._rings[channel].published:
-                self._left[channel] = _Left(-1, since_ns, period_ns, ABSENT, SampleStatus.OK)
+                left = _Left(-1, since_ns, period_ns, ABSENT, SampleStatus.OK)
+                self._left[channel] = left._replace(within_ns=within_ns)
+
+    def finish(self, now_ns: int) -> None:
+        """Last call: channels that were expected and never brought a row are a gap from the start."""
+        for channel in [name for name, left in self._left.items() if left.cause == ABSENT]:
+            self._take_over(channel, now_ns)
 
     def publish(self, batches: Iterable[Batch]) -> None:
         """Push each batch into its channel's ring."""
@@ -67,7 +96,8 @@ class Publisher:
                 self._publish_shared(channel, rows)
             elif len(rows):
                 if channel in self._left:
-                    status = self._take_over(channel, int(rows["host_ns"][0]))
+                    value = int(rows["value_raw"][0]) if self._left[channel].value is not None else None
+                    status = self._take_over(channel, int(rows["host_ns"][0]), value)
                     if "status" in (rows.dtype.names or ()):
                         rows["status"][0] |= status
                 if channel in self._shift:
@@ -79,7 +109,7 @@ class Publisher:
             for row in rows:
                 name = row["channel"].decode()
                 if name in self._left:
-                    self._take_over(name, int(row["host_ns"]))
+                    self._take_over(name, int(row["host_ns"] - row["duration_ns"]))
                 for field in ("first_missing", "last_missing"):
                     row[field] += np.uint64(self._shift.get(name, 0))
         self._number(channel, rows)
@@ -91,11 +121,11 @@ class Publisher:
             rows["sequence"] = range(first, first + len(rows))
             ring.push(rows)
 
-    def _take_over(self, channel: str, host_ns: int) -> int:
+    def _take_over(self, channel: str, host_ns: int, value: int | None = None) -> int:
         """Continue the numbers of ``channel``, record the rows lost until ``host_ns``; the next row's status."""
-        sequence, left_ns, period_ns, cause, status = self._left.pop(channel)
-        is_told = period_ns and (cause != ABSENT or host_ns - left_ns > LATE_NS)
-        missed = max(0, round((host_ns - left_ns) / period_ns) - 1) if is_told else 0
+        sequence, left_ns, period_ns, cause, status, last_value, within_ns = self._left.pop(channel)
+        is_told = period_ns and host_ns - left_ns > within_ns
+        missed = max(0, round((host_ns - left_ns) / period_ns) - 1) if is_told else int(value != last_value)
         self._shift[channel] = sequence + 1 + missed
         if missed:
             told = gap(host_ns, channel, sequence + 1, sequence + missed, host_ns - left_ns, cause)

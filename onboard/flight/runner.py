@@ -11,24 +11,25 @@ import signal
 import time
 import uuid
 from collections.abc import Callable
+from multiprocessing import connection
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
-from drivers.records import EVENT, Severity, event
+from drivers.records import EVENT, SampleStatus, Severity, event
 from onboard import config
 from onboard.flight import manifest, rings, workers
 from onboard.flight.announcer import LOGGER, Announcer, missing_all_flight
-from onboard.flight.estimation import create_rings
-from onboard.flight.estimator import Estimator
 from onboard.flight.flight_log import MIB, Started, preamble, storage
 from onboard.flight.harvest import Harvest, harvest
 from onboard.flight.publisher import Publisher
-from onboard.flight.runner_processes import HUNG_S, WATCH_PERIOD_S, Worker
+from onboard.flight.runner_forks import ForkError, ForkServer, PreparedServer
+from onboard.flight.runner_notify import Notifier
+from onboard.flight.runner_processes import HUNG_S, WATCH_PERIOD_S, FlightError, Worker
 from onboard.recording.segments import segment_path
 from onboard.ring import RingReader
 
-_LAST_WORDS_S = 0.25  # from the phase that ends the flight to its end: an answer may be on its way
+_LAST_WORDS_S = 0.7  # that the ending phase must last: shorter is a glitch, and an answer may be on its way
 
 
 class Flight(NamedTuple):
@@ -49,11 +50,12 @@ def fly(
     duration_s: float | None = None,
     progress: Callable[[float], None] = lambda _: None,
     status_s: float | None = None,
+    ready: Callable[[], None] = lambda: None,
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, SIGINT or SIGTERM; then stop in order, losing nothing.
 
     What happens is said to the logger ``heft``, and every ``status_s`` how the flight stands. A flight that is refused
-    leaves nothing behind.
+    leaves nothing behind. ``ready`` is called when all is at work but acquisition, which opens the buses after it.
 
     Raises:
         FlightError: a worker did not start.
@@ -61,7 +63,19 @@ def fly(
         FileExistsError: there is such a log already.
         OSError: the log's directory or the rings cannot be made.
     """
-    estimator = Estimator(vehicle)
+    with _Servers(vehicle) as servers:
+        return _flight(vehicle, log, servers, duration_s, _Listeners(progress, ready, status_s))
+
+
+def _flight(
+    vehicle: config.Vehicle,
+    log: Path,
+    servers: "_Servers",
+    duration_s: float | None,
+    listeners: "_Listeners",
+) -> Flight:
+    """Fly with workers that ``servers`` fork."""
+    estimation = servers.estimation_rings()
     harvested = harvest(time.monotonic_ns())
     _require_place(log)
     flight, started = uuid.uuid4().hex, Started(time.time_ns(), time.monotonic_ns())
@@ -73,11 +87,11 @@ def fly(
             storage(vehicle.file.recording),
             preamble(vehicle, flight, started),
         )
-        crew = _Crew(vehicle, directory)
+        crew = _Crew(vehicle, directory, servers)
         try:
             about.save()
-            create_rings(directory, estimator)
-            flown = _fly(vehicle, directory, crew, harvested, duration_s, progress, status_s)
+            rings.create(directory, vehicle, *estimation)
+            flown = _fly(vehicle, directory, crew, harvested, duration_s, listeners)
         finally:
             if crew.recording.exit_code == 0 or not segment_path(log, 0).exists():
                 about.remove()
@@ -93,15 +107,75 @@ def _require_place(log: Path) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(log.parent))
 
 
+class _Listeners(NamedTuple):
+    """Who is told how a flight goes; see :func:`fly`."""
+
+    progress: Callable[[float], None]
+    ready: Callable[[], None]
+    status_s: float | None
+
+
+class _Servers:
+    """The fork servers of a flight."""
+
+    def __init__(self, vehicle: config.Vehicle) -> None:
+        self.light = ForkServer()
+        self.prepared = PreparedServer(self.light, workers.prepare_estimation, vehicle)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.prepared.close()
+        self.light.close()
+
+    def estimation_rings(self) -> workers.Prepared:
+        """What the estimator writes.
+
+        Raises:
+            ConfigError: the vehicle cannot be estimated.
+            FlightError: no estimator could be built.
+        """
+        try:
+            first = self.prepared.first()
+        except ForkError as error:
+            raise FlightError(f"the estimator could not be built: {error}") from error
+        if isinstance(first, workers.Refused):
+            raise config.ConfigError(first.why)
+        assert isinstance(first, workers.Prepared)
+        return first
+
+    def look(self) -> list[str]:
+        """Start those again that died; their names."""
+        return [name for name, one in (("forks", self.light), ("forks-est", self.prepared)) if one.look()]
+
+
 class _Crew:
     """The workers of a flight."""
 
-    def __init__(self, vehicle: config.Vehicle, directory: Path) -> None:
+    def __init__(self, vehicle: config.Vehicle, directory: Path, servers: _Servers) -> None:
         min_free = round(vehicle.file.recording.min_free_mib * MIB)
-        self.acquisition = Worker("acquisition", workers.acquire, vehicle, directory)
-        self.estimation = Worker("estimation", workers.estimate, vehicle, directory)
-        self.recording = Worker("recording", workers.record, directory, min_free)
+        light, prepared = servers.light, servers.prepared
+        self.servers = servers
+        self.acquisition = Worker("acquisition", lambda: light.fork(workers.acquire, vehicle, directory))
+        self.estimation = Worker("estimation", lambda: prepared.fork(workers.estimate, vehicle, directory))
+        self.recording = Worker("recording", lambda: light.fork(workers.record, directory, min_free))
         self.everyone = (self.recording, self.estimation, self.acquisition)
+
+    def start(self, ready: Callable[[], None]) -> None:
+        """Start them; ``ready`` is called before acquisition, which is at hand by then."""
+        for worker in (self.recording, self.estimation):
+            worker.start()
+        self.acquisition.make_spare()
+        for worker in (self.recording, self.estimation):
+            worker.wait_ready()
+        ready()
+        self.acquisition.start()
+        self.acquisition.wait_ready()
+
+    def wait(self) -> None:
+        """Until one of them has said something or died, but not long."""
+        connection.wait([one.pipe for one in self.everyone if one.pipe is not None], WATCH_PERIOD_S)
 
 
 def _fly(
@@ -110,8 +184,7 @@ def _fly(
     crew: _Crew,
     harvested: list[Harvest],
     duration_s: float | None,
-    progress: Callable[[float], None],
-    status_s: float | None,
+    listeners: "_Listeners",
 ) -> Flight:
     """Fly with rings in ``directory``."""
     channels = {**rings.device_channels(vehicle), "event_supervisor": EVENT}
@@ -126,24 +199,31 @@ def _fly(
     for one in harvested:
         text = one.problem or f"{one.rows} rows brought in"
         tell(Severity.ERROR if one.problem else Severity.WARNING, "harvest", one.log.name, text)
-    announcer = Announcer(vehicle, directory, time.monotonic(), status_s)
+    notifier, told = Notifier(), ""
+    announcer = Announcer(vehicle, directory, time.monotonic(), listeners.status_s)
     end = EndOfMission(vehicle, directory)
     try:
+        crew.start(listeners.ready)
         for worker in everyone:
-            worker.start()
-        for worker in everyone:
-            worker.wait_ready()
+            worker.make_spare()
         started = time.monotonic()
+        notifier.ready()
         LOGGER.info("every worker is at work", extra={"source": "flight", "code": "started"})
         while not asked_to_stop.seen and not end.reached():
             elapsed = time.monotonic() - started
             if duration_s is not None and elapsed > duration_s:
                 break
             restarted += [worker.name for worker in everyone if _watch(worker, tell)]
+            for name in crew.servers.look():
+                tell(Severity.WARNING, "fork_server_restarted", name, "it had died; the workers went on")
             announcer.step(time.monotonic())
-            progress(elapsed)
-            time.sleep(WATCH_PERIOD_S)
+            notifier.feed(time.monotonic(), answering=all(one.answers(time.monotonic()) for one in everyone))
+            if announcer.status != told:
+                notifier.status(told := announcer.status)
+            listeners.progress(elapsed)
+            crew.wait()
     finally:
+        notifier.stopping()
         for worker in reversed(everyone):
             if worker is crew.recording and worker.is_dead:
                 worker.start()  # to end the log
@@ -167,6 +247,15 @@ def _watch(worker: Worker, tell: Callable[[Severity, str, str, str], None]) -> b
     """Look after a worker, and tell what happened to it; whether it was started again."""
     happened = worker.watch()
     if happened == "died":
+        _tell(worker, happened, tell)
+        happened = worker.watch()  # it is started at once, unless it keeps dying
+    if happened:
+        _tell(worker, happened, tell)
+    return happened == "restarted"
+
+
+def _tell(worker: Worker, happened: str, tell: Callable[[Severity, str, str, str], None]) -> None:
+    if happened == "died":
         text = f"exit code {worker.exit_code}; the others go on, and it is started again"
         tell(Severity.ERROR, "worker_died", worker.name, text)
     elif happened == "hung":
@@ -174,9 +263,11 @@ def _watch(worker: Worker, tell: Callable[[Severity, str, str, str], None]) -> b
     elif happened == "slow":
         text = f"no beat for {HUNG_S:g} s, but it works: the computer is busy"
         tell(Severity.WARNING, "worker_slow", worker.name, text)
-    elif happened:
+    elif happened == "restarted":
         tell(Severity.WARNING, "worker_restarted", worker.name, f"process {worker.pid}")
-    return happened == "restarted"
+    else:
+        worker.make_spare()
+        tell(Severity.INFO, "worker_back", worker.name, f"at work {1e3 * worker.started_in_s:.0f} ms after its start")
 
 
 class _StopSignals:
@@ -195,7 +286,7 @@ class _StopSignals:
 
 
 class EndOfMission:
-    """Watches the phase channel for the phase that ends the flight; what is under way then still comes in."""
+    """Watches the phase channel for the phase that ends the flight: it must last, and another one takes it back."""
 
     def __init__(self, vehicle: config.Vehicle, directory: Path) -> None:
         phases = vehicle.file.estimation.phases
@@ -210,13 +301,14 @@ class EndOfMission:
         return self._first is not None and self._first == self._end
 
     def reached(self) -> bool:
-        """Whether the ending phase has come, and what was under way then has had its time."""
+        """Whether the ending phase has come and stayed, so that what was under way has had its time."""
         if self._reader is None or self._end is None:
             return False
         rows, _ = self._reader.read()
         if len(rows) and self._first is None:
             self._first = int(rows["value_raw"][0])
         now_s = time.monotonic()
-        if (rows["value_raw"] == self._end).any():
-            self._seen_s = min(self._seen_s, now_s)
+        for row in rows:
+            if not row["status"] & SampleStatus.NOT_VALID:
+                self._seen_s = min(self._seen_s, now_s) if row["value_raw"] == self._end else math.inf
         return now_s - self._seen_s > _LAST_WORDS_S

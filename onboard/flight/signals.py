@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.records import Rows, SampleStatus, Severity
 from onboard import config
+from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons, window_contains
@@ -21,7 +22,6 @@ from onboard.flight.roles import roles_of
 from onboard.flight.stuck import Said, StuckWatch
 from onboard.timebase.timebase import Timebase
 
-UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
 HISTORY_S = 2.0
 
 
@@ -280,13 +280,8 @@ def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
 
 def _values(signal: SmoothedChannel, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
     """SI values, (n, columns), gyro and accelerometer in sensor axes or one scalar; and which may be used, (n,)."""
-    usable = (rows["status"] & UNUSABLE) == 0
+    usable = si.usable(rows)
     if not signal.si:
-        gyro = rows["gyro_raw"] * rows["gyro_scale_rad_s"].astype(np.float64)[:, None]
-        accel = rows["accel_raw"] * rows["accel_scale_m_s2"].astype(np.float64)[:, None]
-        return np.hstack([gyro, accel]), usable
-    factor = np.full(len(rows), np.nan)
-    for unit, si in signal.si.items():
-        factor[rows["unit"] == unit] = si
-    values: FloatArray = (rows["value_raw"] - signal.zero_count) * rows["scale"] * factor
-    return values[:, None], usable & (np.abs(values) < signal.limit)
+        return si.imu(rows, signal), usable
+    readings: FloatArray = (rows["value_raw"] - signal.zero_count) * rows["scale"] * si.factors(rows, signal)
+    return signal.corrected(readings[:, None]), usable & (np.abs(readings) < signal.limit)

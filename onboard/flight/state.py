@@ -10,11 +10,12 @@ import contextlib
 import dataclasses
 import io
 import json
+import math
 import sys
 from collections import deque
 from collections.abc import Iterator
 from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pydantic
@@ -22,10 +23,10 @@ from numpy.typing import NDArray
 
 from onboard.dynamics.vehicle import VehicleModel
 
-FORMAT = 1
+FORMAT = 2
 _ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "devices", "flight")
 _PACKAGES = tuple(f"onboard.{room}." for room in _ROOMS)
-_TREE = "tree"
+_TREE, _DATA = "tree", "data"
 _PLAIN = (bool, int, float, str, type(None))
 _SEQUENCES: dict[str, type] = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
 
@@ -96,7 +97,13 @@ class _Writer:
     def __init__(self, places: Places) -> None:
         self._places, self._number = places, dict[int, int]()
         self._kept: list[object] = []  # so that no number is given twice
-        self.arrays: list[NDArray[Any]] = []
+        self._arrays: list[bytes] = []
+        self._end = 0
+
+    @property
+    def data(self) -> bytes:
+        """All arrays, one after the other."""
+        return b"".join(self._arrays)
 
     def node(self, thing: object) -> Any:
         if isinstance(thing, _PLAIN) and type(thing) in _PLAIN:
@@ -109,6 +116,15 @@ class _Writer:
         self._kept.append(thing)
         return self._new(thing)
 
+    def _array(self, array: NDArray[Any]) -> list[Any]:
+        """Dtype, order, shape and place in the data."""
+        if array.dtype.hasobject:
+            raise StateError(f"an array of {array.dtype} cannot be written as values")
+        order: Literal["F", "C"] = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
+        self._arrays.append(array.tobytes(order))
+        self._end += array.nbytes
+        return [np.lib.format.dtype_to_descr(array.dtype), order, list(array.shape), self._end - array.nbytes]
+
     def _new(self, thing: object) -> Any:
         kind = type(thing)
         node: list[Any]
@@ -116,8 +132,7 @@ class _Writer:
             case Enum():
                 node = ["enum", _name(kind), self.node(thing.value)]
             case np.ndarray() | np.generic():
-                self.arrays.append(np.asanyarray(thing))
-                node = ["scalar" if isinstance(thing, np.generic) else "array", len(self.arrays) - 1]
+                node = ["scalar" if isinstance(thing, np.generic) else "array", *self._array(np.asanyarray(thing))]
             case bytes():
                 node = ["bytes", thing.hex()]
             case slice():
@@ -138,8 +153,8 @@ class _Writer:
 
 
 class _Reader:
-    def __init__(self, places: Places, arrays: dict[str, NDArray[Any]]) -> None:
-        self._places, self._arrays = places, arrays
+    def __init__(self, places: Places, data: bytes) -> None:
+        self._places, self._data = places, data
         self._made: list[Any] = []
 
     def value(self, node: Any) -> Any:
@@ -176,11 +191,18 @@ class _Reader:
             items.extend(self.value(node) for node in rest[0])
         return self._made[number]
 
+    def _array(self, description: Any, order: Literal["F", "C"], shape: list[int], start: int) -> NDArray[Any]:
+        dtype = np.lib.format.descr_to_dtype(_as_tuples(description))
+        if dtype.hasobject or min(shape, default=0) < 0 or start < 0:
+            raise StateError("an array that is no values")
+        data = bytearray(self._data[start : start + math.prod(shape) * dtype.itemsize])
+        return np.ndarray(shape, dtype, data, order=order)
+
     def _whole(self, tag: str, rest: list[Any]) -> Any:
         made: Any
         match tag:
             case "array" | "scalar":
-                array = self._arrays[f"a{rest[0]}"]
+                array = self._array(*rest)
                 made = array if tag == "array" else array[()]
             case "bytes":
                 made = bytes.fromhex(rest[0])
@@ -195,6 +217,13 @@ class _Reader:
             case _:
                 made = _SEQUENCES[tag](self.value(node) for node in rest[0])
         return made
+
+
+def _as_tuples(description: Any) -> Any:
+    """A dtype's description as NumPy takes it: JSON has lists only."""
+    if isinstance(description, str):
+        return description
+    return [(*field[:1], _as_tuples(field[1]), *(tuple(shape) for shape in field[2:])) for field in description]
 
 
 def _name(kind: type) -> str:
@@ -227,8 +256,8 @@ def to_bytes(thing: object, places: Places) -> bytes:
     writer = _Writer(places)
     tree = json.dumps({"format": FORMAT, "root": writer.node(thing)}).encode()
     file = io.BytesIO()
-    arrays: dict[str, Any] = {f"a{number}": array for number, array in enumerate(writer.arrays)}
-    np.savez(file, allow_pickle=False, **{_TREE: np.frombuffer(tree, np.uint8)}, **arrays)
+    parts = {name: np.frombuffer(part, np.uint8) for name, part in ((_TREE, tree), (_DATA, writer.data))}
+    np.savez(file, allow_pickle=False, **parts)  # two entries: each costs a millisecond
     return file.getvalue()
 
 
@@ -240,8 +269,8 @@ def from_bytes(data: bytes, places: Places) -> Any:
     """
     try:
         with contextlib.closing(np.load(io.BytesIO(data), allow_pickle=False)) as file:
-            arrays = {name: file[name] for name in file.files}
-        content = json.loads(arrays.pop(_TREE).tobytes())
+            tree, arrays = (file[name].tobytes() for name in (_TREE, _DATA))
+        content = json.loads(tree)
         if content["format"] != FORMAT:
             raise StateError(f"a state of format {content['format']}, not {FORMAT}")
         return _Reader(places, arrays).value(content["root"])

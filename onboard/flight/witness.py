@@ -164,7 +164,7 @@ class CellWitness:
         motion = base_motion(self._model, self._imu_frame, imu[:, :3], acceleration, imu[:, 3:])
         chi = self._model.chi.copy()
         chi[self._model.payload_columns()] = estimate.mean[:10]
-        known = np.isfinite(np.concatenate([*joints, imu], axis=1)).all(axis=1)
+        known = np.isfinite(np.concatenate([*joints, imu, acceleration], axis=1)).all(axis=1)
         predicted = np.full_like(read, np.nan)
         q, dq, ddq = (x[known] for x in joints)
         Y = self._rows.regressor(q, dq, ddq, BaseMotion(*(x[known] for x in motion)))  # (n, 1, columns)

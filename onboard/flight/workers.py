@@ -15,7 +15,9 @@ import time
 from collections.abc import Iterable
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from drivers.records import EVENT, Batch, Severity, event
 from onboard import config
@@ -23,10 +25,13 @@ from onboard.flight import directories, manifest, rings
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.announcer import RECORDER_SAID
 from onboard.flight.publisher import Publisher
+from onboard.flight.runner_forks import name_process, serve
 from onboard.ring import RingWriter
 
 if TYPE_CHECKING:
     from onboard.flight.devices import OpenDevices
+    from onboard.flight.estimator import Estimator
+    from onboard.flight.state import Places
 
 RECEIVE_TIMEOUT_S = 0.05
 REALTIME_PRIORITY = 50
@@ -49,8 +54,7 @@ class Supervised:
 
     def __init__(self, pipe: Connection, name: str) -> None:
         self._pipe, self._beat_s = pipe, 0.0
-        with contextlib.suppress(OSError):
-            Path("/proc/self/comm").write_text(f"heft-{name}"[:15], encoding="ascii")
+        name_process(name)
         self.stop, self.orphaned = threading.Event(), False
         for number in (signal.SIGINT, signal.SIGTERM):  # a terminal's and a service's are the supervisor's to handle
             signal.signal(number, signal.SIG_IGN)
@@ -86,7 +90,10 @@ def acquire(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None:
 def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -> None:
     from onboard.flight.devices import open_devices
 
-    publisher = Publisher(rings.create(directory, vehicle, rings.device_channels(vehicle)), renumber=True)
+    told = {name: device for bus in vehicle.buses for name, device in vehicle.devices_on(bus).items()}
+    changes = [channel for name, device in told.items() if device.tells_changes for channel in device.channels(name)]
+    writers = rings.create(directory, vehicle, rings.device_channels(vehicle))
+    publisher = Publisher(writers, renumber=True, changes=changes)
     opened = open_devices(vehicle, time.monotonic_ns)
     acquisition = Acquisition(opened.devices, publisher)
     acquisition.report(opened.problems)
@@ -111,6 +118,7 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
         supervised.beat()
     for thread in threads:
         thread.join()
+    acquisition.finish(time.monotonic_ns())
     opened.close()
 
 
@@ -119,9 +127,10 @@ def _run_bus(
 ) -> None:
     """One bus for a whole flight; where it could not be opened it is tried again, and joins when it is there."""
     from onboard.flight.devices import open_bus
+    from onboard.flight.expected import expected
 
     since_ns, pause_s, tries = time.monotonic_ns(), FIRST_PAUSE_S, 1
-    acquisition.expect(_periods_ns(vehicle, bus), since_ns)
+    acquisition.expect(expected(vehicle, bus), since_ns)
     while bus not in opened.by_bus:
         if stop.wait(pause_s):
             return
@@ -131,15 +140,6 @@ def _run_bus(
             text = f"{vehicle.url(bus)}: open after {1e-9 * (now_ns - since_ns):.1f} s, at try {tries}"
             acquisition.report([event(now_ns, Severity.WARNING, "bus_opened", bus, text)])
     _pump_bus(acquisition, opened, bus, stop)
-
-
-def _periods_ns(vehicle: config.Vehicle, bus: str) -> dict[str, float]:
-    """Of the channels of a bus; 0 of those that have no rate, and of all but the first of a device."""
-    periods: dict[str, float] = {}
-    for name, device in vehicle.devices_on(bus).items():
-        first, *others = device.channels(name)
-        periods |= {first: 0.0 if device.tells_changes else 1e9 / vehicle.rate_hz(name)} | dict.fromkeys(others, 0.0)
-    return periods
 
 
 def _pump_bus(acquisition: Acquisition, opened: "OpenDevices", bus: str, stop: threading.Event) -> None:
@@ -191,13 +191,44 @@ class _Keeper(Publisher):
         self._kept.extend(batches)
 
 
-def estimate(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None:
-    """Body of the estimation process."""
+class Prepared(NamedTuple):
+    """What an estimator writes: records by channel, and how often rows of some come [Hz]."""
+
+    channels: dict[str, np.dtype[np.void]]
+    rates_hz: dict[str, float]
+
+
+class Refused(NamedTuple):
+    """A vehicle that cannot be estimated."""
+
+    why: str
+
+
+def prepare_estimation(vehicle: config.Vehicle, control: Connection) -> None:
+    """Body of the fork server that has an estimator; its first message is what that writes, or a refusal."""
+    from onboard.flight.estimation import answer_rates_hz, estimation_channels
+    from onboard.flight.estimator import Estimator
+    from onboard.flight.state import Places
+
+    name_process("forks-est")
+    try:
+        estimator = Estimator(vehicle)
+    except config.ConfigError as error:
+        control.send(Refused(str(error)))
+        return
+    control.send(Prepared(estimation_channels(estimator), answer_rates_hz(estimator)))
+    serve(control, estimator, Places(estimator))
+
+
+def estimate(
+    vehicle: config.Vehicle, directory: Path, estimator: "Estimator", places: "Places", pipe: Connection
+) -> None:
+    """Body of the estimation process, with an ``estimator`` that has not made a step and its ``places``."""
     from onboard.flight.estimation import DurableEstimation
 
     supervised = Supervised(pipe, "estimate")
     with directories.belong(directory):
-        worker = DurableEstimation(vehicle, directory, time.monotonic_ns())
+        worker = DurableEstimation(vehicle, directory, time.monotonic_ns(), (estimator, places))
         supervised.ready()
         period_ns = int(vehicle.file.estimation.step_ms * 1e6)
         next_ns = time.monotonic_ns()

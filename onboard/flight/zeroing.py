@@ -1,53 +1,142 @@
-"""Estimates the accelerometer's offset in flight while the vehicle coasts at rest.
+"""Estimates the accelerometer's offset in flight while the vehicle coasts at rest, and follows it with temperature.
 
 In free fall an accelerometer at rest near the centre of mass reads almost only its offset (datasheet: up to 50 mg).
 Uncorrected, the offset acts on the payload's first moment like gravity, with a dependence on the joint angle similar to
 the inertia torque of a sweep. The remaining specific force while coasting (spin, nutation) is a small constant, for
 which the rows have nuisance columns.
+
+The offset changes with the chip's temperature (MPU-6050: up to 0.9 mg/K). It is a straight line over the temperature,
+fitted to all ticks at rest so far; its slope has a prior of zero with ``drift_sigma_m_s2_k``. A tick that the line does
+not explain is left out: in thin air the rocket is slowed down even where the arm rests.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.records import Rows, SampleStatus
 from onboard import config
+from onboard.devices.roles import ImuRole
 from onboard.estimation.arrays import FloatArray
+
+_EXPLAINED = 4.0  # sigmas
+_STEPS = 64  # temperatures kept: of some seconds
+_PLAUSIBLE_K = 100.0  # from the first temperature
+
+
+class Temperatures:
+    """Temperature of an IMU over time, in kelvin above the first; 0 where its samples do not carry it.
+
+    Args:
+        imu: whose.
+    """
+
+    def __init__(self, imu: ImuRole | None) -> None:
+        self._channel, self._kelvin_per_count = (imu.channels[0], imu.kelvin_per_count) if imu else ("", 0.0)
+        self._first: float | None = None
+        self._times_ns = np.zeros(0)
+        self._values = np.zeros(0)
+
+    def append(self, batches: Mapping[str, Rows]) -> None:
+        """Takes the median of a step's samples: it changes within seconds, and single words may be damaged."""
+        rows = batches.get(self._channel)
+        if rows is None or not self._kelvin_per_count or "temperature_raw" not in (rows.dtype.names or ()):
+            return
+        good = rows[(rows["status"] & SampleStatus.NOT_VALID) == 0]
+        if not len(good):
+            return
+        kelvin = self._kelvin_per_count * float(np.median(good["temperature_raw"]))
+        self._first = kelvin if self._first is None else self._first
+        if abs(kelvin - self._first) < _PLAUSIBLE_K:
+            self._times_ns = np.append(self._times_ns, float(np.median(good["host_ns"])))[-_STEPS:]
+            self._values = np.append(self._values, kelvin - self._first)[-_STEPS:]
+
+    def at(self, at_ns: NDArray[np.int64]) -> FloatArray:
+        """At each tick, (n,)."""
+        if not len(self._values):
+            return np.zeros(len(at_ns))
+        return np.asarray(np.interp(at_ns.astype(np.float64), self._times_ns, self._values), np.float64)
 
 
 class Zeroing:
-    """Mean specific force over the resting phases; fixed when one of them ends and enough has been seen.
+    """Mean specific force over the resting phases; known when one of them ends and enough has been seen.
+
+    Args:
+        settings: phases and the prior of the drift; the offset is zero where not given.
+        together: neighbouring ticks that say the same: the smoothing kernel's width in ticks.
 
     Attributes:
-        offset_m_s2: (3,) offset subtracted; None while unknown, when the base's motion is unknown too.
+        offset_m_s2: (3,) offset at the last tick; None while unknown, when the base's motion is unknown too.
         ticks: number of ticks averaged.
     """
 
-    def __init__(self, settings: config.Zero | None) -> None:
+    def __init__(self, settings: config.Zero | None, together: float = 1.0) -> None:
         self._settings = settings
-        self._sum = np.zeros(3)
+        self._together = together
         self.ticks = 0
+        self._sums = np.zeros((2, 4))  # of 1 and T times [1, 3 components]; T T beside
+        self._temperature_square, self._force_square = 0.0, np.zeros(3)
         self.offset_m_s2: FloatArray | None = np.zeros(3) if settings is None else None
 
-    def apply(self, specific_force: FloatArray, codes: NDArray[np.int64], usable: NDArray[np.bool_]) -> FloatArray:
+    def apply(
+        self,
+        specific_force: FloatArray,
+        codes: NDArray[np.int64],
+        usable: NDArray[np.bool_],
+        temperature_k: FloatArray | None = None,
+    ) -> FloatArray:
         """Specific force less its offset, (n, 3); NaN where the offset is not known yet.
 
         Args:
             specific_force: (n, 3), sensor axes.
             codes: (n,) phase of each tick, -1 if unknown.
             usable: (n,) whether the tick may be used.
+            temperature_k: (n,) of the chip, from any origin; constant where not given.
         """
+        if self._settings is None:
+            return specific_force.copy()
         out = np.full_like(specific_force, np.nan)
+        warm = np.zeros(len(codes)) if temperature_k is None else temperature_k
         for tick, code in enumerate(codes):
-            if self.offset_m_s2 is None:
-                self._learn(specific_force[tick], int(code), bool(usable[tick]))
+            force, kelvin = specific_force[tick], float(warm[tick])
+            if code in self._settings.phases:
+                if usable[tick] and np.isfinite(force).all() and self._explains(force, kelvin):
+                    self._add(force, kelvin)
+            elif self.offset_m_s2 is None and self.ticks >= self._settings.ticks:
+                self.offset_m_s2 = self._line(kelvin)[0]
             if self.offset_m_s2 is not None:
-                out[tick] = specific_force[tick] - self.offset_m_s2
+                self.offset_m_s2 = self._line(kelvin)[0]
+                out[tick] = force - self.offset_m_s2
         return out
 
-    def _learn(self, specific_force: FloatArray, code: int, usable: bool) -> None:
+    def _add(self, force: FloatArray, kelvin: float) -> None:
+        self._sums += np.outer([1.0, kelvin], [1.0, *force])
+        self._temperature_square += kelvin * kelvin
+        self._force_square += force * force
+        self.ticks += 1
+
+    def _explains(self, force: FloatArray, kelvin: float) -> bool:
+        """Whether a tick at rest lies near the line; all do before it is known."""
+        if self.offset_m_s2 is None:
+            return True
+        expected, sigma = self._line(kelvin)
+        return bool((np.abs(force - expected) <= _EXPLAINED * sigma).all())
+
+    def _line(self, kelvin: float) -> tuple[FloatArray, FloatArray]:
+        """Offset at a temperature, (3,), and the sigma of one tick there, (3,)."""
         assert self._settings is not None
-        if code in self._settings.phases:
-            if usable and np.isfinite(specific_force).all():
-                self._sum += specific_force
-                self.ticks += 1
-        elif self.ticks >= self._settings.ticks:
-            self.offset_m_s2 = self._sum / self.ticks
+        n, mean_k = self.ticks, self._sums[1, 0] / self.ticks
+        mean = self._sums[0, 1:] / n
+        spread_k = max(self._temperature_square - n * mean_k * mean_k, np.finfo(np.float64).tiny)
+        together = self._sums[1, 1:] - mean_k * self._sums[0, 1:]
+        left = self._force_square - n * mean * mean - together * together / spread_k
+        scatter = np.maximum(left / n, np.finfo(np.float64).tiny)  # (3,) of a tick about the line of least squares
+        prior = self._settings.drift_sigma_m_s2_k
+        if not prior:
+            return mean, np.sqrt(scatter)
+        ridge = scatter * self._together / prior**2  # (3,) K^2
+        slope = together / (spread_k + ridge)
+        unsure = scatter * self._together / (spread_k + ridge)
+        away_k = kelvin - mean_k
+        return mean + slope * away_k, np.sqrt(scatter + unsure * away_k**2)

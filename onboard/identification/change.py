@@ -1,4 +1,4 @@
-"""Detected changes of the payload: capture, ejection, or a contact without a change."""
+"""Detected changes: of the payload (capture, ejection), of an instrument, or a contact that changes nothing."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 class Change(NamedTuple):
     """A detected or announced change."""
 
-    kind: str  # "capture", "ejection" as first classified; "contact" if the payload turned out unchanged;
+    kind: str  # "change" of which the kind is not known yet, then "capture", "ejection", "contact" or "instrument";
     # "release_contradicted"; "left_out", "taken_back" of an instrument
     time_s: float  # time of detection, or of the announcement
     since_s: float  # earliest possible beginning

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import chdtrc
 
-FARTHEST = 5.0  # sigmas, of one
+FARTHEST, DOUBTFUL = 5.0, 3.0  # sigmas, of one
 UNLIKELY = 1e-6  # chance of all of them together
 
 
@@ -28,3 +28,12 @@ def too_large(corrections: Mapping[str, float]) -> tuple[str, ...]:
     if chdtrc(len(sigmas), squares) < UNLIKELY:
         return (f"corrections are larger than stated: squares of {len(sigmas)} of them sum to {squares:.0f} sigmas",)
     return ()
+
+
+def doubtful(corrections: Mapping[str, float]) -> tuple[str, ...]:
+    """Reasons for a weak verdict: corrections of more than three of their stated sigmas."""
+    return tuple(
+        f"{name} had to be corrected by {abs(sigmas):.1f} of its stated sigmas"
+        for name, sigmas in corrections.items()
+        if DOUBTFUL < abs(sigmas) <= FARTHEST
+    )

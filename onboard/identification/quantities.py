@@ -31,6 +31,7 @@ class Tolerance(NamedTuple):
     mass: float = 0.03  # relative
     centre_m: float = 1e-3  # of each coordinate of its centre of mass
     inertia: float = 0.01  # of the inertia about it, relative, at the mass that it has
+    length_m: float = 0.00025  # of each coordinate of its frame's place beyond the joint
 
 
 class Leaning(NamedTuple):
@@ -48,6 +49,7 @@ class Quantity(NamedTuple):
     weights: FloatArray  # (p,)
     note: str = ""
     leanings: tuple[Leaning, ...] = ()
+    known: tuple[float, float] | None = None  # from the drawing, with its sigma: a witness, no prior
 
 
 class QuantityEstimate(NamedTuple):
@@ -63,6 +65,7 @@ class QuantityEstimate(NamedTuple):
     supported: bool
     note: str
     drawn: float = 0.0  # part of sigma that comes from the drawing's tolerances
+    leans: str = ""  # calibrations that no instrument checks, with their stated sigmas
 
 
 class Findings(NamedTuple):
@@ -171,10 +174,11 @@ def mass_quantities(
     )
     of_ratio = Leaning("the ratio of the two masses", (arm + tip) * both * ratio)
     drawn = "radii of gyration from the drawing"
+    known = m_arm, m_arm * tolerances.get(arm_link, Tolerance()).mass
     return (
         Quantity(f"ZZ_{joint}_R_held", "kg m^2", arm + tip),
         Quantity(f"ZZ_{joint}_R_released", "kg m^2", arm),
-        Quantity(f"m_{arm_link}", "kg", arm * m_arm / zz_arm, drawn, of_arm),
+        Quantity(f"m_{arm_link}", "kg", arm * m_arm / zz_arm, drawn, of_arm, known),
         Quantity(
             f"m_{arm_link}+m_{payload}", "kg", arm * m_arm / zz_arm + tip * m_tip / zz_tip, drawn, (*of_arm, *of_tip)
         ),
@@ -200,7 +204,7 @@ def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: To
     """
     own = part[first : first + 10]
     body = body_of(chi)
-    about = RigidBody(body.mass_kg, np.zeros(3), body.inertia_kg_m2)
+    point = RigidBody(body.mass_kg, body.centre_of_mass_m, np.zeros((3, 3)))
     whole = float(own @ chi)
     step = 1e-6  # m; the inertia is quadratic in the centre, so central differences are exact
     moved = [
@@ -208,10 +212,12 @@ def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: To
         for unit in np.eye(3)
     ]
     slope = np.array([(plus - minus) / (2.0 * step) for plus, minus in moved])
-    at_centre = float(own @ standard_of(about))
+    about_centre = whole - float(own @ standard_of(point))
+    moment = float(np.linalg.norm(slope)) / whole
     return {
-        "centre of mass": float(np.linalg.norm(slope)) * tolerance.centre_m / whole,
-        "radius of gyration": abs(at_centre) * tolerance.inertia / whole,
+        "centre of mass": moment * tolerance.centre_m,
+        "place": moment * tolerance.length_m if own[1:4].any() else 0.0,  # none on the joint's own axis
+        "radius of gyration": abs(about_centre) * tolerance.inertia / whole,
     }
 
 

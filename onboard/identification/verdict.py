@@ -4,10 +4,11 @@ The rules, from worst to best; every applicable reason is listed:
 
 - *do not use*: no row could be used, or the estimator failed; more than one row in twenty contradicts the others; the
   estimate explains less than 70 % of the measured signal, and noise does not explain the rest; the estimate is five
-  sigmas or more from any physically possible body; no requested quantity is determined; one half of the motion is
-  predicted from the other no better than without an estimate, beyond the effect of noise.
-- *weak*: a requested quantity is not determined (it is named); one half predicts the other with an error above 50 %;
-  the log is too short to hold out a half.
+  sigmas or more from any physically possible body; no requested quantity is determined, or no requested mass or moment
+  of inertia is known to half of itself; one half of the motion is predicted from the other no better than without an
+  estimate, beyond the effect of noise; a fitted correction of an instrument lies five stated sigmas out.
+- *weak*: a requested quantity is not determined (it is named), or not known to half of itself; one half predicts the
+  other with an error above 50 %; a correction lies three sigmas out; the log is too short to hold out a half.
 - *good*: none of these.
 
 Whether noise explains a residual follows from the whitened residual sum, corrected for the correlation of neighbouring
@@ -22,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.identification.corrections import too_large
+from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import MOST_CONTRADICTED, Findings, QuantityEstimate
 from onboard.identification.rows.agreement import MOST_UNEXPLAINED, NOISE
 from onboard.identification.rows.held_out import HeldOut, HeldOutFit
@@ -62,6 +63,7 @@ def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
 
     *Do not use*: a finding refuses all estimates, or a mass or moment of inertia is not above zero. *Weak*: the
     data do not determine it; its interval contains zero; half its width is above 50 % of it; a finding weakens it.
+    The text of a good one says which calibrations it leans on.
     """
     if not quantity.supported:
         return Standing(Level.WEAK, quantity.note)
@@ -76,7 +78,7 @@ def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
         elif quantity.high - quantity.mean > WIDEST * quantity.mean:
             reasons.append(f"its interval is as wide as {(quantity.high - quantity.mean) / quantity.mean:.0%} of it")
     reasons += findings.doubts
-    return Standing(Level.WEAK, "; ".join(reasons)) if reasons else Standing(Level.GOOD)
+    return Standing(Level.WEAK, "; ".join(reasons)) if reasons else Standing(Level.GOOD, quantity.leans)
 
 
 def is_positive(name: str, unit: str) -> bool:
@@ -112,6 +114,7 @@ class Evidence(NamedTuple):
     misfit: float | None = None  # of a maximum likelihood fit: residual sum over its degrees of freedom
     findings: Findings = Findings()  # about all quantities
     standings: Mapping[str, Standing] = MappingProxyType({})  # of what was asked and is determined
+    sizes: frozenset[str] = frozenset()  # names of the masses and moments of inertia among these
     corrections: Mapping[str, float] = MappingProxyType({})  # fitted to the instruments: by name, in stated sigmas
     unchecked: str = "too short to be checked on motion that was not used"  # why nothing is held out, where it is not
 
@@ -129,8 +132,11 @@ def verdict(evidence: Evidence) -> Verdict:
     bad += _together(of_one, Level.DO_NOT_USE)
     if len(weak) == len(evidence.asked):
         bad.append("the motion determines nothing that was asked; move more, and every joint")
+    sizes = [one for name, one in of_one.items() if name in evidence.sizes]
+    if sizes and not any(one.level is Level.GOOD for one in sizes):
+        bad.append("no mass or moment of inertia is known to half of itself; move more, or for longer")
     held_out = evidence.held_out
-    reasons = [*evidence.findings.doubts, *_together(of_one, Level.WEAK)]
+    reasons = [*evidence.findings.doubts, *_together(of_one, Level.WEAK), *doubtful(evidence.corrections)]
     if held_out is None:
         reasons.append(evidence.unchecked)
     elif _beyond_noise(held_out.worst, evidence):

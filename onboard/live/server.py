@@ -1,8 +1,9 @@
 """Serves the rings over Foxglove's WebSocket protocol, by the Foxglove SDK.
 
 Messages are those of the log: CDR behind ``ros2msg`` schemas, ``log_time`` the host's stamp. A viewer receives messages
-written while it is connected. Each client has a queue of ``BACKLOG`` messages, which drops the oldest when full; the
-kernel closes the connection of a client that has acknowledged nothing for ``STALL_S``.
+written while it is connected. Each client has a queue of ``BACKLOG`` messages, which drops the oldest when full.
+Viewers connect to a gate before the SDK (``onboard.live.gate``), which says who may, and disconnects who takes nothing
+for ``STALL_S``.
 """
 
 import os
@@ -14,6 +15,7 @@ import foxglove
 import numpy as np
 
 from drivers.records import Rows
+from onboard.live.gate import Gate, any_loopback, only_from
 from onboard.recording.schema import CDR_HEADER, message_bytes, message_name, ros2msg
 from onboard.ring import RingReader
 
@@ -47,22 +49,29 @@ class LiveServer:
         stall_s: time without acknowledgement after which a client is disconnected.
 
     Raises:
-        RuntimeError: the address is not available.
+        OSError: the address is not available.
+        RuntimeError: the SDK's socket is not found.
     """
 
     def __init__(self, name: str, host: str, port: int, backlog: int = BACKLOG, stall_s: float = STALL_S) -> None:
         self._context = foxglove.Context()
         self._server = foxglove.start_server(
-            name=name, host=host, port=port, message_backlog_size=backlog, context=self._context
+            name=name, host="127.0.0.1", port=0, message_backlog_size=backlog, context=self._context
         )
-        _cut_off_after(self._server.port, stall_s)
+        address = any_loopback()
+        try:
+            _close_to_all_but(self._server.port, address)
+            self._gate = Gate(host, port, self._server.port, address, stall_s)
+        except (OSError, RuntimeError):
+            self._server.stop()
+            raise
         self._rings: dict[Path, tuple[RingReader, foxglove.Channel]] = {}
         self.sent = self.lost = 0
 
     @property
     def port(self) -> int:
         """Port it listens on."""
-        return self._server.port
+        return self._gate.port
 
     def pump(self, directory: Path) -> int:
         """Send the rows written to the rings in ``directory`` since the last call; returns the number of messages.
@@ -83,6 +92,7 @@ class LiveServer:
 
     def close(self) -> None:
         """Stop listening and close the rings."""
+        self._gate.close()
         self._server.stop()
         for reader, _ in self._rings.values():
             reader.close()
@@ -105,22 +115,24 @@ class LiveServer:
             self._rings[path] = reader, channel
 
 
-def _cut_off_after(port: int, stall_s: float) -> None:
-    """Have the kernel close connections to ``port`` that acknowledge nothing for ``stall_s``, even at zero window.
+def _close_to_all_but(port: int, address: str) -> None:
+    """Have the SDK's socket, which it does not show but which is among this process's files, take nobody but the gate.
 
-    The SDK offers neither such a limit nor its socket; but accepted connections inherit the option from the listening
-    socket, which is among this process's files.
+    Raises:
+        RuntimeError: it is not found.
     """
     for entry in Path("/proc/self/fd").iterdir():
+        if not entry.is_socket():
+            continue
         try:
             listening = socket.socket(fileno=os.dup(int(entry.name)))
         except OSError:
-            continue  # not a socket, or closed by now
+            continue  # closed by now
         with listening:
             if listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and listening.getsockname()[1] == port:
-                listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * stall_s))
+                only_from(listening, address)
                 return
-    raise RuntimeError(f"the socket that listens on port {port} was not found, so stalled clients cannot be cut off")
+    raise RuntimeError(f"the socket that listens on port {port} was not found, so viewers cannot be checked")
 
 
 def messages(rows: Rows) -> Iterator[tuple[int, bytes]]:

@@ -1,13 +1,13 @@
 """Decodes the records of a chunk to rows, one run of messages at a time."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from drivers.records import Rows
+from drivers.records import GAP, Rows
 from onboard.recording import mcap_format
 from onboard.recording.chunk import BODY_AT
 from onboard.recording.errors import LogFormatError, SchemaError
@@ -18,6 +18,10 @@ _KEY_BYTES = _HEAD.size + 2  # opcode, length, channel number: equal for all mes
 
 
 _FEW = 16
+_GAP_FIELDS = [(name, "S24" if name == "cause" else GAP[name]) for name in GAP.names or () if name != "counted"]
+_GAP_BEFORE = np.dtype(
+    _GAP_FIELDS, align=True
+)  # of earlier versions; the bytes of its rows are those of GAP, counted 0
 
 
 class KnownChannel(NamedTuple):
@@ -139,9 +143,14 @@ class Decoder:
         if text is None:
             raise LogFormatError(f"channel {channel.topic!r} is defined before its schema")
         try:
-            known = KnownChannel(channel.number, channel.topic, dtype_from_ros2msg(text), units_from_ros2msg(text))
+            dtype = dtype_from_ros2msg(text)
+            dtype = GAP if dtype == _GAP_BEFORE else dtype
+            known = KnownChannel(channel.number, channel.topic, dtype, units_from_ros2msg(text))
         except SchemaError as error:
             raise LogFormatError(f"channel {channel.topic!r}: {error}") from error
+        fields: Mapping[str, Any] = known.dtype.fields or {}
+        if [fields[name][0].str if name in fields else "" for name in ("sequence", "host_ns")] != ["<u8", "<i8"]:
+            raise LogFormatError(f"channel {channel.topic!r} lacks the fields sequence and host_ns of every record")
         if self.channels.setdefault(channel.topic, known).dtype != known.dtype:
             raise LogFormatError(f"channel {channel.topic!r} is defined twice, with different fields")
         self._by_number[channel.number] = known

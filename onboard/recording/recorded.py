@@ -7,6 +7,7 @@ from typing import NamedTuple
 from drivers import records
 from drivers.records import Rows
 from onboard.recording.segments import RECORDED, proven, without_crc
+from onboard.recording.texts import printable
 
 GAP_CHANNEL = "recorder_gap"
 _BEYOND = 1 << 63
@@ -38,6 +39,6 @@ def note(recorded: dict[str, ChannelProgress], channel: str, rows: Rows) -> None
     recorded[channel] = ChannelProgress(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
     if channel == GAP_CHANNEL and rows.dtype == records.GAP:
         for row in rows:
-            name, last = row["channel"].decode(), int(row["last_missing"])
+            name, last = printable(row["channel"]), int(row["last_missing"])
             if name not in recorded or recorded[name].sequence < last:
                 recorded[name] = ChannelProgress(last, int(row["host_ns"]))

@@ -171,7 +171,7 @@ class Recorder:
 
     def _tell_missing(self, now_ns: int, source: RingSource) -> None:
         for first, last, from_ns, to_ns, cause in source.missing:
-            self._own(GAP_CHANNEL, records.gap(now_ns, source.name, first, last, to_ns - from_ns, cause))
+            self._own(GAP_CHANNEL, records.gap(now_ns, source.name, first, last, to_ns - from_ns, cause, counted=True))
         source.missing.clear()
         if source.unplaced:
             text = f"{source.name}: {source.unplaced} rows were lost that its sequence numbers do not show"

@@ -17,6 +17,7 @@ from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress, marks_of
 from onboard.recording.scan import Damage
 from onboard.recording.segments import END, METADATA, RECORDED
+from onboard.recording.texts import printable
 from onboard.recording.writer import LogWriter
 
 GAP_CHANNEL = "recover_gap"
@@ -127,7 +128,7 @@ def recover(
         untold = [gap for name, track in tracks.items() for gap in _untold(name, track.jumps, told)]
         known = tracks[GAP_CHANNEL].rows if GAP_CHANNEL in tracks else 0
         for number, gap in enumerate(untold, known):
-            row = records.gap(gap.host_ns, *gap[:5]).rows
+            row = records.gap(gap.host_ns, *gap[:5], counted=True).rows
             row["sequence"] = number
             writer.write(GAP_CHANNEL, row)
         writer.add_metadata("recovered", _account(reader, untold))
@@ -142,7 +143,7 @@ def _after(mark: ChannelProgress | None) -> int:
 def _told(rows: Rows) -> Iterator[Gap]:
     for row in rows:
         first, last, duration_ns = (int(row[name]) for name in ("first_missing", "last_missing", "duration_ns"))
-        channel, cause = (row[name].decode(errors="replace") for name in ("channel", "cause"))
+        channel, cause = (printable(row[name]) for name in ("channel", "cause"))
         yield Gap(channel, first, last, duration_ns, cause, int(row["host_ns"]))
 
 

@@ -60,21 +60,22 @@ class Scan:
 
     Args:
         path: file to read.
+        start: offset of the first record to read; 0 begins with the magic.
 
     Raises:
         LogFormatError: not a regular file.
         OSError: it cannot be opened.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, start: int = 0) -> None:
         self._path = path
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):
             raise LogFormatError(f"{path} is no file, but a pipe, a device or a directory; give the path of a log")
         self.size = about.st_size
-        self.position = 0
+        self.position = start
         self._ended = False
-        self._crc: int | None = 0  # of all bytes so far; None after a skipped byte
+        self._crc: int | None = None if start else 0  # of all bytes so far; None after a skipped byte
         with path.open("rb") as file:
             file.seek(max(0, self.size - mcap_format.FOOTER_BYTES))
             self._footer = mcap_format.Footer.at_end_of(file.read())
@@ -88,8 +89,8 @@ class Scan:
             OSError: the file cannot be read.
         """
         with self._path.open("rb", buffering=1 << 18) as file:
-            magic = self._read(file, len(MAGIC))
-            if magic != MAGIC:
+            file.seek(self.position)
+            if not self.position and (magic := self._read(file, len(MAGIC))) != MAGIC:
                 yield self._not_magic(file, magic)
             while not self._ended:
                 yield from self._next(file)

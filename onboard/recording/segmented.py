@@ -7,6 +7,7 @@ over a log of any length reads one segment only.
 
 import contextlib
 import errno
+import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,11 +16,12 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from drivers.records import Rows
+from onboard.recording.decode import Decoder, MessageRun, rows_of
 from onboard.recording.errors import LogFormatError
-from onboard.recording.mcap_format import Attachment
+from onboard.recording.mcap_format import Attachment, Chunk
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress, marks_of, note
-from onboard.recording.scan import Scan
+from onboard.recording.scan import Damage, Scan
 from onboard.recording.seal import seal
 from onboard.recording.segments import (
     END,
@@ -56,6 +58,30 @@ class Limits(NamedTuple):
 LIMITS = Limits()
 
 
+class Progress(NamedTuple):
+    """How far a log is written: what a recorder leaves to the next one, so that this one need not read the log.
+
+    The last recorded row of each channel at ``offset`` of segment ``number``.
+    """
+
+    number: int
+    offset: int
+    recorded: dict[str, ChannelProgress]
+
+    def to_bytes(self) -> bytes:
+        """As JSON."""
+        return json.dumps(self).encode()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self | None:
+        """What :meth:`to_bytes` gave; None where it is none."""
+        try:
+            number, offset, recorded = json.loads(data)
+            return cls(int(number), int(offset), {str(k): ChannelProgress(*map(int, v)) for k, v in recorded.items()})
+        except (ValueError, TypeError, AttributeError):
+            return None
+
+
 class SegmentedLog:
     """Log of one flight; same methods as ``LogWriter``.
 
@@ -67,6 +93,7 @@ class SegmentedLog:
         open_sink: opens a segment.
         number: of the first segment to write.
         recorded: last recorded row of each channel in earlier segments.
+        told: given the progress after each sync.
 
     Raises:
         FileExistsError: the log exists.
@@ -83,7 +110,10 @@ class SegmentedLog:
         open_sink: Callable[[Path], Sink] = FileSink,
         number: int = 0,
         recorded: Mapping[str, ChannelProgress] | None = None,
+        told: Callable[[Progress], object] = lambda progress: None,
     ) -> None:
+        self._told = told
+        self._unsealed: list[Path] = []  # of recorders that died; sealed once rows are recorded again
         self._log, self._preamble, self._limits = log, preamble, limits
         self._sync_interval_ns, self._open_sink = sync_interval_ns, open_sink
         self.recorded: dict[str, ChannelProgress] = dict(recorded or {})
@@ -107,13 +137,34 @@ class SegmentedLog:
         limits: Limits = LIMITS,
         sync_interval_ns: int = SYNC_INTERVAL_NS,
         open_sink: Callable[[Path], Sink] = FileSink,
+        progress: Progress | None = None,
+        told: Callable[[Progress], object] = lambda progress: None,
     ) -> Self:
         """Continue a log whose writer died, or begin a new one; open segments are closed.
+
+        With the dead writer's last ``progress`` only what it wrote later is read, and segments are closed after the
+        first sync.
 
         Raises:
             FileExistsError: the log is another flight's.
             OSError: a segment cannot be read, or the next not created.
         """
+        if progress is not None and (recorded := _recorded_since(log, progress)) is not None:
+            number = progress.number + 1
+            segment_path(log, number).unlink(missing_ok=True)  # opened ahead
+            resumed = cls(
+                log,
+                preamble,
+                limits=limits,
+                sync_interval_ns=sync_interval_ns,
+                open_sink=open_sink,
+                number=number,
+                recorded=recorded,
+                told=told,
+            )
+            before = range(max(0, number - _UNSEALED_AT_MOST), number)
+            resumed._unsealed = [path for one in before if (path := segment_path(log, one)).exists()]
+            return resumed
         found = [path for path in segments(log) if path.exists()]
         flights = {flight for path in found if (flight := flight_or_none(path))}
         if flights and preamble.flight not in flights:
@@ -137,6 +188,7 @@ class SegmentedLog:
             open_sink=open_sink,
             number=number,
             recorded=recorded,
+            told=told,
         )
 
     @property
@@ -177,11 +229,16 @@ class SegmentedLog:
                 self._open_ahead(now_ns)
             if self._full(now_ns):
                 self._change(now_ns)
+            self._told(Progress(self._number, self._writer.bytes_written, dict(self.recorded)))
+            if self._unsealed:
+                self._seal(self._unsealed.pop())
         return synced
 
     def close(self) -> None:
         """See ``LogWriter.close``."""
         self._end_segment()
+        while self._unsealed:
+            self._seal(self._unsealed.pop())
         if not self._end_said:
             self._end_said = True  # set even if the disk refuses it
             last = {"flight": self._preamble.flight, "segments": str(self._number + 1)}
@@ -246,10 +303,40 @@ class SegmentedLog:
             self._ending.close()
             self._ending = None
 
+    @staticmethod
+    def _seal(path: Path) -> None:
+        if Scan(path).truncated:
+            seal(path)
+
     def _say_recorded(self) -> None:
         if self.recorded:
             marks = {name: f"{m.sequence} {m.host_ns}" for name, m in self.recorded.items()}
             self._writer.add_metadata(RECORDED, with_crc(RECORDED, marks))
+
+
+def _recorded_since(log: Path, progress: Progress) -> dict[str, ChannelProgress] | None:
+    """Last recorded row of each channel, by ``progress`` and the rows after it; None where they do not fit."""
+    path, ahead = (segment_path(log, number) for number in (progress.number, progress.number + 1))
+    further = segment_path(log, progress.number + 2)
+    if further.exists() or not path.exists() or path.stat().st_size < progress.offset:
+        return None
+    if ahead.exists() and _may_have_messages(ahead):
+        return None
+    recorded, decoder = dict(progress.recorded), Decoder()
+    try:
+        for record in Scan(path, progress.offset).records():
+            if isinstance(record, Damage):
+                if record.end != Scan(path).size:
+                    return None
+            elif isinstance(record.content, Chunk):
+                rows: dict[str, list[MessageRun]] = {}
+                for run in decoder.runs(record.content.records):
+                    rows.setdefault(run.channel.name, []).append(run)
+                for channel, runs in rows.items():
+                    note(recorded, channel, rows_of(runs))
+    except LogFormatError:
+        return None
+    return recorded
 
 
 def _recorded(found: list[Path]) -> dict[str, ChannelProgress]:

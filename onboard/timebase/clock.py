@@ -6,6 +6,9 @@ The solution is the polygon's centroid (the mean for uniform quantisation error)
 marks the offset's uncertainty falls as 1/N, against 1/sqrt(N) for a mean, and an accepted mark cannot move the solution
 out of the polygon.
 
+The bound on the drift may be too small: the polygon is then wrong before it is empty. Two polygons with larger bounds
+are kept beside it; the smallest bound that the marks do not contradict is used.
+
 States follow the "time at the tone" model of flight software: a clock without marks, or with contradicting ones,
 flywheels with a growing sigma and becomes invalid when that sigma is too large.
 """
@@ -69,7 +72,7 @@ class DeviceClock:
     Args:
         nominal_period_ns: data-sheet length of a tick; the true one may be ``tolerance`` off.
         tolerance: largest relative error of the nominal period.
-        drift_per_s: largest change of the relative rate per second.
+        drift_per_s: largest change of the relative rate per second, as far as the marks agree with it.
         flywheel_after_s: time without marks after which the clock flywheels.
         invalid_sigma_ns: sigma at which a flywheeling clock becomes invalid.
         common_sigma_ns: common delay of all marks, 1-sigma (stamps are late, never early).
@@ -78,6 +81,14 @@ class DeviceClock:
     MARKS_TO_LOCK = 5
     MARKS_HELD = 8
     REJECTS_TO_REACQUIRE = 4
+    LARGER = (
+        1.0,
+        6.0,
+        36.0,
+    )  # bounds on the drift, in drift_per_s; the last by default is 0.75 K/s by 80 ppm/K (MPU-6050 PS 7.15)
+    STRIKES = 2  # contradictions, less one for each MARKS_TO_TRUST marks, after which the next larger bound is used
+    MARKS_TO_TRUST = 60  # that a smaller bound has to agree with before it is used again; twice as many each time
+    LEAST_SHARE = 0.5  # of the sigma by the next larger bound (0.55 on average); less is a wrong polygon about to end
     HEAL = 0.05  # share of a refused mark's width by which the polygon grows, in case the polygon was wrong
 
     def __init__(
@@ -89,7 +100,7 @@ class DeviceClock:
         invalid_sigma_ns: float = 2e6,
         common_sigma_ns: float = 7e3,
     ) -> None:
-        self.nominal_period_ns, self.tolerance, self.drift_per_s = nominal_period_ns, tolerance, drift_per_s
+        self.nominal_period_ns, self.tolerance, self._least_drift_per_s = nominal_period_ns, tolerance, drift_per_s
         self.flywheel_after_ns, self.invalid_sigma_ns = flywheel_after_s * 1e9, invalid_sigma_ns
         self.common_sigma_ns = common_sigma_ns
         self.rejected = 0
@@ -104,8 +115,7 @@ class DeviceClock:
         self._pending: list[Mark] = []
         self._refused: list[Mark] = []
         self._contradiction_ns = 0.0
-        self._view = _View(0, 0, [])
-        self._set(self._view._replace(polygon=box(-_SEARCH_NS, _SEARCH_NS, *self._rates)))
+        self._restart_with(_View(0, 0, box(-_SEARCH_NS, _SEARCH_NS, *self._rates)))
 
     @property
     def _rates(self) -> tuple[float, float]:
@@ -120,13 +130,12 @@ class DeviceClock:
         """Take a mark, in order of tick; returns whether it was accepted."""
         if self.state in (ClockState.ACQUIRING, ClockState.INVALID):
             return self._acquire(mark)
-        carried = self._propagated(mark.high)
-        left = self._cut(carried, mark) if mark.high >= self._view.tick else []
-        if not left:
+        left = self._taken(self._used, mark) if mark.high >= self._view.tick else self._view._replace(polygon=[])
+        if not left.polygon:
             self._refuse(mark)
             return False
         self._residual(mark)
-        self._set(carried._replace(polygon=left))
+        self._set_all(left, mark)
         self._refused, self._contradiction_ns = [], 0.0
         self.marks += 1
         self.state = ClockState.LOCKED
@@ -185,14 +194,14 @@ class DeviceClock:
         """1-sigma of the vehicle time of ``tick`` [ns]: the polygon's plus the drift since or until the last mark."""
         at, s = self._moments, self._seconds(tick - self._view.tick)
         drifted_ns = 0.5e9 * self.drift_per_s * s * s
-        possible = max(at.xx + 2.0 * at.xy * s + at.yy * s * s, 0.0)
+        possible = max(at.xx + 2.0 * at.xy * s + at.yy * s * s, self._least_sigma_ns**2)
         return math.sqrt(possible + drifted_ns**2 / 3.0 + self.common_sigma_ns**2 + self._contradiction_ns**2)
 
     def blur(self, ticks: float) -> None:
         """Widen the polygon by ``ticks`` either way: the number of lost samples is uncertain."""
         self._pending = []
         if self.trusted:
-            self._set(self._view._replace(polygon=widen(self._view.polygon, ticks * self.period_ns, 0.0)))
+            self._widen_all(ticks * self.period_ns)
             self.suspect()
 
     @property
@@ -220,26 +229,78 @@ class DeviceClock:
     def _reference_ns(self) -> float:
         return self._view.base_ns + self._moments.x
 
-    def _set(self, view: _View) -> None:
-        self._view = view
+    @property
+    def drift_per_s(self) -> float:
+        """The bound in use on the change of the relative rate per second."""
+        return self._least_drift_per_s * self.LARGER[self._used]
+
+    def _restart_with(self, view: _View) -> None:
+        """Begin with the smallest bound."""
+        self._used = self._strikes = self._since_strike = 0
+        self._agreed, self._to_trust = [0] * len(self.LARGER), [self.MARKS_TO_TRUST] * len(self.LARGER)
+        self._views = [view] * len(self.LARGER)
+        self._use(0)
+
+    def _taken(self, bound: int, mark: Mark) -> _View:
+        """View of a bound at a later mark; an empty polygon if it contradicts the mark."""
+        view = self._propagated(bound, mark.high)
+        return view._replace(polygon=self._cut(view, mark))
+
+    def _set_all(self, left: _View, mark: Mark) -> None:
+        """All views after a mark that the one in use agrees with, ``left``; the view to use from now on."""
+        used = self._used
+        for bound in range(len(self._views)):
+            view = left if bound == used else self._taken(bound, mark)
+            self._agreed[bound] = self._agreed[bound] + 1 if view.polygon else 0
+            self._views[bound] = view if view.polygon else left
+        self._since_strike += 1
+        if self._since_strike >= self.MARKS_TO_TRUST:
+            self._strikes, self._since_strike = max(self._strikes - 1, 0), 0
+        if used and self._agreed[used - 1] >= self._to_trust[used - 1]:
+            self._strikes = 0
+            self._use(used - 1)
+        else:
+            self._use(used)
+
+    def _demote(self) -> None:
+        """Use the next larger bound; the smaller one begins anew from its view."""
+        if self._used + 1 < len(self._views):
+            larger = self._used + 1
+            self._views[:larger] = [self._views[larger]] * larger
+            self._agreed[:larger] = [0] * larger
+            self._to_trust[self._used] *= 2
+            self._strikes = self._since_strike = 0
+            self._use(larger)
+
+    def _widen_all(self, by_ns: float) -> None:
+        self._views = [view._replace(polygon=widen(view.polygon, by_ns, 0.0)) for view in self._views]
+        self._use(self._used)
+
+    def _use(self, bound: int) -> None:
+        self._used, self._view = bound, self._views[bound]
+        view = self._view
         self._whole_tick = math.floor(view.tick)
         self._moments: Moments = moments(view.polygon)
+        self._least_sigma_ns = 0.0
+        if bound + 1 < len(self._views):
+            self._least_sigma_ns = self.LEAST_SHARE * math.sqrt(moments(self._views[bound + 1].polygon).xx)
 
     def _seconds(self, ticks: float) -> float:
         return ticks * self.nominal_period_ns * 1e-9
 
-    def _propagated(self, tick: float) -> _View:
-        """Polygon propagated to the later ``tick``, widened by the bounded drift of the rate."""
-        seconds = self._seconds(tick - self._view.tick)
-        advance_ns = (tick - self._view.tick) * self.nominal_period_ns
+    def _propagated(self, bound: int, tick: float) -> _View:
+        """A bound's polygon propagated to the later ``tick``, widened by the drift of the rate."""
+        view = self._views[bound]
+        seconds = self._seconds(tick - view.tick)
+        advance_ns = (tick - view.tick) * self.nominal_period_ns
         whole_ns = math.floor(advance_ns)
-        polygon = [(x + advance_ns - whole_ns, y) for x, y in shear(self._view.polygon, seconds)]
-        drift = 1e9 * self.drift_per_s * seconds
+        polygon = [(x + advance_ns - whole_ns, y) for x, y in shear(view.polygon, seconds)]
+        drift = 1e9 * self._least_drift_per_s * self.LARGER[bound] * seconds
         if drift > 0.0:
             # the effect of a bounded drift on (offset, rate) lies in the sum of two segments: a steady drift, and one
             # that reverses half-way
             polygon = widen(widen(polygon, 0.5 * drift * seconds, drift), 0.25 * drift * seconds, 0.0)
-        return _View(tick, self._view.base_ns + whole_ns, polygon)
+        return _View(tick, view.base_ns + whole_ns, polygon)
 
     def _cut(self, view: _View, mark: Mark, slack_ns: float = 0.0) -> Polygon:
         """Intersection of ``view`` with ``mark`` widened by ``slack_ns`` on both sides."""
@@ -267,7 +328,10 @@ class DeviceClock:
             for again in refused:
                 self._acquire(again)
         else:
-            self._set(self._view._replace(polygon=widen(self._view.polygon, self.HEAL * width_ns, 0.0)))
+            self._widen_all(self.HEAL * width_ns)
+            self._strikes, self._since_strike = self._strikes + 1, 0
+            if self._strikes >= self.STRIKES:
+                self._demote()
 
     # Acquisition
 
@@ -278,7 +342,7 @@ class DeviceClock:
         agreeing, polygon = self._consensus()
         if agreeing < self.MARKS_TO_LOCK or 3 * agreeing < 2 * len(self._pending):
             return False
-        self._set(_View(mark.high, mark.latest_ns, polygon))
+        self._restart_with(_View(mark.high, mark.latest_ns, polygon))
         self._pending, self._contradiction_ns = [], 0.0
         self.marks, self.state = agreeing, ClockState.LOCKED
         return True

@@ -4,6 +4,7 @@ PATH holds nothing but that Python and the few tools named here, so the scripts 
 """
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,7 +12,10 @@ from pathlib import Path
 import pytest
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
-TOOLS = ("sh", "cat", "cut", "dirname", "rm", "mkdir", "cp", "chmod", "sha256sum")
+TOOLS = (
+    *("sh", "cat", "cut", "dirname", "rm", "mkdir", "cp", "chmod", "sha256sum"),
+    *("mktemp", "tee", "tail", "awk", "date"),
+)
 UNAVAILABLE, TEMPORARY_FAILURE = 69, 75  # sysexits.h
 
 # Answers like a Python 3.11 unless LACKS names what it should lack.
@@ -35,7 +39,8 @@ case "$*" in
         echo "$*" >>"$CALLS"
         case " $LACKS " in *' network '*) exit 1 ;; esac
         ;;
-    '-m pytest'*) echo "tested with $*" ;;
+    "-m pytest -m $FAILS"*) echo "= 1 failed, 2 passed, 40 deselected in 1.50s ="; exit 1 ;;
+    '-m pytest'*) echo "tested with $*"; echo "= 30 passed, 1 skipped, 3 deselected in 61.50s (0:01:01) =" ;;
     *) echo "unexpected: $*" >&2; exit 99 ;;
 esac
 """
@@ -69,6 +74,7 @@ class Machine:
             env={
                 "PATH": str(self.bin),
                 "LACKS": lacks,
+                "FAILS": "nothing",
                 "CALLS": str(self.log),
                 "PYTHONPATH": "/opt/ros",
                 **environment,
@@ -112,10 +118,30 @@ def test_second_run_calls_neither_venv_nor_pip(machine: Machine) -> None:
 
 def test_the_tests_environment_serves_both(machine: Machine) -> None:
     done = machine.run("test.sh", "-k", "ring")
-    assert done.stdout == "tested with -m pytest -k ring\n"
+    assert done.stdout.splitlines()[0] == "tested with -m pytest -k ring"
+    assert len(done.stdout.splitlines()) == 2
     assert machine.calls[1].endswith("/deploy/requirements-test.lock")
     assert machine.run("hil.sh").returncode == 0
     assert machine.calls == []
+
+
+def test_without_arguments_all_tests_run_and_one_line_says_how_they_ended(machine: Machine) -> None:
+    done = machine.run("test.sh")
+    assert (done.returncode, done.stderr.count("Error")) == (0, 0)
+    tested = [line for line in done.stdout.splitlines() if line.startswith("tested with")]
+    assert tested == [
+        "tested with -m pytest -m not realtime --numprocesses auto --dist loadfile",
+        "tested with -m pytest -m realtime",
+    ]
+    assert re.fullmatch(r"heft: 60 passed, 2 skipped in \d+ s", done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("part", ["not realtime", "realtime"])
+def test_a_failure_in_either_part_fails_and_the_other_is_run_all_the_same(machine: Machine, part: str) -> None:
+    done = machine.run("test.sh", FAILS=part)
+    assert done.returncode == 1
+    assert re.fullmatch(r"heft: 1 failed, 32 passed, 1 skipped in \d+ s", done.stdout.splitlines()[-1])
+    assert done.stdout.count("tested with") == 1
 
 
 def test_the_flights_environment_lacks_the_test_tools(machine: Machine) -> None:

@@ -74,12 +74,14 @@ def test_the_first_sync_number_follows_its_counter(clock):
 
 @pytest.mark.parametrize("offset", [(1 << 32) - 300, (1 << 31) - 300])
 def test_a_counter_that_wraps_is_unwrapped(clock, offset):
-    bench = Bench(clock, make, Encoder(offset=offset), LoadCell(), ArmController())
+    joint = Cia406Config("joint_1", 1, 500_000, zero_count=offset)
+    nodes = Encoder(offset=offset), LoadCell(), ArmController()
+    bench = Bench(clock, lambda port: CanopenBus(port, [joint, CELL, PHASE], SyncConfig(), "can_0"), *nodes)
     bench.start()
     bench.run(3_000)
-    joint = whole(bench.batches, "joint_1")
-    np.testing.assert_array_equal(joint["value_raw"], offset + joint["tick"].astype(int))
-    assert joint["value_raw"][-1] > offset + 400
+    rows = whole(bench.batches, "joint_1")
+    np.testing.assert_array_equal(rows["value_raw"], offset + rows["tick"].astype(int))
+    assert rows["value_raw"][-1] > offset + 400
 
 
 def test_load_cell_status_and_capacity(bench):
@@ -192,6 +194,24 @@ def test_a_sync_producer_that_stands_still_for_a_moment_is_told(bench):
     assert text.startswith("SYNC paused for 100 ms, none is missing")
     assert "sync_lost" not in codes(bench.batches)
     assert not len(of(bench.batches, "gap"))
+
+
+def test_a_reader_that_stood_still_is_told_and_the_producer_is_not_blamed(bench):
+    bench.start()
+    bench.run(1_000)
+    pump, bench.device.pump = bench.device.pump, lambda now: []
+    bench.drop = lambda number, identifier: len(bench.port.inbox) > 100  # what the adapter does not keep
+    bench.run(3_000)
+    bench.drop = lambda number, identifier: False
+    bench.device.pump = pump
+    bench.run(1_000)
+    bench.stop()
+    (text,) = texts(bench.batches, "not_read")
+    assert text.startswith("not read for 3.0 s")
+    assert not {"sync_lost", "sync_paused", "sync_restarted"} & set(codes(bench.batches))
+    lost = [row for row in of(bench.batches, "gap") if row["channel"] == b"can_sync"]
+    assert {row["cause"] for row in lost} == {b"not_read"}
+    whole(bench.batches, "can_sync")
 
 
 def test_a_bus_without_sync_is_told(bench):

@@ -196,7 +196,7 @@ def drive(number):
 
 
 def make(port):
-    joint, cell = Cia406Config("joint_1", 1, 500_000), Cia404Config("load_cell", 2, 50.0)
+    joint, cell = Cia406Config("joint_1", 1, 500_000, zero_count=4_294_967_000), Cia404Config("load_cell", 2, 50.0)
     motor = Cia402Config(4, 4096, position="shoulder", velocity="shoulder_speed", torque="shoulder_torque")
     return CanopenBus(port, [joint, cell, motor], SyncConfig())
 

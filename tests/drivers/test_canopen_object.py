@@ -187,6 +187,24 @@ def test_a_node_that_was_unplugged_for_a_while_is_asked_what_it_did(clock):
     assert rows["status"][2] == SampleStatus.AFTER_RESET
 
 
+def test_changes_that_nobody_could_tell_are_named_as_one_or_so(clock):
+    """It was away and its value is the same, or it never returned: it may have changed and changed back."""
+    bench = bench_of(clock, PHASE)
+    bench.start()
+    bench.run(3_000)
+    bench.nodes[3].deaf = True
+    bench.run(4_000)
+    bench.nodes[3].deaf = False
+    bench.run(10_000)
+    assert lost(bench) == [1]
+    bench.nodes[3].deaf = True
+    bench.run(4_000)
+    bench.stop()
+    assert lost(bench) == [1, 1]
+    assert not any(gap["counted"] for gap in of(bench.batches, "gap"))
+    assert values(bench) == [0, 0, 0]
+
+
 def test_a_node_that_rebooted_has_lost_nothing(bench):
     bench.start()
     change(bench, 5)

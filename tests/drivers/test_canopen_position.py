@@ -47,3 +47,11 @@ def test_a_new_position_that_stays_is_believed(data):
     data.decode(as_sent(1000))
     statuses = [data.decode(as_sent(far + k)).status for k in range(30)]
     assert statuses == [SampleStatus.NOT_VALID] * 19 + [SampleStatus.OK] * 11
+
+
+@pytest.mark.parametrize("zero", [0, 1000, 2**31 - 5, 2**32 - 5])
+@pytest.mark.parametrize("away", [0, -1, -20_000, 20_000])
+def test_the_first_position_is_that_next_to_the_joint_s_zero(zero, away):
+    """A joint below its zero at power-up: 6004h is unsigned, and reads nearly 2^32 where the zero is 0."""
+    encoder = Encoder(Cia406Config("joint_1", 1, TURN, zero))
+    assert encoder.decode(as_sent(zero + away)).value_raw == zero + away

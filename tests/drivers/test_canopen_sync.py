@@ -311,9 +311,8 @@ def test_an_overdue_sync_lets_the_answer_out_and_it_is_not_counted_twice():
     assert "pdo_extra" not in codes(stream.batches)
 
 
-def test_answers_before_the_node_is_live_or_a_sync_was_seen_are_no_samples():
+def test_answers_before_the_node_is_live_are_no_samples():
     stream = Stream()
-    stream.answer(0)
     stream.sync_at(1)
     stream.channel.live = False
     stream.answer(1)
@@ -357,6 +356,33 @@ def test_a_node_that_runs_and_is_silent_is_told_once():
     stream.take()
     assert codes(stream.batches) == ["silent"]
     assert not len(np.concatenate([batch.rows for batch in stream.batches if batch.channel == "n"] or [np.zeros(0)]))
+
+
+@pytest.mark.parametrize(("first", "named"), [(3, []), (50, [(b"no_pdo", 50)]), (None, [(b"no_pdo", 100)])])
+def test_answers_lost_before_the_first_row_are_a_gap_and_a_node_that_starts_is_given_time(first, named):
+    stream = Stream()
+    stream.channel.live = False
+    stream.sync_at(0, 0)
+    stream.channel.go_live()
+    for number in range(1, 101):
+        stream.sync_at(number)
+        if first is not None and number > first:
+            stream.answer(number)
+    rows = stream.end()
+    assert len(rows) == (0 if first is None else 100 - first)
+    assert gaps(stream) == named
+    assert not any(gap["counted"] for gap in of(stream.batches, "gap"))
+
+
+def test_answers_before_the_first_sync_are_a_gap():
+    stream = Stream()
+    for number in range(20):
+        stream.answer(number)
+    for number in range(20, 30):
+        stream.sync_at(number)
+        stream.answer(number)
+    assert len(stream.end()) == 10
+    assert [count for _, count in gaps(stream)] == [20]
 
 
 def test_a_gap_is_named_even_when_nothing_more_comes():

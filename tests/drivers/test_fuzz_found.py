@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.fuzzing import targets
+from bench.fuzzing import target
 from drivers.mpu6050.sample_clock import SampleClock
 
 FOUND = {
@@ -32,7 +32,7 @@ FOUND = {
 
 @pytest.mark.parametrize("found", FOUND, ids=["-".join(key) for key in FOUND])
 def test_what_fuzzing_found_stays_mended(found: tuple[str, str]) -> None:
-    targets()[found[0]].call(bytes.fromhex(FOUND[found]))
+    target(found[0]).call(bytes.fromhex(FOUND[found]))
 
 
 def test_counts_that_no_chip_makes_do_not_bend_the_clock() -> None:

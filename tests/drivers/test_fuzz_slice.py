@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.fuzzing import NAMES, findings, own_engine, targets
+from bench.fuzzing import NAMES, Target, findings, own_engine, target
 from drivers.errors import FrameError
 from drivers.transports.can_slcan import decode_line
 
@@ -22,21 +22,25 @@ EXECUTIONS = {  # about 2 s each, most of it the trace function
     "dsc": 900,
     "node_frame": 500,
     "sync_pulse": 500,
+    "vehicle": 12,
+    "log": 60,
+    "recover": 60,
+    "import": 100,
 }
 
 
 def test_every_decoder_has_a_slice():
-    assert set(EXECUTIONS) == set(targets()) == set(NAMES)
+    assert set(EXECUTIONS) == set(NAMES)
 
 
 @pytest.mark.parametrize("name", EXECUTIONS)
 def test_a_slice_finds_nothing(name):
-    target = targets()[name]
-    found = findings.Findings(target.call, None)
-    result = own_engine.fuzz(target.call, target.seeds, SEED, found, EXECUTIONS[name], 0.0)
+    fuzzed = target(name)
+    found = findings.Findings(fuzzed.call, None)
+    result = own_engine.fuzz(fuzzed, SEED, found, EXECUTIONS[name], 0.0)
     assert {place: data.hex() for place, data in found.places.items()} == {}
     assert result.executions == EXECUTIONS[name]
-    assert result.paths > len(target.seeds) // 2  # it is guided: seeds alone do not reach it all
+    assert result.paths > len(fuzzed.seeds) // 2  # it is guided: seeds alone do not reach it all
 
 
 def planted(data):
@@ -52,7 +56,7 @@ def planted(data):
 
 def slice_of(call, seed, folder=None):
     found = findings.Findings(call, folder)
-    result = own_engine.fuzz(call, [b"t08001\rt2812AABB\rt18201\r"], seed, found, 1500, 0.0)
+    result = own_engine.fuzz(Target(call, [b"t08001\rt2812AABB\rt18201\r"], 1024), seed, found, 1500, 0.0)
     return found, result
 
 
@@ -93,11 +97,11 @@ from pathlib import Path
 import bench.fuzzing
 from bench.fuzzing import atheris_engine
 
-def targets():
+def target(name):
     from tests.drivers.test_fuzz_slice import planted
-    return {{"planted": bench.fuzzing.Target(planted, [b"t08001\\rt2812AABB\\r"])}}
+    return bench.fuzzing.Target(planted, [b"t08001\\rt2812AABB\\r"], 1024)
 
-bench.fuzzing.targets, atheris_engine.FOLDER = targets, Path({str(tmp_path)!r})
+bench.fuzzing.target, atheris_engine.FOLDER = target, Path({str(tmp_path)!r})
 atheris_engine.run_leg("planted", Path({str(tmp_path / "corpus")!r}), 1, 3)
 """
     (tmp_path / "corpus").mkdir()

@@ -18,6 +18,7 @@ from hypothesis import given
 
 from drivers.errors import FrameError, UrlError
 from drivers.transports import open_can
+from drivers.transports.can_reopen import ReopeningCanPort
 from drivers.transports.can_slcan import SlcanDecoder, decode_line, encode_line, encode_request
 from drivers.transports.can_socket import SO_RXQ_OVFL, SO_TIMESTAMPNS, SocketcanPort
 from drivers.transports.clock import realtime_minus_monotonic
@@ -165,7 +166,7 @@ def test_a_raw_socket_is_asked_for_stamps_errors_buffer_and_drop_counts(monkeypa
         (socket.SOL_SOCKET, socket.SO_RCVBUF): 1_000_000,
         (socket.SOL_SOCKET, SO_RXQ_OVFL): 1,
     }
-    assert port.receive_buffer == 425_984
+    assert port.port.receive_buffer == 425_984
     port.mute()
     assert raw.options[socket.SOL_CAN_RAW, 1] == struct.pack("=II", 0x2000_0000, 0)  # all that is not everything
     assert raw.options[socket.SOL_CAN_RAW, 2] == 0
@@ -226,12 +227,12 @@ def test_virtual_frames_carry_the_simulators_stamp_to_the_nanosecond(stranger, c
     bus.send(message(0x281, b"", extended=True))
     bus.send(message(0x281, is_remote_frame=True))
     bus.send(message(0x040, bytes(8), is_error_frame=True))
-    frames = port.receive(0.0)
+    frames, library = port.receive(0.0), port.port
     port.close()
     assert [frame.host_ns for frame in frames[:3]] == stamps
     assert frames[0][1:] == (0x281, b"\1\2\3\4", False)
     assert frames[3][1:] == (0x040, bytes(8), True)
-    assert port.foreign_frames == 2
+    assert library.foreign_frames == 2
 
 
 def test_what_we_send_on_the_virtual_bus_is_stamped_with_our_clock(stranger, clock):
@@ -289,10 +290,15 @@ def test_an_interface_that_is_not_there_is_an_os_error():
 
 def test_a_closed_virtual_bus_is_an_os_error(clock):
     port = open_can("can+virtual://closed", clock)
-    port.close()
+    port.port.close()
     with pytest.raises(OSError, match="CAN receive failed"):
         port.receive(0.0)
+    port = open_can("can+virtual://closed", clock)
+    port.port.close()
     with pytest.raises(OSError, match="CAN send failed"):
+        port.send(0x000, b"")
+    port.close()
+    with pytest.raises(OSError, match="gone"):
         port.send(0x000, b"")
 
 
@@ -465,6 +471,70 @@ def test_an_adapter_pulled_out_is_an_os_error(clock):
     with pytest.raises(OSError, match=r"."):
         port.send(0x080, b"")
     port.close()
+
+
+def test_an_adapter_that_returns_as_another_tty_is_opened_again_with_back_off(clock, tmp_path):
+    link, far_end = tmp_path / "can", Adapter()
+    link.symlink_to(far_end.path)
+    port = open_can(f"can+slcan://{link}?bitrate=500000", clock)
+    assert far_end.read(7) == b"C\rS6\rO\r"
+    os.write(far_end.fd, b"t1811A\rt0801")  # one damaged line
+    while not port.lost_frames:
+        port.receive(0.05)
+    far_end.close()
+    link.unlink()
+    tries = 0
+    for _ in range(100):  # 1 s in steps of 10 ms
+        clock.now_ns += 10_000_000
+        try:
+            port.receive(0.0)
+        except OSError as error:
+            tries += "No such file" in str(error)
+    assert 4 <= tries <= 7, "after 20, 40, 80 ms and so on"
+    back = Adapter()
+    link.symlink_to(back.path)
+    clock.now_ns += 1_000_000_000
+    assert port.receive(0.0) == []
+    assert back.read(7) == b"C\rS6\rO\r"
+    os.write(back.fd, b"t181155\r")
+    frames = []
+    while not frames:
+        frames = port.receive(0.05)
+    assert [(frame.identifier, frame.data) for frame in frames] == [(0x181, b"\x55")]
+    assert (port.reopened, port.lost_frames) == (1, 1)
+    port.close()
+    back.close()
+
+
+def test_an_interface_that_is_down_keeps_its_socket_and_one_that_is_gone_is_opened_again(clock):
+    class Dead:
+        errno, closed = errno.ENETDOWN, 0
+
+        def receive(self, timeout_s):
+            raise OSError(self.errno, "of the interface")
+
+        def close(self):
+            self.closed += 1
+
+    opened = []
+
+    def dead():
+        opened.append(Dead())
+        return opened[-1]
+
+    port = ReopeningCanPort(dead, clock)
+    for _ in range(3):
+        with pytest.raises(OSError, match="of the interface"):
+            port.receive(0.0)
+    assert (len(opened), opened[0].closed) == (1, 0)
+    opened[0].errno = errno.ENODEV
+    with pytest.raises(OSError, match="of the interface"):
+        port.receive(0.0)
+    assert opened[0].closed == 1
+    clock.now_ns += 20_000_000
+    with pytest.raises(OSError, match="of the interface"):
+        port.receive(0.0)
+    assert len(opened) == 2
 
 
 # Remote frames: what node guarding asks with

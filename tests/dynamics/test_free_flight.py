@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from hil_sim.plants import free_flyer
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate
-from onboard.dynamics.kinematics import link_motions
-from tests.dynamics.free_flyer_twin import twin
+from onboard.dynamics.joint_errors import JOINT_ERRORS, JointErrors, Readings
+from onboard.dynamics.kinematics import chain_motion, link_motions
+from tests.dynamics.free_flyer_twin import BOX, twin
 
 PERIOD_s = 0.01
 FIELDS = ("rate", "acceleration", "specific_force")
@@ -79,3 +81,44 @@ def test_too_few_ticks_are_refused(flown):
     links = link_motions(flown.vehicle, *np.zeros((3, 3, 5)))
     with pytest.raises(SignalError, match="four or more"):
         predict_base(links, PERIOD_s, flown.chi, np.zeros(3), ())
+
+
+def test_derivatives_by_errors_of_joints_are_finite_differences(flown):
+    rng = np.random.default_rng(3)
+    q, dq, ddq = flown.motion.at(0.3 + PERIOD_s * np.arange(12))
+    readings = Readings.of(q, dq, ddq, PERIOD_s)
+    errors, rate = JointErrors(flown.vehicle), np.array([0.03, -0.02, 0.05])
+    at = rng.normal(size=(5, 6)) * [1e-2, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3]
+
+    def predicted(own):
+        chain = chain_motion(flown.vehicle, *readings.corrected(own), own[:, :3])
+        return predict_base_from_rate(chain.links, PERIOD_s, flown.chi, rate, (0,), errors.along(chain, readings))
+
+    base = predicted(at)
+    for joint, kind in np.ndindex(5, 6):
+        step = np.zeros((5, 6))
+        step[joint, kind] = 1e-5
+        up, down = predicted(at + step), predicted(at - step)
+        for name in FIELDS:
+            slope = (getattr(up, name) - getattr(down, name)) / 2e-5
+            found = getattr(base, f"d_{name}")[:, :, 13 + 6 * joint + kind]
+            label = f"{name} by {JOINT_ERRORS[kind]} of joint {joint + 1}"
+            assert np.abs(slope).max() > 1e-3, label
+            assert np.abs(found - slope).max() < 2e-3 * np.abs(slope).max(), label
+
+
+def test_an_arm_drawn_off_its_joints_is_predicted_with_their_offsets(flown):
+    """The truth is MuJoCo's, of an arm with every joint 5 mm off."""
+    offsets = 5e-3 * np.random.default_rng(4).normal(size=(5, 3))
+    rate = np.array([0.03, -0.02, 0.05])
+    flight = free_flyer.fly(free_flyer.world(BOX, offsets_m=offsets), flown.motion, rate, 1.0)
+    q, dq, ddq = flown.motion.at(flight.time_s)
+    period_s = float(flight.time_s[1])
+    R_BS = flown.vehicle.pose_in_base("imu_base")[0]
+    off = []
+    for own in (None, offsets):
+        chain = chain_motion(flown.vehicle, q, dq, ddq, own)
+        base = predict_base_from_rate(chain.links, period_s, flown.chi, rate, ())
+        off.append(np.abs(base.rate @ R_BS - flight.rate_rad_s).max())
+    assert off[0] > 1e-4
+    assert off[1] < 1e-6

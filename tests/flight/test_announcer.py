@@ -114,6 +114,25 @@ def test_buses_and_essentials_that_never_brought_a_row_are_named(vehicle: config
         config.parse(text.replace('["load_cell"]', '["cell"]'), vehicle.path)
 
 
+def test_a_glitch_of_the_phase_does_not_end_the_flight(
+    vehicle: config.Vehicle, tmp_path: Path, devices: Publisher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phases = vehicle.file.estimation.phases
+    assert phases is not None
+    now_s = [0.0]
+    monkeypatch.setattr("onboard.flight.runner.time.monotonic", lambda: now_s[0])
+    end = EndOfMission(vehicle, tmp_path)
+    told = []
+    for at_s, code in ((0.0, 3), (1.0, phases.end), (1.5, 3), (3.0, None), (4.0, phases.end), (4.5, None), (5.0, None)):
+        now_s[0] = at_s
+        if code is not None:
+            row = scalars(len(told), 1)
+            row["value_raw"] = code
+            devices.publish([Batch(phases.channel, row)])
+        told.append(end.reached())
+    assert told == [False] * 6 + [True]
+
+
 @pytest.mark.parametrize(("codes", "over"), [([77], True), ([36, 77], False), ([], False)])
 def test_a_mission_that_was_over_before_the_start_is_known(
     vehicle: config.Vehicle, tmp_path: Path, devices: Publisher, codes: list[int], over: bool

@@ -39,7 +39,7 @@ def test_another_vehicle_does_not(flight: FlightData, monkeypatch: pytest.Monkey
     assert right is not None
     assert flight.model is not None
     chi = flight.model.chi.copy()
-    chi[:10] *= 1.5  # of the base
+    chi[:10] *= 2.0  # of the base
     monkeypatch.setattr(flight.model, "chi", chi)
     wrong = base_rate(flight)
     assert wrong is not None

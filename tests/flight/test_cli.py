@@ -47,6 +47,11 @@ def test_a_vehicle_file_with_a_mistake_names_the_line(tmp_path: Path, capsys: py
         (["fly", "nowhere/vehicle.toml"], "give the path of a vehicle.toml"),
         (["hil", "moonshot"], "moonshot"),
         (["hil", "rocksatt"], "did you mean 'rocksat'?"),
+        (["hil", "rocksat", "--fault", "stick:imu_base:1:2"], "did you mean stuck?"),
+        (["hil", "rocksat", "--fault", "stuck:imu_bas:1:2"], "did you mean imu_base?"),
+        (["hil", "rocksat", "--realtime", "--fault", "stuck:imu_bas:1:2"], "did you mean imu_base?"),
+        (["hil", "rocksat", "--fault", "unplug:arm_phase:1:2"], "it can have: "),
+        (["hil", "rocksat", "--fault", "stuck:imu_base:1e9:"], "the mission ends at"),
         (["fly", "rocksatt"], "did you mean 'rocksat'?"),
         (["preflight", "dymaflx"], "did you mean 'dymaflex'?"),
         (["identify"], "name a log"),
@@ -130,3 +135,11 @@ def test_tables_never_lose_digits(
 
 def test_progress_goes_to_stderr() -> None:
     assert progress().console.stderr
+
+
+def test_the_faults_of_a_scenario_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["hil", "rocksat_serial", "--faults"]) == cli.OK
+    said = capsys.readouterr().out
+    for text in ("KIND:DEVICE:START:END[:VALUE]", "joint_port", "unplug", "the adapter is pulled out"):
+        assert text in said
+    assert "bus_off" not in said, "there is no CAN in it"

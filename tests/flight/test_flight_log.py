@@ -13,7 +13,7 @@ from drivers.records import event
 from onboard import cli, config
 from onboard.cli.common import next_log
 from onboard.flight import checkpoint, directories, manifest, rings, runner
-from onboard.flight.estimation import DurableEstimation, answer_rates_hz, create_rings
+from onboard.flight.estimation import CHECKPOINT_TICKS, DurableEstimation, answer_rates_hz, create_rings
 from onboard.flight.estimator import Estimator
 from onboard.flight.flight_log import Started, open_recorder, preamble, step_ns, storage
 from onboard.flight.harvest import harvest
@@ -179,7 +179,7 @@ def test_a_start_that_is_refused_leaves_nothing(
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "ring")
 
-    monkeypatch.setattr(runner, "create_rings", refuse)
+    monkeypatch.setattr(rings, "create", refuse)
     assert cli.main(["fly", str(vehicle.path), "--log", str(tmp_path / "b" / "a.mcap")]) == cli.BAD_INPUT
     assert list((tmp_path / "rings").iterdir()) == []
     assert manifest.waiting() == []
@@ -218,7 +218,7 @@ def test_an_estimator_without_room_for_a_checkpoint_says_so_and_goes_on(
     for step in range(100):
         worker.step(step * 50_000_000)
     said = RingReader(tmp_path / "event_estimation.ring").read()[0]["code"].tolist()
-    assert said.count(b"no_checkpoint") == 3
+    assert said.count(b"no_checkpoint") == 1 + 100 // CHECKPOINT_TICKS
     assert len(RingReader(tmp_path / "tick.ring").read()[0]) == 100
 
 

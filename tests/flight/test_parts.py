@@ -108,6 +108,31 @@ def test_zero_is_the_mean_at_rest_and_waits_for_enough_of_it() -> None:
     assert zeroing.offset_m_s2 == pytest.approx(offset)
 
 
+def warmed(rng: np.random.Generator, slope: float, drag: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Rest, sweep, rest, sweep of 2 s each while the chip warms by 12 K: residual specific force, and its phases."""
+    t = np.arange(0.0, 8.0, 0.01)
+    kelvin = 12.0 * (1.0 - np.exp(-t / 4.0))
+    codes = np.where((t % 4.0) < 2.0, 0, 3)
+    force = 0.3 + slope * kelvin[:, None] + 0.01 * rng.standard_normal((len(t), 3))
+    force[t >= 4.0] += drag
+    zeroing = Zeroing(config.Zero(phases=[0], ticks=100))
+    steps = [slice(k, k + 5) for k in range(0, len(t), 5)]
+    out = [zeroing.apply(force[step], codes[step], np.ones(5, bool), kelvin[step]) for step in steps]
+    return np.concatenate(out), codes
+
+
+def test_an_accelerometer_that_warms_up_is_followed(rng: np.random.Generator) -> None:
+    left, codes = warmed(rng, 0.005)
+    assert np.isnan(left[:200]).all()
+    assert abs(np.nanmean(left[codes == 3])) < 0.002
+    assert abs(left[600:].mean()) < 0.002  # 0.04 m/s^2 where the offset of the first rest is kept
+
+
+def test_a_specific_force_that_no_temperature_explains_is_not_zeroed_away(rng: np.random.Generator) -> None:
+    left, _ = warmed(rng, 0.005, drag=0.2)
+    assert left[600:].mean() == pytest.approx(0.2, abs=0.02)
+
+
 def test_without_a_setting_nothing_is_zeroed() -> None:
     force = np.array([[1.0, 2.0, 3.0]])
     assert (Zeroing(None).apply(force, np.array([-1]), np.array([True])) == force).all()

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from onboard import config
 from onboard.cli import main
+from onboard.flight.estimator import Estimator
 from onboard.flight.preflight import preflight, render
 from tests.flight.mixed import DEVICES, MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import MS
@@ -54,6 +55,8 @@ def test_every_device_is_seen_with_its_rate_and_its_pulses(found):
     for name, hz in (("imu_base", 1000), ("imu_tip", 150), ("shoulder", 200), ("cell", 100), ("wrist", 200)):
         assert by_name[name].rate_hz == pytest.approx(hz, rel=0.02)
     assert {name for name, check in by_name.items() if check.marks} == {"imu_base", "elbow", "wrist"}
+    for name in ("imu_base", "elbow", "wrist"):
+        assert 0.0 < by_name[name].time_sigma_us < 200.0
     assert by_name["phase"].nominal_hz is None
 
 
@@ -110,6 +113,51 @@ def test_room_for_the_flight(tmp_path):
     text = DEVICES + '\n[recording]\ndirectory = "/proc/flights"\n'
     found = look_over(tmp_path, text, 0.5)
     assert "/proc has room for 0 minutes of this vehicle" in " ".join(found.problems)
+
+
+def test_what_it_costs_that_no_pulse_is_wired(tmp_path):
+    unwired = DEVICES.split("[device.pulse]")[0] + DEVICES[DEVICES.index("[estimation.phases]") :]
+    found = look_over(tmp_path, unwired, 3.0)
+    [said] = [text for text in found.warnings if "no sync pulse is wired" in text]
+    known = {check.device: check.time_sigma_us for check in found.checks}
+    assert known["imu_base"] > 0.0
+    assert f"imu_base {known['imu_base']:.0f} us" in said
+    assert all(check.marks is None for check in found.checks)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('frame = "imu_base"', 'frame = "imu_bse"', "no link, joint or frame 'imu_bse'"),
+        ('joint = "joint_1"', 'joint = "elbow"', "the URDF's moving joints are joint_1"),
+        ('payload_link = "tip_mass"', 'payload_link = "tip"', "payload_link 'tip' is not in the URDF"),
+    ],
+)
+def test_what_the_urdf_lacks_is_told_before_a_device_is_opened(tmp_path, capsys, old, new, said):
+    for name in ("vehicle.toml", "rocksat.urdf"):
+        text = config.packaged("rocksat").with_name(name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(text.replace(old, new) if name == "vehicle.toml" else text, encoding="utf-8")
+    assert main(["preflight", str(tmp_path / "vehicle.toml")]) == 2
+    assert said in capsys.readouterr().err
+
+
+SECOND_IMU = """
+[bus.i2c_2]
+url = "i2c:///dev/i2c-2"
+[device.imu_tip]
+kind = "mpu6050"
+bus = "i2c_2"
+frame = "tip_mass"
+accel_noise_m_s2 = 0.088
+gyro_noise_rad_s = 1.95e-3
+"""
+
+
+def test_a_second_imu_that_moves_with_a_joint_is_told():
+    rocksat = config.packaged("rocksat")
+    vehicle = config.parse(rocksat.read_text(encoding="utf-8") + SECOND_IMU, rocksat)
+    with pytest.raises(config.ConfigError, match="moves with a joint"):
+        Estimator(vehicle)
 
 
 @pytest.mark.realtime

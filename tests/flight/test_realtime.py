@@ -1,5 +1,6 @@
 """The flight app's own processes against devices in another process, on the real clock (tier T1)."""
 
+import contextlib
 import json
 import os
 import signal
@@ -131,3 +132,64 @@ def test_devices_that_die_in_a_rehearsal_end_it_with_a_sentence(tmp_path: Path) 
     assert "the simulated devices died in flight" in err
     assert "Traceback" not in err
     assert LogReader(log).complete
+
+
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("victim", ["flight", "devices"])
+def test_a_rehearsal_that_is_ended_or_loses_its_devices_ends_and_leaves_nobody(tmp_path: Path, victim: str) -> None:
+    log = tmp_path / "ended.mcap"
+    command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--realtime", "--log", str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as rehearsal:
+        deadline = time.monotonic() + 90
+        while time.monotonic() < deadline and not log.exists():
+            time.sleep(0.1)
+        time.sleep(3.0)
+        devices = _devices_of(rehearsal.pid)
+        assert devices is not None
+        os.kill(
+            rehearsal.pid if victim == "flight" else devices, signal.SIGTERM if victim == "flight" else signal.SIGKILL
+        )
+        began = time.monotonic()
+        said, complained = rehearsal.communicate(timeout=80)
+    assert time.monotonic() - began < 30.0
+    assert "Traceback" not in complained
+    assert rehearsal.returncode == cli.FAILED  # nothing is identified yet
+    assert ("accounted for" in said) if victim == "flight" else ("devices died in flight" in complained)
+    assert devices is None or not _runs(devices)
+    assert LogReader(log).read("imu_base").size > 1000
+
+
+def _devices_of(rehearsal: int) -> int | None:
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == rehearsal and "hil_sim.serve" in (entry / "cmdline").read_text():
+                return int(entry.name)
+    return None
+
+
+def _runs(process: int) -> bool:
+    """Whether it has not ended; one that has may still wait for init to collect it."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.timeout(180)
+def test_the_devices_of_a_rehearsal_that_is_killed_end_too(tmp_path: Path) -> None:
+    log = tmp_path / "killed.mcap"
+    command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--realtime", "--log", str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as rehearsal:
+        deadline = time.monotonic() + 90
+        while time.monotonic() < deadline and not (log.exists() and log.stat().st_size > 100_000):
+            time.sleep(0.1)
+        devices = _devices_of(rehearsal.pid)
+        assert devices is not None
+        rehearsal.kill()
+        rehearsal.communicate(timeout=60)
+        deadline = time.monotonic() + 20
+        while _runs(devices) and time.monotonic() < deadline:
+            time.sleep(0.05)
+    assert not _runs(devices)
+    assert LogReader(log).read("imu_base").size > 100

@@ -10,12 +10,15 @@ import pytest
 from rich.console import Console
 
 from drivers import records
-from onboard import cli
+from onboard import cli, config
 from onboard.estimation.gates import GateReason
+from onboard.flight import host
+from onboard.flight.estimator import Estimator
 from onboard.offline.estimate_again import replay as replay_module
 from onboard.offline.estimate_again.replay import replay
 from onboard.offline.views import mission_table as table
 from tests.flight.missions import Result, fly
+from tests.hil_sim.built import AS_DRAWN
 
 
 def test_the_masses_are_found_within_what_was_promised(mission: Result) -> None:
@@ -120,7 +123,7 @@ def test_one_seed_one_log(mission: Result, tmp_path: Path) -> None:
 
 def test_the_answer_follows_the_truth_and_not_the_drawing(tmp_path: Path) -> None:
     """A tip mass a fifth heavier than drawn (as the flight's may have been) is found heavier."""
-    heavy = fly(tmp_path / "heavy.mcap", body={"tip_mass": {"as_built_factor": 1.2}})
+    heavy = fly(tmp_path / "heavy.mcap", body={"tip_mass": {"as_built_factor": 1.2}}, as_built=AS_DRAWN)
     tip = heavy.mass("m_tip_mass")
     assert tip["truth"] == pytest.approx(1.2 * 0.06627)
     assert abs(tip["our_error_percent"]) < 5.0
@@ -168,3 +171,12 @@ def test_json_says_what_the_table_says(mission: Result) -> None:
     again = json.loads(json.dumps(mission.table))
     assert again["masses"][2]["identified_g"] == 51.5
     assert again["masses"][0]["covered"] in (True, False)
+
+
+def test_preflight_says_what_a_flight_records_at_most(mission):
+    log = mission.log
+    stamps = [rows["host_ns"] for _, rows in log.batches(["imu_base"])]
+    recorded = log.size / (1e-9 * float(stamps[-1][-1] - stamps[0][0]))
+    estimator = Estimator(config.named("rocksat"))
+    said = host.recorded_bytes_s(estimator.vehicle, estimator)
+    assert recorded <= said <= 1.4 * recorded

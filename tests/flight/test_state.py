@@ -15,7 +15,8 @@ from onboard import config
 from onboard.estimation.gates import GateReason
 from onboard.flight.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimator import Estimator
-from onboard.flight.state import Places, StateError, from_bytes, to_bytes
+from onboard.flight.state import FORMAT, Places, StateError, from_bytes, to_bytes
+from onboard.identification.rows.hypotheses import Hypotheses
 
 NOTHING = Places(None)
 
@@ -30,6 +31,8 @@ def test_values_come_back_with_their_kinds_and_what_they_share() -> None:
         "e": GateReason.CONTACT,
         "g": np.float32(0.1),
         "z": slice(1, None, 2),
+        "r": np.array([(1, [2.0, 3.0]), (4, [5.0, 6.0])], np.dtype([("n", "<u4"), ("x", "<f8", (2,))], align=True)),
+        "0": np.zeros((0, 3)),
     }
     made["self"] = made
     back = from_bytes(to_bytes(made, NOTHING), NOTHING)
@@ -41,6 +44,10 @@ def test_values_come_back_with_their_kinds_and_what_they_share() -> None:
     assert back["f"].flags.f_contiguous
     assert (type(back["g"]), back["g"]) == (np.float32, np.float32(0.1))
     assert (back["q"], back["q"].maxlen, back["s"], back["z"]) == (deque([1.5]), 3, {1, 2}, slice(1, None, 2))
+    assert back["r"].dtype == made["r"].dtype
+    assert (back["r"] == made["r"]).all()
+    assert back["0"].shape == (0, 3)
+    back["f"][0, 0] = 1.0  # it can be written to
     assert back["e"] is GateReason.CONTACT
 
 
@@ -54,9 +61,10 @@ def test_what_is_not_data_is_refused(thing: object) -> None:
         to_bytes([thing], NOTHING)
 
 
-def crafted(tree: object, **arrays: Any) -> bytes:
+def crafted(tree: object) -> bytes:
     file = io.BytesIO()
-    np.savez(file, tree=np.frombuffer(json.dumps({"format": 1, "root": tree}).encode(), np.uint8), **arrays)
+    text = json.dumps({"format": FORMAT, "root": tree}).encode()
+    np.savez(file, tree=np.frombuffer(text, np.uint8), data=np.zeros(64, np.uint8))
     return file.getvalue()
 
 
@@ -73,6 +81,12 @@ def crafted(tree: object, **arrays: Any) -> bytes:
         ["at", "/somewhere"],
         ["same", 99],
         ["array", 0],
+        ["array", "|O", "C", [2], 0],
+        ["array", [["a", "|O"]], "C", [2], 0],
+        ["array", "<f8", "C", [9], 0],
+        ["array", "<f8", "C", [-1], 0],
+        ["array", "<f8", "C", [1], -8],
+        ["array", "<f8", "C", [1 << 62], 0],
         ["unheard", 1],
         [],
         {"a": 1},
@@ -109,18 +123,27 @@ def test_damaged_files_and_pickles_are_refused(rng: np.random.Generator) -> None
 def test_a_new_estimator_of_every_kind_can_be_written(name: str, tmp_path: Path) -> None:
     vehicle = config.load(config.packaged(name))
     estimator = Estimator(vehicle)
-    Checkpoints(tmp_path, estimator).save(Checkpoint(0, 0, {}, estimator))
+    Checkpoints(tmp_path, Places(estimator)).save(Checkpoint(0, 0, {}, estimator))
     other = Estimator(vehicle)
-    back = Checkpoints(tmp_path, other).load()
+    back = Checkpoints(tmp_path, Places(other)).load()
     assert back is not None
     assert back.estimator.model is other.model
     assert back.estimator.online.parameter_names == estimator.online.parameter_names
-    assert Checkpoints(tmp_path, other).load() is None  # it was tried, and came to nothing
+    assert Checkpoints(tmp_path, Places(other)).load() is None  # it was tried, and came to nothing
+
+
+def test_an_identifier_for_a_release_that_may_not_have_happened_shares_the_model() -> None:
+    estimator = Estimator(config.load(config.packaged("rocksat")))
+    places = Places(estimator)
+    assert isinstance(estimator.online, Hypotheses)
+    before = len(to_bytes(estimator, places))
+    estimator.online._divide()
+    assert len(to_bytes(estimator, places)) > before
 
 
 def test_a_file_that_holds_something_else_is_no_checkpoint(tmp_path: Path) -> None:
     estimator = Estimator(config.load(config.packaged("workshop")))
-    checkpoints = Checkpoints(tmp_path, estimator)
+    checkpoints = Checkpoints(tmp_path, Places(estimator))
     for thing in ([1], (1, 2), (0, 0, {}, "estimator")):
         (tmp_path / "estimator.checkpoint.npz").write_bytes(to_bytes(thing, NOTHING))
         with pytest.raises(StateError):

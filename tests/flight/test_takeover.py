@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -30,10 +31,11 @@ class Mortal(Publisher):
     """A publisher whose process is killed before it has published so many batches."""
 
     left: int | None = None
+    armed: ClassVar[bool] = True
 
     def publish(self, batches: Iterator[Batch] | list[Batch]) -> None:  # type: ignore[override]
         for batch in batches:
-            if self.left is not None:
+            if self.armed and self.left is not None:
                 if not self.left:
                     raise KilledError
                 self.left -= 1
@@ -67,6 +69,7 @@ def fly_with_kills(
 ) -> int:
     """The estimator over a stretch of the mission, killed between any two things that it publishes; how often."""
     stretch = Stretch(mission.log, vehicle, directory)
+    Mortal.left, Mortal.armed = None, True
     worker: DurableEstimation | None = None
     kills = 0
     for now_ns in range(stretch.start_ns, stretch.start_ns + int(SECONDS * 1e9), STEP_NS):
@@ -81,7 +84,7 @@ def fly_with_kills(
             worker.step(now_ns)
         except KilledError:
             worker, kills = None, kills + 1
-    Mortal.left = None
+    Mortal.left, Mortal.armed = None, False
     (worker or DurableEstimation(vehicle, directory, now_ns)).finish(now_ns)
     return kills
 
@@ -171,3 +174,17 @@ def test_a_device_that_begins_with_a_gap_is_numbered_on_too(tmp_path: Path) -> N
     second.publish([Batch("joint", scalars(5, 3, 60 * 2_000_000))])
     assert [(int(g["first_missing"]), int(g["last_missing"])) for g in pushed(tmp_path, "gap")] == [(50, 54)]
     assert pushed(tmp_path, "joint")["sequence"].tolist() == [*range(50), 55, 56, 57]
+
+
+@pytest.mark.parametrize(("value", "lost"), [(4, 0), (5, 1)])
+def test_a_channel_that_tells_changes_lost_one_at_least_if_its_value_is_another(
+    tmp_path: Path, value: int, lost: int
+) -> None:
+    kinds = {"phase": records.SCALAR, "gap": records.GAP}
+    writers = {name: RingWriter(tmp_path / f"{name}.ring", dtype, 500) for name, dtype in kinds.items()}
+    before, after = scalars(0, 20, 0), scalars(0, 2, 90_000_000_000)
+    before["value_raw"], after["value_raw"] = 4, value
+    Publisher(writers, renumber=True).publish([Batch("phase", before)])
+    Publisher(writers, renumber=True, changes=["phase"]).publish([Batch("phase", after)])
+    assert pushed(tmp_path, "phase")["sequence"].tolist() == [*range(20), 20 + lost, 21 + lost]
+    assert [(g["cause"], g["counted"]) for g in pushed(tmp_path, "gap")] == [(b"worker_restart", 0)] * lost

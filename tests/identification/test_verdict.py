@@ -62,6 +62,10 @@ def test_what_is_not_determined_is_named():
             "load_cell reads 2%",
         ),
         ({"standings": {"mass": Standing(Level.DO_NOT_USE, "it cannot be negative")}}, "mass: it cannot be negative"),
+        (
+            {"standings": {"mass": Standing(Level.WEAK, "its interval contains zero")}, "sizes": frozenset({"mass"})},
+            "no mass or moment of inertia is known to half of itself",
+        ),
         ({"corrections": {"gyro_scale_x": 17.0, "delay": 0.3}}, "gyro_scale_x had to be corrected by 17"),
         ({"corrections": {f"scale_{k}": 2.9 for k in range(20)}}, "20 of them sum to 168"),
     ],
@@ -95,6 +99,19 @@ def test_what_noise_explains_is_no_reason():
     noisy = HeldOutFit(1.5, 1.2)
     assert verdict(evidence(held_out=HeldOut(noisy, noisy, noisy))).level is Level.GOOD
     assert verdict(evidence(refused={"residual": 40}, away={"payload": 2.0}, misfit=1.5)).level is Level.GOOD
+
+
+def test_a_correction_of_three_sigmas_is_a_reason_for_care():
+    found = verdict(evidence(corrections={"gyro_scale_x": -3.4, "gyro_scale_y": 1.0}))
+    assert found.level is Level.WEAK
+    assert found.reasons == ("gyro_scale_x had to be corrected by 3.4 of its stated sigmas",)
+
+
+def test_one_moment_that_is_known_is_an_answer():
+    wide, good = Standing(Level.WEAK, "its interval contains zero"), Standing(Level.GOOD)
+    sizes = frozenset({"mass", "I_zz"})
+    assert verdict(evidence(standings={"mass": wide, "I_zz": good}, sizes=sizes)).level is Level.WEAK
+    assert verdict(evidence(standings={"mass": wide, "I_zz": wide}, sizes=sizes)).level is Level.DO_NOT_USE
 
 
 def test_corrections_within_their_sigmas_are_no_reason():

@@ -79,7 +79,7 @@ def test_a_talker_that_outruns_us_is_counted(port: CanPort, talker: socket.socke
     while received := port.receive(0.2):
         frames += received
     lost = sent - len(frames)
-    assert lost > 0, f"{port.receive_buffer} bytes held everything"
+    assert lost > 0, f"{port.port.receive_buffer} bytes held everything"
     talker.send(FRAME.pack(0x101, 0, b""))  # the count comes with the next frame
     (last,) = port.receive(1.0)
     assert last.identifier == 0x101
@@ -91,7 +91,7 @@ def test_a_bigger_buffer_is_granted_as_far_as_the_kernel_allows(port: CanPort) -
     with open("/proc/sys/net/core/rmem_max", encoding="ascii") as file:
         limit = int(file.read())
     assert isinstance(port, SocketcanPort)
-    assert port.receive_buffer == 2 * limit  # doubled for the kernel's own bookkeeping, socket(7)
+    assert port.port.receive_buffer == 2 * limit  # doubled for the kernel's own bookkeeping, socket(7)
 
 
 def test_error_frames_are_delivered(port: CanPort, talker: socket.socket) -> None:
@@ -108,7 +108,7 @@ def test_extended_and_remote_frames_are_passed_over_and_counted(port: CanPort, t
     frames = port.receive(1.0)
     assert [frame.identifier for frame in frames] == [0x123]
     assert isinstance(port, SocketcanPort)
-    assert port.foreign_frames == 2
+    assert port.port.foreign_frames == 2
 
 
 def test_an_interface_that_goes_down_and_up(port: CanPort, talker: socket.socket) -> None:

@@ -32,6 +32,14 @@ RECORDS: list[tuple[np.dtype[np.void], str]] = [
 ]
 MEANING = {  # of keys that belong to no one driver
     "accel_scale_sigma": "Relative standard deviation of the accelerometer's scale, carried by intervals of rows.",
+    "accel_matrix": "What it reads of one m/s^2 along each axis, a row for each axis of the sensor.",
+    "accel_bias_m_s2": "What it reads without any.",
+    "gyro_matrix": "What it reads of one rad/s about each axis, a row for each axis of the sensor.",
+    "gyro_bias_rad_s": "What it reads at rest.",
+    "calibrated": "Date, log and command of its calibration; `heft calibrate` writes it.",
+    "gain": "What it reads of one unit; `heft calibrate` writes it.",
+    "offset_N": "What it reads without load.",
+    "misalignment_sigma_rad": "Standard deviation of the axes of gyro and accelerometer, carried by intervals of rows.",
     "gyro_scale_sigma": "Relative standard deviation of the gyro's scale, carried by intervals of rows.",
     "bus": "Name of its `[bus.NAME]`.",
     "frame": "Link, joint or frame of the URDF that it measures in.",
@@ -57,6 +65,7 @@ MEANING = {  # of keys that belong to no one driver
     "lever_sigma_m": "Standard deviation of the lever.",
     "capacity_N": "A sample as large as this is saturated.",
     "scale_sigma": "Relative standard deviation of its calibration.",
+    "zero_sigma_rad": "Standard deviation of the angle at its zero.",
     "noise_N": "Standard deviation of one sample.",
     "delay_ms": "Delay of its own filter, removed from its times.",
     "delay_sigma_ms": "Standard deviation of that delay.",
@@ -119,7 +128,7 @@ def _section(kind: str, model: type[DeviceSection]) -> str:
     parts = [f"\n## {kind}", _prose(model)]
     if block:
         parts.append(f"```toml\n{block}```")
-    parts += [f"- **role**: {model.about_role}", f"- **channels**: {listed}", f"- **clock**: {model.about_clock}"]
+    parts += ["", f"- **role**: {model.about_role}", f"- **channels**: {listed}", f"- **clock**: {model.about_clock}"]
     text = "\n".join([parts[0], parts[1], "", *parts[2:], ""])
     text += "\n" + _keys(model, kind)
     if kind == "node_frame":

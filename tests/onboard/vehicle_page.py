@@ -14,6 +14,7 @@ from onboard.config.estimation import (
     ExiddmKeys,
     Gates,
     ImuPriorKeys,
+    JointKeys,
     Link,
     LinkTolerance,
     Masses,
@@ -26,7 +27,7 @@ from onboard.config.estimation import (
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.meanings import MEANINGS
 from onboard.config.planar import Planar, Puck
-from onboard.config.vehicle import BusSection, Recording, VehicleSection
+from onboard.config.vehicle import BusSection, LinkSection, Recording, VehicleSection
 from onboard.offline.tables.columns import unit_of
 from onboard.section import LARGEST, Section
 from tests.onboard.device_page import _toml, _type
@@ -34,6 +35,7 @@ from tests.onboard.device_page import _toml, _type
 TABLES: dict[str, type[Section]] = {
     "[vehicle]": VehicleSection,
     "[bus.NAME]": BusSection,
+    "[link.NAME]": LinkSection,
     "[estimation]": Estimation,
     "[estimation.phases]": Phases,
     "[estimation.zero]": Zero,
@@ -41,6 +43,7 @@ TABLES: dict[str, type[Section]] = {
     "[estimation.memory]": MemoryKeys,
     "[estimation.prior]": Prior,
     "[estimation.prior.link.NAME]": Link,
+    "[estimation.prior.joint.NAME]": JointKeys,
     "[estimation.masses]": Masses,
     "[estimation.motor.NAME]": MotorKeys,
     "[estimation.masses.drawing.NAME]": LinkTolerance,

@@ -1,6 +1,7 @@
 """Recovering a log: what can be read is in a new one, what cannot is named, to the last number."""
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,3 +152,23 @@ def test_progress_comes_to_the_end(tmp_path, small):
     recover(small, tmp_path / "out.mcap", lambda done, size: seen.append((done, size)))
     assert seen == sorted(seen)
     assert 0.5 < seen[-1][0] / seen[-1][1] <= 1
+
+
+def test_gap_records_of_an_earlier_version_are_read_as_estimates(tmp_path: Path) -> None:
+    before = np.dtype(
+        [(n, "S24" if n == "cause" else records.GAP[n]) for n in records.GAP.names or () if n != "counted"], align=True
+    )
+    rows = np.zeros(2, before)
+    rows[0] = (0, 9, 4, 6, 100, b"reading", b"a cause of 23 letters..")
+    rows[1] = (1, 9, 8, 8, 100, b"reading", b"bus")
+    with LogWriter.create(tmp_path / "before.mcap") as writer:
+        writer.register("gap", before)
+        writer.register("recorder_gap", before)
+        writer.write("gap", rows)
+        writer.write("recorder_gap", rows[:1])
+    read = LogReader(tmp_path / "before.mcap").read("gap")
+    assert read.dtype == records.GAP
+    assert read["counted"].tolist() == [0, 0]
+    assert read[0]["cause"] == b"a cause of 23 letters.."
+    recover(tmp_path / "before.mcap", tmp_path / "after.mcap")
+    assert (LogReader(tmp_path / "after.mcap").read("gap") == read).all()

@@ -14,7 +14,7 @@ from onboard.recording.mcap_format import Attachment
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress
 from onboard.recording.seal import seal
-from onboard.recording.segmented import Limits, Preamble, SegmentedLog
+from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
 from onboard.recording.segments import flights, read_head, segment_path, segments
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import LABEL, READING, FailingSink, label_rows, reading_rows, same_fields, write_small
@@ -157,12 +157,18 @@ def test_a_disk_that_refuses_while_a_segment_is_ended_loses_nothing(tmp_path, op
         assert LogReader(log).complete
 
 
-@pytest.mark.parametrize("name", ["flight.mcap", "flight"])
-def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written(tmp_path, name):
-    """As ``kill -9`` leaves it: every file as far as it was written, the last one cut anywhere."""
+@pytest.mark.parametrize(("name", "ago"), [("flight.mcap", None), ("flight", None), ("flight", 1), ("flight", 6)])
+def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written(tmp_path, name, ago):
+    """As ``kill -9`` leaves it: every file as far as it was written, the last one cut anywhere.
+
+    With the progress of the last sync, or of one ``ago``, which the files need not reach.
+    """
     log = tmp_path / "whole" / name
-    flight = Flight(log)
+    told = []
+    flight = Flight(log, told=lambda progress: told.append(progress.to_bytes()))
     flight.steps(31)
+    progress = None if ago is None else Progress.from_bytes(told[-ago])
+    beyond = 0
     files = {path: path.read_bytes() for path in (log.parent if log.suffix else log).iterdir()}
     flight.writer.abandon()
     found = [segment_path(log, number) for number in range(len(files))]
@@ -176,7 +182,8 @@ def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written
             copy.write_bytes(files[path][:size] if path == used else files[path])
         if size % 2:
             (again.parent / ahead.relative_to(log.parent)).write_bytes(files[ahead][: size % 23])
-        second = SegmentedLog.resume(again, PREAMBLE)
+        beyond += progress is not None and progress.number == len(found) - 2 and size >= progress.offset
+        second = SegmentedLog.resume(again, PREAMBLE, progress=progress)
         last = second.recorded["reading"].sequence
         assert second.recorded["reading"] == ChannelProgress(last, last * 1000)
         second.register("reading", READING)
@@ -187,6 +194,7 @@ def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written
         assert read.complete, size
         assert same_fields(read.read("reading"), reading_rows(0, last + 61))
         shutil.rmtree(again.parent)
+    assert beyond > 0 or ago != 1
 
 
 def test_a_last_segment_that_tells_nothing_is_no_reason_to_forget(tmp_path):
@@ -289,7 +297,15 @@ def test_damage_names_its_file(tmp_path):
     assert log.exit_code == 3
 
 
-def test_a_takeover_that_is_itself_killed_at_any_write_forgets_nothing(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "garbage", [b"", b"{", b"[1]", b"[1,2,3]", b'[1,2,{"a":[1]}]', b'[1,2,{"a":["x",2]}]', b"\xff"]
+)
+def test_progress_that_is_none_is_refused(garbage):
+    assert Progress.from_bytes(garbage) is None
+
+
+@pytest.mark.parametrize("with_progress", [False, True])
+def test_a_takeover_that_is_itself_killed_at_any_write_forgets_nothing(tmp_path, monkeypatch, with_progress):
     """Killed between any two calls to the kernel, over and over; the next always knows how far the log is."""
 
     class KilledError(Exception):
@@ -308,8 +324,10 @@ def test_a_takeover_that_is_itself_killed_at_any_write_forgets_nothing(tmp_path,
 
         return call
 
-    flight = Flight(tmp_path / "a.mcap")
+    told = []
+    flight = Flight(tmp_path / "a.mcap", told=told.append)
     flight.steps(25)
+    progress = told[-1] if with_progress else None
     flight.writer.abandon()
     rows = LogReader(tmp_path / "a.mcap").read("reading")
     for name in ("pwrite", "fsync", "unlink", "open"):
@@ -317,7 +335,7 @@ def test_a_takeover_that_is_itself_killed_at_any_write_forgets_nothing(tmp_path,
     for patience in [*range(60), 10_000]:
         calls[0] = patience
         with contextlib.suppress(KilledError):
-            writer = SegmentedLog.resume(tmp_path / "a.mcap", PREAMBLE)
+            writer = SegmentedLog.resume(tmp_path / "a.mcap", PREAMBLE, progress=progress)
             calls[0] = 10_000
             assert writer.recorded["reading"] == ChannelProgress(len(rows) - 1, (len(rows) - 1) * 1000), patience
             writer.abandon()

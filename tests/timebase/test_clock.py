@@ -71,6 +71,38 @@ def test_locks_and_knows_its_own_error(rng: np.random.Generator, rate_error: flo
     assert abs(np.mean(errors)) < 4 * np.std(errors) / np.sqrt(60) + 10e3
 
 
+@pytest.mark.parametrize("factor", [1.3, 3.0, 10.0, 30.0])
+def test_follows_a_drift_beyond_its_bound(rng: np.random.Generator, factor: float) -> None:
+    """A chip that warms up quickly: few marks are refused, and sigma says the error on average."""
+    marks = rejected = 0
+    errors, z = [], []
+    for sign in (1, -1) * 8:
+        chip, clock = Chip(rng, 0.008, sign * factor * DRIFT_PER_S), DeviceClock(PERIOD_NS)
+        for number, edge in enumerate(pulses(rng, 60.0)):
+            clock.mark(chip.mark(edge))
+            marks += 1
+            if number > 60:
+                tick = clock.solution.reference_tick
+                errors.append(error_ns(chip, clock, tick))
+                z.append(errors[-1] / clock.sigma_ns(tick))
+        rejected += clock.rejected
+    assert rejected < 0.02 * marks
+    assert np.sqrt(np.mean(np.square(errors))) < 130e3  # one fixed bound: 240 us by 3, no lock by 30
+    assert np.sqrt(np.mean(np.square(z))) < 2.0
+
+
+def test_a_drift_that_ends_is_forgotten(rng: np.random.Generator) -> None:
+    chip, clock = Chip(rng, 0.0, 10.0 * DRIFT_PER_S), DeviceClock(PERIOD_NS)
+    edges = pulses(rng, 300.0)
+    warm = [edge for edge in edges if edge < 20e9]
+    fly(chip, warm, clock)
+    assert clock.drift_per_s > 5 * DRIFT_PER_S
+    settled = Chip(rng, chip.drift_per_s * 20.0)
+    settled.phase_ns = chip.sample_ns(20_000) - settled.sample_ns(20_000) + settled.phase_ns
+    fly(settled, edges[len(warm) :], clock)
+    assert clock.drift_per_s == pytest.approx(DRIFT_PER_S)
+
+
 def test_a_mark_heard_twice_says_nothing_new(rng: np.random.Generator) -> None:
     chip = Chip(rng, 0.01)
     once, twice = DeviceClock(PERIOD_NS), DeviceClock(PERIOD_NS)

@@ -1,8 +1,8 @@
 """Predicts the base IMU over a batch of ticks from a state propagated between batches.
 
 The state has the unknowns of a free flight: current rate of the base, payload, current IMU biases and their drifts,
-scale, misalignment and delay, and uncertain links. All but the rate (:mod:`onboard.dynamics.free_flight`) and the
-biases are constant.
+scale, misalignment and delay, uncertain links, the IMU's place, and errors of the joints' places and encoders. All but
+the rate (:mod:`onboard.dynamics.free_flight`) and the biases are constant.
 """
 
 from collections.abc import Mapping
@@ -11,12 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.dynamics.free_flight import at_sensor, predict_base_from_rate
+from onboard.dynamics.free_flight import BasePrediction, at_sensor, predict_base_from_rate
+from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
 from onboard.dynamics.kinematics import (
-    LinkMotion,
     bodies_of,
+    chain_motion,
     composite_of,
     cross,
+    hat,
     link_motions,
     relative_momentum,
     stacked,
@@ -25,7 +27,7 @@ from onboard.dynamics.kinematics import (
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.imu_errors import BIASES, DRIFTS, SIZE, ImuPrior, imu_blocks, imu_reading, tick_mean
-from onboard.identification.exiddm.parameters import Block, Layout, UncertainLinks
+from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, Block, GeometryPrior, Layout, UncertainLinks
 
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
 _POSTURE_TICKS = 10  # over which the arm's posture is constant in the effect of its noise
@@ -50,6 +52,7 @@ class ImuPredictor:
         samples: of the IMU in each tick's mean.
         link_covariance: see :class:`onboard.identification.exiddm.parameters.UncertainLinks`.
         imu_prior: on instrument errors; the clock rate error is taken for none.
+        geometry: prior on places of IMU and joints, and on encoder errors.
 
     Attributes:
         names: of the p parameters.
@@ -68,6 +71,7 @@ class ImuPredictor:
         samples: int,
         link_covariance: Mapping[str, FloatArray],
         imu_prior: ImuPrior,
+        geometry: GeometryPrior = EXACT_GEOMETRY,
     ) -> None:
         self.vehicle, self.period_s, self._samples = vehicle, period_s, samples
         self._links = UncertainLinks(vehicle, link_covariance)
@@ -81,11 +85,14 @@ class ImuPredictor:
                 "payload": Block(self._links.payload_names, np.full(10, np.nan)),
                 **imu_blocks(imu_prior._replace(clock_rate_error=0.0)),
                 "links": Block(tuple(f"links_{k}" for k in range(r)), np.ones(r)),
+                **geometry.blocks(vehicle),
             }
         )
         self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
         self._errors = slice(PAYLOAD.stop, PAYLOAD.stop + SIZE)
-        self._in_links = layout.estimated("links")
+        self._joint_errors = JointErrors(vehicle)
+        self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints")
+        self._joint_columns = 13 + r + layout.kept[self._in_joints] - layout["joints"].start  # of the base's motion
         self.biases: list[tuple[int, int]] = []
         for bias, drift in zip(BIASES, DRIFTS, strict=True):
             self.biases += zip(layout.estimated(bias).tolist(), layout.estimated(drift).tolist(), strict=False)
@@ -119,57 +126,91 @@ class ImuPredictor:
         variance = np.einsum("njki,nkj->nki", effect[np.arange(n) // _POSTURE_TICKS], joint_sigma**2)
         return np.asarray(np.sqrt(variance).reshape(n, 6), np.float64)
 
-    def predict(self, links: tuple[LinkMotion, ...], state: FloatArray) -> Prediction:
+    def predict(self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray) -> Prediction:
         """From a state at the first of b + 2 ticks.
 
         Args:
-            links: their motion at these ticks.
+            q: joint positions at these ticks as read, (b + 2, joints).
+            dq: joint rates.
+            ddq: joint accelerations.
             state: (p,) at the first of them.
 
         Raises:
             SignalError: fewer than four ticks.
         """
-        n, layout = len(links[0].p), self._layout
+        n, layout = len(q), self._layout
         x = layout.whole(state)
-        base = predict_base_from_rate(links, self.period_s, self._chi(state), x[RATE], self._links.indices)
-        true, d_true = at_sensor(base, self._R_BS, self._p_BoSo_B)
+        base = self._base(Readings.of(q, dq, ddq, self.period_s), x, self.period_s)
+        p_BoSo_B = self._p_BoSo_B + x[layout["imu_place"]]
+        true, d_true = at_sensor(base, self._R_BS, p_BoSo_B)
+        d_place = np.zeros((n, 6, 3))
+        d_place[:, 3:] = self._R_BS.T @ (hat(base.acceleration) + hat(base.rate) @ hat(base.rate))
+        d_true = np.concatenate([d_true, d_place], axis=2)
         time_s = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64)
         change = (true[2:] - true[:-2]) / (2.0 * self.period_s)
         own, d_own = tick_mean(true, self._samples)[1:-1], tick_mean(d_true, self._samples)[1:-1]
         shown = imu_reading(own, d_own, change, time_s, x[self._errors])
+        r = len(self._basis)
+        by_motion = shown.d_motion
         jacobian = np.concatenate(
-            [shown.d_motion[:, :, :13], shown.d_errors, shown.d_motion[:, :, 13:] @ self._basis], axis=2
-        )[:, :, layout.kept]
+            [
+                by_motion[:, :, :13],
+                shown.d_errors,
+                by_motion[:, :, 13 : 13 + r] @ self._basis,
+                by_motion[:, :, -3:],
+                by_motion[:, :, 13 + r : -3],
+            ],
+            axis=2,
+        )
+        if jacobian.shape[2] < layout.size:  # joints without errors have no columns
+            jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, layout.size - jacobian.shape[2])))
         carried, transition = state.copy(), np.eye(len(state))
         carried[RATE] = base.rate[-2]
         self._into(transition, base.d_rate[-2])
         for bias_at, drift_at in self.biases:
             carried[bias_at] += time_s[-1] * state[drift_at]
             transition[bias_at, drift_at] = time_s[-1]
-        return Prediction(shown.values, jacobian, carried, transition)
+        return Prediction(shown.values, jacobian[:, :, layout.kept], carried, transition)
 
-    def bridge(self, links: tuple[LinkMotion, ...], state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def bridge(
+        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Propagate the state over a gap of the joints, with the momentum constant in base axes.
 
         Args:
-            links: their motion at the tick of the state and at a later one.
+            q: joint positions as read at the tick of the state and at a later one, (2, joints).
+            dq: joint rates.
+            ddq: joint accelerations.
             state: (p,).
 
         Returns:
             The state at the later tick, its derivative (p, p), and the rate's covariance, (3, 3), for a rotation of
             the momentum by 1 rad, one sigma.
         """
-        both = tuple(LinkMotion(*(np.repeat(part, 2, axis=0) for part in link)) for link in links)
-        base = predict_base_from_rate(both, 0.0, self._chi(state), state[RATE], self._links.indices)
+        q, dq, ddq = (np.repeat(part, 2, axis=0) for part in (q, dq, ddq))
+        base = self._base(Readings(q, dq, ddq, np.zeros_like(q)), self._layout.whole(state), 0.0)
         carried, transition = state.copy(), np.eye(len(state))
         carried[RATE] = base.rate[-1]
         self._into(transition, base.d_rate[-1])
         turned = np.linalg.norm(base.momentum[-1]) * base.d_rate[-1, :, :3] @ np.linalg.inv(base.d_momentum[-1, :, :3])
         return carried, transition, turned @ turned.T
 
+    def _base(self, readings: Readings, x: FloatArray, period_s: float) -> BasePrediction:
+        """Motion of the base, with all unknowns (every one, :meth:`Layout.whole`) as they are estimated."""
+        vehicle, at = self.vehicle, self._layout
+        chi = self._links.chi(x[PAYLOAD], self._basis @ x[at["links"]])
+        if not self._in_joints.size:
+            links = link_motions(vehicle, *readings[:3])
+            return predict_base_from_rate(links, period_s, chi, x[RATE], self._links.indices)
+        own = x[at["joints"]].reshape(-1, PER_JOINT)
+        chain = chain_motion(vehicle, *readings.corrected(own), own[:, :3])
+        errors = self._joint_errors.along(chain, readings)
+        return predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._links.indices, errors)
+
     def _into(self, transition: FloatArray, d_rate: FloatArray) -> None:
         transition[RATE, : PAYLOAD.stop] = d_rate[:, :13]
-        transition[RATE, self._in_links] = d_rate[:, 13:] @ self._basis
+        transition[RATE, self._in_links] = d_rate[:, 13 : 13 + len(self._basis)] @ self._basis
+        transition[RATE, self._in_joints] = d_rate[:, self._joint_columns]
 
     def _chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""

@@ -30,7 +30,11 @@ from onboard.regressor.signals import Signals
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
 _EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
+_CONTRADICTED = "no payload explains more than a second or two of the motion: check the IMU and the joints"
+_SWINGING = "slosh, a flexible joint, or an instrument that drifts"
 _WORST_MISFIT = 1.5  # of an instrument's innovations
+_MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
+_RECENT_s = 60.0
 
 
 class ExiddmIdentifier:
@@ -145,19 +149,32 @@ class ExiddmIdentifier:
             return Findings((f"{share:.0%} of the ticks contradict the others; check the IMU and the joints",))
         if self.exiddm.exchanged:
             return Findings((_EXCHANGED,))
+        if self.exiddm.unexplained:
+            return Findings((_CONTRADICTED,))
+        unexplained = self._unexplained()
+        if unexplained >= _MOST_UNEXPLAINED:
+            return Findings((f"the motion changed {unexplained} times and the payload did not: {_SWINGING}",))
         state, stated = self.exiddm.state, self.exiddm.predictor.sigma
         if state is None:
             return Findings()
         known = np.flatnonzero(np.isfinite(stated) & (stated > 0.0))
         names = self.exiddm.predictor.names
         off = {name: ratio for name, ratio in self.exiddm.misfit.by_instrument().items() if ratio > _WORST_MISFIT}
-        doubts = tuple(f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items())
-        return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}), doubts)
+        doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
+        if line := self.exiddm.lines.strongest:
+            doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
+        return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}), tuple(doubts))
 
     def _covariance(self) -> FloatArray:
-        """Of the payload's standard parameters, (10, 10), multiplied by the misfit where that is above one."""
-        misfit = max([1.0, *self.exiddm.misfit.by_instrument().values()])
+        """Of the payload's standard parameters, (10, 10), multiplied by misfit or strongest line where above one."""
+        line = self.exiddm.lines.strongest
+        misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
         return np.asarray(misfit * self.exiddm.covariance[PAYLOAD, PAYLOAD], np.float64)
+
+    def _unexplained(self) -> int:
+        """Largest number of recent changes at any time that no capture and no ejection explained."""
+        times = [one.time_s for one in self.exiddm.changes if one.kind in ("contact", "instrument")]
+        return max((sum(at - _RECENT_s < other <= at for other in times) for at in times), default=0)
 
     def news(self) -> tuple[Change, ...]:
         """Captures and ejections since the last call."""

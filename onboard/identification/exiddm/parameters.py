@@ -1,17 +1,20 @@
 """The unknowns of an ExIDDM: names, which of them are estimated, and their place in the parameter vector.
 
 Unknowns come in named blocks: the motion's state at the first tick (``start``), the payload's standard parameters
-(``payload``), deviations of other links from the drawing (``links``), further ones of a base (``drag``, ``tilt``), and
-the IMU's errors (:mod:`onboard.identification.exiddm.imu_errors`). An unknown with sigma zero is exact: it stays zero
-and is not estimated.
+(``payload``), deviations of other links from the drawing (``links``), further ones of a base (``drag``, ``tilt``), the
+IMU's errors (:mod:`onboard.identification.exiddm.imu_errors`) and its place (``imu_place``), and errors of the joints
+(``joints``, :mod:`onboard.dynamics.joint_errors`). An unknown with sigma zero is exact: it stays zero and is not
+estimated.
 """
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.joint_errors import JOINT_ERRORS
 from onboard.dynamics.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 
@@ -21,6 +24,43 @@ class Block(NamedTuple):
 
     names: tuple[str, ...]
     sigma: FloatArray  # (k,) before the flight, about zero; zero: certain; NaN: nothing is known
+
+
+class JointPrior(NamedTuple):
+    """Prior on the errors of one joint: standard deviations; zero: exact."""
+
+    place_m: float = 0.0  # of each coordinate of its place, from the drawing
+    zero: float = 0.0  # of its encoder, rad or m
+    scale: float = 0.0  # of its encoder, relative
+    delay_s: float = 0.0  # of its encoder
+
+
+class GeometryPrior(NamedTuple):
+    """Prior on places of IMU and joints, and on errors of encoders; joints that are not named are exact."""
+
+    imu_place_m: float = 0.0  # of each coordinate
+    joints: Mapping[str, JointPrior] = MappingProxyType({})
+
+    def blocks(self, vehicle: VehicleModel) -> dict[str, Block]:
+        """As blocks of unknowns: ``imu_place``, (3,), and ``joints``, (6 x joints,), see :data:`JOINT_ERRORS`.
+
+        Raises:
+            UnknownFrameError: a joint that the URDF does not have.
+        """
+        for name in self.joints:
+            vehicle.joint(name)
+        names, sigma = [], []
+        for joint in vehicle.joints:
+            own = self.joints.get(joint.name, JointPrior())
+            names += [f"{kind}_{joint.name}" for kind in JOINT_ERRORS]
+            sigma += [*[own.place_m] * 3, own.zero, own.scale, own.delay_s]
+        return {
+            "imu_place": Block(tuple(f"place_{axis}_imu" for axis in "xyz"), np.full(3, self.imu_place_m)),
+            "joints": Block(tuple(names), np.array(sigma, np.float64)),
+        }
+
+
+EXACT_GEOMETRY = GeometryPrior()
 
 
 class Layout:

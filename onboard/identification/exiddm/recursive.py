@@ -3,10 +3,12 @@
 The same likelihood as :mod:`onboard.identification.exiddm.batch`, processed in batches of ticks by an extended Kalman
 filter with all unknowns as its state: the base's rate, payload, IMU errors, uncertain links. Linearisation far from
 the truth is wrong, so the first seconds are solved as one growing window (:mod:`onboard.identification.exiddm.window`);
-after that every batch is one filter step.
+after that every batch is one filter step. Steps linearised about a payload that is still far off give information in
+directions that no motion shows, so the first of them are replaced once, by a window that has them all.
 
-At a change of the payload the estimates of rate and payload are reset, all others are kept, and a new window begins.
-The hypothesis that fits that window classifies the change: nothing held, the same payload after a push, or a new one.
+At a change the estimates of rate and payload are reset, all others are kept, and a new window begins. The hypothesis
+that fits that window classifies it: nothing held (an ejection, or a contact if nothing was), the same payload (a
+contact), a payload where nothing was held (a capture), or another payload without a release (an instrument's change).
 
 The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
 """
@@ -17,25 +19,35 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
 from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
+from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.window import Hypothesis, WindowFit
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
+SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
 BATCH_TICKS = 10
-_DRIFT_MEMORY_s = 300.0  # correlation time of a bias drift
+_DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 _SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
+
+
+_KINDS = {  # of a change, by what was held before and what explains the window after it
+    (True, Hypothesis.NOTHING): "ejection",
+    (True, Hypothesis.SAME): "contact",
+    (True, Hypothesis.NEW): "instrument",
+    (False, Hypothesis.NOTHING): "contact",
+    (False, Hypothesis.NEW): "capture",
+}
 
 
 class _Innovation(NamedTuple):
@@ -44,6 +56,13 @@ class _Innovation(NamedTuple):
     W: FloatArray  # L^-1 H P
     e: FloatArray  # L^-1 (measured less predicted)
     L: FloatArray
+
+
+_IMMODERATE = 1e12  # of a prediction in SI units: the joints' signals are nonsense, and its squares may overflow
+
+
+def _moderate(*arrays: FloatArray) -> bool:
+    return all(bool((np.abs(array) < _IMMODERATE).all()) for array in arrays)  # False for NaN
 
 
 class RecursiveExiddm:
@@ -64,9 +83,11 @@ class RecursiveExiddm:
         held: a payload is held; None while that is not decided.
         ticks_used: with an IMU, taken in since the start or the last change.
         glitches: number of ticks left out as outliers.
-        changes: changes detected or announced so far.
+        changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
         exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
             the model changed, and the estimate contradicts what was known before.
+        unexplained: windows in which a longer stretch contradicted a shorter one, since the filter's last steps.
+        lines: coherent lines in the innovations.
         misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
     """
 
@@ -83,7 +104,8 @@ class RecursiveExiddm:
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
         self._imu_frame = imu_frame
         self.held: bool | None = held
-        self._before: bool | None = held  # a change not yet classified
+        self._before: bool | None = held
+        self._suspected: Change | None = None  # not yet classified
         self._pending = Ticks.none(len(predictor.vehicle.joints))
         p = len(predictor.names)
         self.state: FloatArray | None = None
@@ -91,7 +113,8 @@ class RecursiveExiddm:
         self.ticks_used = self.glitches = 0
         self.changes: list[Change] = []
         self.exchanged = False
-        self.misfit = InnovationMisfit()
+        self.unexplained = 0
+        self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
         batches_per_hour = 3600.0 / (BATCH_TICKS * predictor.period_s)
         self._detector = ChangeDetector(false_alarms_per_hour, batches_per_hour, 6)
         self._snapshots: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_SNAPSHOTS)
@@ -128,7 +151,7 @@ class RecursiveExiddm:
     def told(self, held: bool, time_s: float) -> None:
         """Take the announcement of a capture or a release; no effect if already known."""
         if held != self.held:
-            self.exchanged = False
+            self.exchanged, self._suspected = False, None
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
             self._reopen((Hypothesis.NEW if held else Hypothesis.NOTHING,), 0)
 
@@ -144,9 +167,11 @@ class RecursiveExiddm:
         """Begin a window with this prior and an unknown rate."""
         self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
+        self._stepped: Ticks | None = None  # ticks of the window and of the steps since
         self._pending = Ticks.none(len(self.predictor.vehicle.joints))
         self._detector.forget()
         self.misfit.forget()
+        self.lines.forget()
         self._snapshots.clear()
 
     def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int) -> None:
@@ -178,18 +203,15 @@ class RecursiveExiddm:
             if solved is not None and solved.chance > _EXPLAINED:
                 break
         else:  # the contact may not be over; estimates of the other unknowns are kept
+            self.unexplained += self._solves > 0
             longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
             self.state, self.held, self._start, self._solves = None, None, None, 0
             self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
             self._pending = ticks.part(slice(-self._window_ticks(), None))
             return
-        now_s = float(ticks.time_s[-1])
-        if (
-            len(self._hypotheses) > 1
-            and hypothesis is not Hypothesis.NEW
-            and self._before == (hypothesis is Hypothesis.SAME)
-        ):
-            self.changes.append(Change("contact", now_s, float(ticks.time_s[0]), np.nan))
+        if self._suspected is not None:
+            self.changes.append(self._suspected._replace(kind=_KINDS[bool(self._before), hypothesis]))
+            self._suspected = None
         if len(self._hypotheses) > 1:
             self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
         self.held = hypothesis is not Hypothesis.NOTHING
@@ -203,8 +225,17 @@ class RecursiveExiddm:
             self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
             self.glitches += solved.glitches
-            self._hypotheses = ()
+            self._hypotheses, self.unexplained = (), 0
             self._pending = ticks.part(slice(-2, None))
+            self._stepped = ticks if hypothesis is Hypothesis.NEW else None
+
+    def _solve_again(self, ticks: Ticks) -> None:
+        """Replace the steps since the window by a window up to now; they stay where it is not explained."""
+        self._stepped = None
+        window = WindowFit(self.predictor, self._imu_frame, self.payload_sigma, ticks, *self._prior)
+        solved = window.solve(Hypothesis.NEW, self._start)
+        if solved is not None and solved.chance > _EXPLAINED:
+            self.state, self.covariance, self.ticks_used = solved.state, solved.covariance, solved.used
 
     def _determined(self) -> bool:
         assert self.state is not None
@@ -216,12 +247,17 @@ class RecursiveExiddm:
     def _step(self) -> None:
         assert self.state is not None
         ticks = self._pending
-        links = link_motions(self.predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
-        predicted = self.predictor.predict(links, self.state)
-        noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
+        with np.errstate(over="ignore", invalid="ignore"):
+            predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state)
+            noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
+        if not _moderate(predicted.values, predicted.jacobian, predicted.state, predicted.transition):
+            self.glitches += BATCH_TICKS
+            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
+            return
         measured, sigma = ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1]
         use = np.logical_and.reduce(np.isfinite(measured), axis=1)  # (b,)
         state, covariance = self.state, self.covariance
+        seen = use.copy()
         if use.any():
             innovation = self._innovation(predicted, measured, sigma, use)
             verdict = self._detector.check((innovation.e.reshape(-1, 6) ** 2).sum(axis=1))
@@ -234,15 +270,20 @@ class RecursiveExiddm:
                 self.glitches += int(verdict.glitches.sum())
                 use[np.flatnonzero(use)[verdict.glitches]] = False
                 if use.any():
-                    innovation = self._innovation(predicted, measured, sigma, use)
+                    innovation, seen = self._innovation(predicted, measured, sigma, use), use.copy()
             if use.any() or verdict.suspect:
                 self._judge(innovation)
+                self.lines.add(innovation.e, seen)
             if use.any():
                 state = state + innovation.W.T @ innovation.e
                 covariance = covariance - innovation.W.T @ innovation.W
                 self.ticks_used += int(use.sum())
         self._carry(state, covariance, predicted)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
+        if self._stepped is not None:
+            self._stepped = self._stepped.and_then(ticks.part(slice(2, None)))
+            if len(self._stepped.time_s) >= round(SOLVED_AGAIN_AT_s / self.predictor.period_s):
+                self._solve_again(self._stepped)
         self._snapshots.append((self.state, self.covariance))
 
     def _innovation(
@@ -280,8 +321,8 @@ class RecursiveExiddm:
     def _alarm(self, score: float, batches: int) -> None:
         now_s = float(self._pending.time_s[-1])
         since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s
-        self._before = bool(self.held)
-        self.changes.append(Change("ejection" if self.held else "capture", now_s, since_s, score))
+        self._before, self._suspected = bool(self.held), Change("change", now_s, since_s, score)
+        self.changes.append(self._suspected)
         hypotheses = (
             (Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW) if self.held else (Hypothesis.NOTHING, Hypothesis.NEW)
         )
@@ -298,8 +339,8 @@ class RecursiveExiddm:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
             both = self._pending.part(slice(0, 1)).and_then(after)
-            links = link_motions(self.predictor.vehicle, both.q, both.dq, both.ddq)
-            self.state, F, of_a_turn = self.predictor.bridge(links, self.state)
+            self.state, F, of_a_turn = self.predictor.bridge(both.q, both.dq, both.ddq, self.state)
             self.covariance = F @ self.covariance @ F.T
             self.covariance[RATE, RATE] += (rates.max() * gap_s) ** 2 * of_a_turn
+            self._stepped = None
             self._pending = Ticks.none(len(self.predictor.vehicle.joints))

@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-from onboard.dynamics.kinematics import first_ticks, link_motions
 from onboard.dynamics.payload import standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import Fit, fit
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, guesses
 from onboard.identification.exiddm.imu_errors import whitened
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
@@ -76,7 +75,6 @@ class WindowFit:
         self._predictor, self._imu_frame, self._payload_sigma = predictor, imu_frame, payload_sigma
         self._ticks, self._mean, self._covariance = ticks, mean, covariance
         self._sigma = ticks.sigma
-        self._links = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
 
     def solve(self, hypothesis: Hypothesis, start: FloatArray | None) -> Solved | None:
         """Fit the window under a hypothesis; None if the fit fails.
@@ -116,7 +114,7 @@ class WindowFit:
                 glitches += 1
                 fitted = self._settle(problem, problem.state(fitted.x), use)
             found = problem.state(fitted.x)
-            end = self._predictor.predict(self._links, found)
+            end = self._predict(len(self._ticks.time_s), found)
             F = end.transition[:, active]
             chance = float(chdtrc(6.0 * use.sum(), fitted.residual_sum))
             return Solved(found, end.state, F @ fitted.covariance @ F.T, int(use.sum()), glitches, chance)
@@ -154,10 +152,15 @@ class WindowFit:
     def _residuals(self, problem: "_Problem", use: NDArray[np.bool_], x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whitened, predicted less measured, of the ticks to use, and their derivatives by what is active."""
         n = len(use)
-        predicted = self._predictor.predict(first_ticks(self._links, n + 2), problem.state(x))
+        predicted = self._predict(n + 2, problem.state(x))
         sigma = self._sigma[1 : n + 1]
         measured, jacobian = self._ticks.measured[1 : n + 1], predicted.jacobian[:, :, problem.active]
         return whitened(predicted.values, jacobian, measured, sigma, use)
+
+    def _predict(self, ticks: int, state: FloatArray) -> Prediction:
+        """Of the first ticks."""
+        first = self._ticks.part(slice(0, ticks))
+        return self._predictor.predict(first.q, first.dq, first.ddq, state)
 
     def _guesses(self, hypothesis: Hypothesis) -> Iterator[FloatArray]:
         if hypothesis is not Hypothesis.NEW:
@@ -171,7 +174,7 @@ class WindowFit:
         """Rate of the base from the first gyro readings, with the payload of ``state``."""
         state = state.copy()
         state[RATE] = self._predictor.rate_in_base(np.nanmean(self._ticks.measured[1 : _FIRST_TICKS + 1, :3], axis=0))
-        predicted = self._predictor.predict(first_ticks(self._links, _FIRST_TICKS + 2), state)
+        predicted = self._predict(_FIRST_TICKS + 2, state)
         gap = self._ticks.measured[1 : _FIRST_TICKS + 1, :3] - predicted.values[:, :3]
         seen = np.isfinite(gap).all(axis=1)
         J = predicted.jacobian[seen, :3, RATE].reshape(-1, 3)

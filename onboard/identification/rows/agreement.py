@@ -21,6 +21,8 @@ MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
 DOUBTFUL_UNEXPLAINED = 0.15
 NOISE = 4.0  # residual sum a row that may still be noise
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
+_STILL = 0.01  # of the mean of what the drawing makes of the motion: a block in which nothing moves
+_OF_STILL = 0.5  # of what is left over: it comes of such blocks
 LARGE_STEP, LEAST_STEP, DOUBTFUL_STEP = 0.1, 0.03, 0.015  # of a gain: instruments creep, and gears ripple
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
 _FEWEST = 2  # blocks on each side of a step
@@ -43,6 +45,7 @@ class InstrumentFit(NamedTuple):
     misfit: float  # whitened residual sum over the number of rows, of the kind of rows that is explained worst
     unexplained: float  # share of these readings, bias aside, that the estimate leaves over
     response: float  # rms of the readings over that predicted from the URDF; NaN for rows that read nothing
+    still: float  # part of what is left over that was read while, by the encoders, nothing moved
     step: Step | None  # None where there is not enough to be cut
 
 
@@ -59,7 +62,7 @@ def instrument_fits(
     """
     found = []
     for number, name in enumerate(blocks.instruments):
-        steps, squares, worst = list[Step](), np.zeros(4), (0.0, 0.0)
+        steps, squares, worst, lost = list[Step](), np.zeros(4), (0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
             if own != number:
                 continue
@@ -68,6 +71,7 @@ def instrument_fits(
             rows = float(N[:, -1, -1].sum())
             sums = np.array([rows, signal.sum(), as_drawn.sum(), np.abs((N - noise)[:, -2, -2]).sum()])
             squares += sums
+            lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
             unexplained = np.sqrt(left.sum() / (left.sum() + sums[1])) if sums[1] else 1.0
             worst = max(worst, (float(unexplained), float(left.sum() / rows)))
             steps += _steps(blocks.times_s(held, number), gain, signal)
@@ -75,7 +79,8 @@ def instrument_fits(
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
             step = min(steps, key=lambda one: one.chance, default=None)
-            found.append(InstrumentFit(name, rows, worst[1], worst[0], float(response), step))
+            still = float(lost[0] / lost[1]) if lost[1] else 0.0
+            found.append(InstrumentFit(name, rows, worst[1], worst[0], float(response), still, step))
     return tuple(found)
 
 
@@ -122,6 +127,8 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
         against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
     if fit.misfit * correlation > NOISE and fit.unexplained > DOUBTFUL_UNEXPLAINED:
         said = f"{fit.unexplained:.0%} of what {name} reads is left over"
+        if fit.still > _OF_STILL:
+            said += ", most of it where no joint moves: is an encoder stuck?"
         (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
     step = fit.step
     if step is not None and step.chance < DOUBTFUL_CHANCE and abs(step.size) > DOUBTFUL_STEP:

@@ -1,4 +1,4 @@
-"""Consider parameters (Schmidt): scales and delays with a known sigma, not estimated, part of the intervals.
+"""Consider parameters (Schmidt): scales, zeros, axes, delays of known sigma, not estimated, part of the intervals.
 
 One of a load cell changes its reading. One of a joint's sensor or of the base's IMU changes the regressor; its
 effect is the change of the predicted rows at the present estimate.
@@ -12,20 +12,45 @@ from numpy.typing import NDArray
 
 from onboard.dynamics.errors import SignalError, UnknownFrameError
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.regressor.rows import BaseMotion, RowModel
+from onboard.regressor.rows import RowModel, base_motion
 from onboard.regressor.signals import Signals
 
-Effect = Literal["scale", "delay", "joint_scale", "gyro_scale", "accelerometer_scale"]
-_STEP = 1e-3  # relative, of a scale: rows are quadratic in the rates at most
+OfRow = Literal["scale", "delay"]
+OfJoint = Literal["joint_scale", "joint_zero", "joint_delay"]
+OfImu = Literal[
+    "gyro_scale",
+    "gyro_misalignment",
+    "gyro_delay",
+    "accelerometer_scale",
+    "accelerometer_misalignment",
+    "accelerometer_delay",
+]
+Effect = OfRow | OfJoint | OfImu
+_OF_JOINT = ("joint_scale", "joint_zero", "joint_delay")
+_STEP = 1e-3  # relative, of a scale, rad, of a zero or an axis: rows are quadratic in the rates at most
+_STEP_S = 1e-4  # of a delay
 
 
 class Considered(NamedTuple):
     """An error common to all readings of one instrument, with a known sigma."""
 
     name: str
-    row: str  # of a load cell; of a joint, its name; of the IMU, anything
+    row: str  # of a load cell; of a joint, its name; of the IMU, its frame
     effect: Effect
-    sigma: float  # relative for a scale, s for a delay
+    sigma: float  # relative for a scale, rad for a zero or a misalignment, s for a delay
+    key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
+    axis: int | None = None  # of the IMU: the one scaled, or turned about; a scale common to all where not given
+
+    @property
+    def stated(self) -> str:
+        """Its key and value: ``load_cell scale_sigma 0.25 %``."""
+        if self.effect.endswith("delay"):
+            value = f"{1e3 * self.sigma:.3g} ms"
+        elif self.effect.endswith(("zero", "misalignment")):
+            value = f"{1e3 * self.sigma:.3g} mrad"
+        else:
+            value = f"{100.0 * self.sigma:.3g} %"
+        return f"{self.key or self.name} {value}"
 
 
 def check(considered: Sequence[Considered], model: RowModel) -> None:
@@ -38,8 +63,13 @@ def check(considered: Sequence[Considered], model: RowModel) -> None:
     for cause in considered:
         if cause.effect in ("scale", "delay") and cause.row not in rows:
             raise UnknownFrameError(f"considered {cause.name!r} names row {cause.row!r}; there are {rows}")
-        if cause.effect == "joint_scale" and cause.row not in joints:
+        if cause.effect in _OF_JOINT and cause.row not in joints:
             raise UnknownFrameError(f"considered {cause.name!r} names joint {cause.row!r}; there are {joints}")
+
+
+def of_motion(considered: Sequence[Considered]) -> bool:
+    """Whether any changes the regressor: an error of a joint's sensor or of the base's IMU."""
+    return any(cause.sigma > 0.0 and cause.effect not in ("scale", "delay") for cause in considered)
 
 
 def columns(
@@ -58,7 +88,7 @@ def columns(
         signals: all of them.
         at: ticks.
         use: which rows.
-        expected: what the rows at these ticks should read, (t, rows), of the estimate so far and these signals.
+        expected: what the rows at these ticks should read, (t, rows), of the estimate and these signals.
 
     Raises:
         SignalError: a delay, and no rate of the measured rows.
@@ -77,18 +107,38 @@ def columns(
             C[:, names.index(cause.row), k] = -signals.measured_rate[at, names.index(cause.row)]
         elif cause.sigma > 0.0:
             before = expected(signals) if before is None else before
-            C[..., k] = (before - expected(_scaled(signals, cause, model))) / _STEP
+            step = _STEP_S if cause.effect.endswith("delay") else _STEP
+            C[..., k] = (before - expected(_misread(signals, cause, model, step))) / step
     return C[use]
 
 
-def _scaled(signals: Signals, cause: Considered, model: RowModel) -> Signals:
-    """The signals as they would be if one instrument read a little more."""
+def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) -> Signals:
+    """The signals as they would be if one instrument read a little more, were turned a little, or a little late."""
+    own = step * np.array([joint.name == cause.row for joint in model.vehicle.joints])
+    q, dq, ddq = signals.q, signals.dq, signals.ddq
+    if cause.effect == "joint_zero":
+        return signals._replace(q=q + own)
     if cause.effect == "joint_scale":
-        joints = [joint.name for joint in model.vehicle.joints]
-        factor = 1.0 + _STEP * np.array([name == cause.row for name in joints])
-        return signals._replace(q=signals.q * factor, dq=signals.dq * factor, ddq=signals.ddq * factor)
-    rate, acceleration, force = signals.motion
-    more = 1.0 + _STEP
-    if cause.effect == "gyro_scale":
-        return signals._replace(motion=BaseMotion(more * rate, more * acceleration, force))
-    return signals._replace(motion=BaseMotion(rate, acceleration, more * force))
+        return signals._replace(q=q * (1.0 + own), dq=dq * (1.0 + own), ddq=ddq * (1.0 + own))
+    if cause.effect == "joint_delay":
+        return signals._replace(q=q - own * dq, dq=dq - own * ddq, ddq=ddq - own * _rate(signals, ddq))
+    R, p = model.vehicle.pose_in_base(cause.row)
+    w, dw, f = signals.motion
+    parts = [w @ R, dw @ R, (f + np.cross(dw, p) + np.cross(w, np.cross(w, p))) @ R]  # as the IMU reads
+    kind = cause.effect.removeprefix("gyro_").removeprefix("accelerometer_")
+    for index in (0, 1) if cause.effect.startswith("gyro") else (2,):
+        value = parts[index]
+        if kind == "delay":
+            parts[index] = value - step * (dw @ R if index == 0 else _rate(signals, value))
+        elif kind == "misalignment":
+            parts[index] = value + step * np.cross(value, np.eye(3)[cause.axis or 0])
+        else:
+            parts[index] = value * (1.0 + step * (np.ones(3) if cause.axis is None else np.eye(3)[cause.axis]))
+    return signals._replace(motion=base_motion(model.vehicle, cause.row, *parts))
+
+
+def _rate(signals: Signals, values: FloatArray) -> FloatArray:
+    """Rate of change from tick to tick, (n, columns); zero where a neighbour is missing."""
+    if len(values) < 2:
+        return np.zeros_like(values)
+    return np.nan_to_num(np.gradient(values, signals.time_s, axis=0))

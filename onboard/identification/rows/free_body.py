@@ -65,6 +65,13 @@ class PrincipalMoments(NamedTuple):
     low: FloatArray  # (3,)
     high: FloatArray  # (3,)
 
+    @property
+    def away(self) -> float:
+        """Sigmas from moments that a body can have: none below zero, none above the sum of the other two."""
+        excess = float(self.moments[2] - self.moments[0] - self.moments[1])
+        negative = float(-self.moments[0] / self.sigma[0])
+        return max(0.0, excess / float(np.hypot.reduce(self.sigma)), negative)
+
 
 class RotorCalibration(NamedTuple):
     """Calibration of the rotors' inertia by throws of a known body."""
@@ -108,13 +115,14 @@ def free_body_quantities(model: RowModel, base: BaseParameters, prior_sigma: Flo
     )
 
 
-def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95) -> Whole:
+def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95, exact: bool = False) -> Whole:
     """The vehicle as a rigid body, by the identifier's current estimate.
 
     Args:
         identifier: with the quantities of :func:`free_body_quantities`.
         mass_kg: weighed, of the whole.
         level: of all intervals that follow.
+        exact: the instruments are taken as they are: a calibration, since which their errors are stated.
 
     Raises:
         SignalError: an identifier without those quantities, or without rows.
@@ -125,7 +133,7 @@ def whole_body(identifier: Identifier, mass_kg: float, level: float = 0.95) -> W
     if not identifier.rows_used:
         raise SignalError("no row could be used; see what the gates say")
     stacked = np.array([weights[name] for name in FREE_BODY])
-    jackknife = identifier.block_jackknife(level)
+    jackknife = identifier.block_jackknife(level, exact)
     found = stacked @ jackknife.mean
     return Whole(RigidBody(mass_kg, found[:3], symmetric(found[3:])), stacked, jackknife)
 

@@ -140,7 +140,9 @@ class Hypotheses:
         """Handles a reported release: adds a copy of each identifier for which it did not happen."""
         self._told_rows = self.rows_used
         self._members |= {
-            member._replace(still_held=True): copy.deepcopy(identifier) for member, identifier in self._members.items()
+            # the model does not change: it is shared, and a checkpoint refers to it by its place
+            member._replace(still_held=True): copy.deepcopy(identifier, {id(identifier.model): identifier.model})
+            for member, identifier in self._members.items()
         }
 
     def _judge(self) -> None:

@@ -5,7 +5,7 @@ arm's only. One recursive least squares over both gives the arm, the payload and
 quantity is reported as *supported* only if the data, not the prior, determine it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from onboard.dynamics.errors import SignalError
+from onboard.dynamics.vehicle import BaseKind
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
@@ -30,7 +31,9 @@ from onboard.identification.quantities import (
     QuantityEstimate,
 )
 from onboard.identification.rows.agreement import instrument_fits, judged_fit
-from onboard.identification.rows.considered import Considered, check, columns
+from onboard.identification.rows.considered import Considered, check, columns, of_motion
+from onboard.identification.rows.drawing import judged_drawing, leans_on
+from onboard.identification.rows.fitted_corrections import FittedCorrections
 from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -98,6 +101,7 @@ class Identifier:
         self.base = base
         self.quantities = tuple(quantities)
         self.considered = tuple(considered)
+        self._considered_sigma = [cause.sigma for cause in considered]
         self.memory = memory
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
@@ -122,6 +126,9 @@ class Identifier:
         self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
         self._inflation = 1.0
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
+        free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
+        self._of_motion = of_motion(considered)
+        self._corrections = FittedCorrections(p, considered, block_s) if free and self._of_motion else None
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
 
     @property
@@ -228,9 +235,10 @@ class Identifier:
         use[use] = kept
         tick = np.nonzero(use)[0]  # (r,) of each row
         times = signals.time_s[at][tick]
-        C = columns(self.considered, self.model, signals, at, use, lambda of: self._expected(of, at, attached))
         rows, y, sigma = rows[kept], y[kept], sigma[kept]
         doubt = None if doubt is None else doubt[kept]
+        mean = self._on_trial(rows, y, sigma) if self._of_motion else np.zeros(0)
+        C = columns(self.considered, self.model, signals, at, use, lambda of: self._expected(of, at, attached, mean))
         self._recursion.add(times, rows, y, sigma, C, doubt)
         if self._instruments is not None:
             own = signals.sigma[at][use] * widening[kept]
@@ -238,6 +246,8 @@ class Identifier:
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
             self._instruments.take(taken)
         self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, doubt)
+        if self._corrections is not None and C is not None:
+            self._corrections.add(times, rows, y, sigma, C, doubt, mean)
         self.rows_used += y.size
 
     def _fill_scales(self, Y: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
@@ -257,13 +267,22 @@ class Identifier:
             for row, column in self._scales:
                 Y[:, row, column] = predicted[:, row]
 
-    def _expected(self, signals: Signals, at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
-        """What the rows of some ticks should read by the estimate so far, (t, rows)."""
+    def _on_trial(self, rows: FloatArray, y: FloatArray, sigma: FloatArray) -> FloatArray:
+        """The estimate, (p,); of a free base with these rows taken in, as that before them may be the prior's."""
+        if self._corrections is None:
+            return self.rls.solve().mean
+        trial = SquareRootRls(self.rls.parameters, self.rls.considered)
+        trial.restore(self.rls.state())
+        trial.update(rows, y, sigma, np.zeros((len(y), len(self.considered))))
+        return trial.solve().mean
+
+    def _expected(self, signals: Signals, at: NDArray[np.intp], attached: BoolArray, mean: FloatArray) -> FloatArray:
+        """What the rows of some ticks should read by an estimate, (t, rows)."""
         motion = BaseMotion(*(v[at] for v in signals.motion))
         none = np.zeros((at.size, len(self.model.rows)))
         joints = signals.q[at], signals.dq[at], signals.ddq[at]
         Y = self.model.regressor(*joints, motion, attached[at], predicted=none, fold=self._fold)
-        return np.asarray(Y @ [*self.rls.solve().mean, 1.0], np.float64)
+        return np.asarray(Y @ [*mean, 1.0], np.float64)
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
@@ -274,16 +293,32 @@ class Identifier:
             against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
-        drawn = self.base.value(self.model.chi)
-        for fit in instrument_fits(self.seen, self.block_jackknife().mean, drawn, self._physical):
+        drawn, jackknife = self.base.value(self.model.chi), self.block_jackknife()
+        for fit in instrument_fits(self.seen, jackknife.mean, drawn, self._physical):
             bad, doubt = judged_fit(fit, self._inflation**2)
+            against += bad
+            doubts += doubt
+        for quantity in self.quantities:
+            bad, doubt = judged_drawing(quantity, jackknife, self.considered)
             against += bad
             doubts += doubt
         return Findings(tuple(against), tuple(doubts))
 
-    def block_jackknife(self, level: float = 0.95) -> JackknifeEstimate:
-        """The estimate of the base parameters with its block-jackknife covariance."""
-        return self._recursion.block_jackknife([cause.sigma for cause in self.considered], level)
+    def widen(self, corrections: Mapping[str, float]) -> None:
+        """Takes each considered error as large as it was fitted, where that is more than one of its sigmas."""
+        factors = [max(1.0, abs(corrections.get(cause.name, 0.0))) for cause in self.considered]
+        self._considered_sigma = [cause.sigma * wider for cause, wider in zip(self.considered, factors, strict=True)]
+
+    def corrections(self, left_over: float) -> dict[str, float]:
+        """Fitted errors of the instruments by name, in sigmas: :class:`FittedCorrections`."""
+        if self._corrections is None:
+            return {}
+        return self._corrections.in_sigmas(*self.rls.prior_equations(), left_over)
+
+    def block_jackknife(self, level: float = 0.95, exact: bool = False) -> JackknifeEstimate:
+        """The estimate of the base parameters with its block-jackknife covariance; ``exact``: nothing considered."""
+        sigma = [0.0] * len(self.considered) if exact else self._considered_sigma
+        return self._recursion.block_jackknife(sigma, level)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""
@@ -305,6 +340,7 @@ class Identifier:
         before = np.einsum("ri,ij,rj->r", weights, self._prior_covariance, weights)
         shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / np.sqrt(before)
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
+        causes = jackknife.causes(weights)
         quantities = []
         for index, quantity in enumerate(self.quantities, start=p):
             fine = bool(supported[index])
@@ -317,11 +353,9 @@ class Identifier:
             if drawn and fine:
                 half = np.hypot(high - mean, _normal(level) * drawn)
                 sigma, low, high = float(np.hypot(sigma, drawn)), mean - float(half), mean + float(half)
-            quantities.append(
-                QuantityEstimate(
-                    quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note, drawn
-                )
-            )
+            leans = leans_on(self.considered, causes[index], mean, sigma, quantity.leanings, jackknife.mean)
+            told = quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note, drawn
+            quantities.append(QuantityEstimate(*told, leans if fine else ""))
         if self._payload:
             residual = self.refused[GateReason.RESIDUAL]
             quantities += self._payload.quantities(jackknife, self.rows_used, residual)

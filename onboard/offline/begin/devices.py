@@ -3,9 +3,12 @@
 Values are those of data sheets, or of a small arm where only the builder knows: each of these says so.
 """
 
+import json
+import re
 from typing import NamedTuple
 
 CAN, I2C, GPIO = "can_0", "i2c_1", "sync_line"
+_NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
 URLS = {  # of the buses that the kinds below stand on; serial devices have one each
     I2C: "i2c:///dev/i2c-1",
     CAN: "can+socketcan://can0?bitrate=500000",
@@ -51,22 +54,35 @@ gyro_noise_rad_s = 2e-3
     )
 
 
-def joint(kind: str, number: int, name: str) -> NewDevice:
-    """The device that measures joint ``name``, the ``number``-th from 1."""
-    bus = f"tty_{name}" if kind == "qsb" else CAN
+def device_of(number: int, joint: str) -> str:
+    """Name of the device that measures the ``number``-th joint: the joint's, where that can name a channel."""
+    return joint if _NAME.fullmatch(joint) else f"joint_{number}"
+
+
+def joint(kind: str, number: int, name: str, torque: bool = False) -> NewDevice:
+    """The device that measures joint ``name``, the ``number``-th from 1; ``torque``: of a drive, a row of it too."""
+    device = device_of(number, name)
+    bus = f"tty_{device}" if kind == "qsb" else CAN
     node = "" if kind == "qsb" else f"node = {number}\n"
     return NewDevice(
         f"""
-[device.{name}]
+[device.{device}]
 kind = "{kind}"
 bus = "{bus}"
-{node}joint = "{name}"             # of the URDF
+{node}joint = {json.dumps(name)}             # of the URDF
 counts_per_revolution = 500000 # of the joint: quadrature and gear included
 zero_count = 0                 # what it reads at joint angle zero
 noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
-""",
+{_TORQUE if torque else ""}""",
         bus,
     )
+
+
+_TORQUE = """torque = true                  # recorded, by the motor's current
+torque_sigma_N_m = 0.03        # yours: what friction and gear leave beside the model
+torque_scale_sigma = 0.01      # yours: of the torque constant, relative
+torque_still_rad_s = 0.02      # below this rate friction is not known
+"""
 
 
 def load_cell(kind: str, node: int, frame: str) -> NewDevice:

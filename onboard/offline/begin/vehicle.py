@@ -9,8 +9,9 @@ from xml.sax.saxutils import quoteattr
 from onboard import config
 from onboard.config import schema
 from onboard.flight.identification import build_online
-from onboard.offline.begin import devices
+from onboard.offline.begin import devices, drawing
 from onboard.offline.begin.devices import NewDevice
+from onboard.offline.begin.drawing import Drawn
 
 BASES = ("free", "prescribed", "fixed", "planar")
 IMUS = ("mpu6050", "nimu", "none")
@@ -22,7 +23,8 @@ _VEHICLE, _URDF = "vehicle.toml", "vehicle.urdf"
 class Wanted(NamedTuple):
     """What a new vehicle has.
 
-    ``joints``: names, from the base outwards. ``urls``: of buses, in place of the usual ones.
+    ``joints``: names, from the base outwards; those of ``drawn``, if there is a URDF at hand. ``imu_frame``,
+    ``payload_link``: links of it; where it has none, they are added. ``urls``: of buses, in place of the usual ones.
     """
 
     name: str
@@ -33,6 +35,26 @@ class Wanted(NamedTuple):
     load_cell: str = "none"
     pulse: bool = True
     urls: dict[str, str] = {}  # noqa: RUF012  # a NamedTuple's, and read only
+    drawn: Drawn | None = None
+    imu_frame: str = "imu_base"
+    payload_link: str = "payload"
+
+    @property
+    def root(self) -> str:
+        """Link of the base."""
+        return self.drawn.root if self.drawn else "base"
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Links with a mass, the base first, without the payload's."""
+        if self.drawn is None:
+            return ("base", *(f"link_{n}" for n in range(1, len(self.joints) + 1)))
+        return tuple(link for link in self.drawn.links if link != self.payload_link)
+
+    @property
+    def by_torque(self) -> bool:
+        """Whether the joints' torques are what shows the payload."""
+        return self.encoder == "cia402" and self.load_cell == "none" and self.base in ("fixed", "prescribed")
 
 
 def make(wanted: Wanted, directory: Path) -> list[Path]:
@@ -50,7 +72,7 @@ def make(wanted: Wanted, directory: Path) -> list[Path]:
     text = "".join(
         [_head(wanted), *(_bus(name, wanted) for name in buses), *(device.text for device in chosen), _rest(wanted)]
     )
-    files = {_VEHICLE: text, _URDF: _urdf(wanted)}
+    files = {_VEHICLE: text, _URDF: _urdf(wanted) if wanted.drawn is None else _taken_over(wanted, wanted.drawn)}
     return _write(directory, files)
 
 
@@ -63,7 +85,7 @@ def copy(name: str, directory: Path) -> list[Path]:
     """
     vehicle = config.named(name)
     text = f"{schema.FIRST_LINE}\n{vehicle.text}"
-    return _write(directory, {_VEHICLE: text, vehicle.urdf_path.name: vehicle.urdf_path.read_text(encoding="utf-8")})
+    return _write(directory, {_VEHICLE: text, vehicle.urdf_path.name: vehicle.urdf_text})
 
 
 def _write(directory: Path, files: dict[str, str]) -> list[Path]:
@@ -91,17 +113,19 @@ def _write(directory: Path, files: dict[str, str]) -> list[Path]:
 def _require(wanted: Wanted) -> None:
     if not wanted.joints:
         raise config.ConfigError("an arm without joints shows nothing of what it holds; give --joints")
-    if len(set(wanted.joints)) < len(wanted.joints) or not all(name.isidentifier() for name in wanted.joints):
+    told = wanted.drawn is None and not all(name.isidentifier() for name in wanted.joints)
+    if told or len(set(wanted.joints)) < len(wanted.joints):
         raise config.ConfigError(f"--joints {','.join(wanted.joints)}: give each a name of letters, digits and _ once")
     if wanted.imu == "none" and wanted.base != "fixed":
         raise config.ConfigError(f"a base that is {wanted.base} has to be measured: give --imu")
-    if wanted.load_cell == "none" and wanted.base in ("prescribed", "fixed"):
-        raise config.ConfigError(f"a base that is {wanted.base} shows nothing of the payload: give --load-cell")
+    if wanted.load_cell == "none" and wanted.base in ("prescribed", "fixed") and not wanted.by_torque:
+        text = "give --load-cell, or --encoder cia402 for the torques of the joints"
+        raise config.ConfigError(f"a base that is {wanted.base} shows nothing of the payload: {text}")
 
 
 def _devices(wanted: Wanted) -> list[NewDevice]:
-    chosen = [devices.imu(wanted.imu, "imu_base")] if wanted.imu != "none" else []
-    chosen += [devices.joint(wanted.encoder, n, name) for n, name in enumerate(wanted.joints, 1)]
+    chosen = [devices.imu(wanted.imu, wanted.imu_frame)] if wanted.imu != "none" else []
+    chosen += [devices.joint(wanted.encoder, n, name, wanted.by_torque) for n, name in enumerate(wanted.joints, 1)]
     if wanted.load_cell != "none":
         chosen.append(devices.load_cell(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1]))
     if any(device.bus == devices.CAN for device in chosen):
@@ -135,8 +159,8 @@ coulomb_sigma_N = 0.5
 name = {json.dumps(wanted.name)}
 urdf = "{_URDF}"
 base = "{wanted.base}"{" " * max(1, 22 - len(wanted.base))}# it {about}
-base_link = "base"
-payload_link = "payload"       # what is held: of it nothing need be known
+base_link = {json.dumps(wanted.root)}
+payload_link = {json.dumps(wanted.payload_link)}       # what is held: of it nothing need be known
 {planar if wanted.base == "planar" else ""}"""
 
 
@@ -147,11 +171,10 @@ def _bus(name: str, wanted: Wanted) -> str:
 
 
 def _rest(wanted: Wanted) -> str:
-    links = [f"link_{n}" for n in range(1, len(wanted.joints) + 1)]
     if wanted.base in ("free", "planar"):
         known = "".join(
-            f"{link} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
-            for link in ["base", *links]
+            f"{json.dumps(link)} = {{ mass_relative = 0.01, centre_m = 1e-3, inertia_relative = 0.03 }}\n"
+            for link in wanted.links
         )
         rate_hz = "50" if wanted.imu == "nimu" else "100"
         return f"""
@@ -178,18 +201,31 @@ delay_s = 1e-4
 {known}"""
     first, second = ("MX", "MY", "MZ"), ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
     sigmas = {"M": 5.0, **dict.fromkeys(first, 1.0), **dict.fromkeys(second, 0.2)}
-    held = "".join(f"{part}_payload = {sigma}\n" for part, sigma in sigmas.items())
-    relative = ", ".join(f"{link} = 1.0" for link in ["base", *links, "payload"])
+    own = {f"{part}_{wanted.payload_link}": sigma for part, sigma in sigmas.items()}
+    if wanted.by_torque:
+        for number, joint in enumerate(wanted.joints, 1):
+            bias = f"bias_{devices.device_of(number, joint)}_torque"
+            own |= {f"Ia_{joint}": 1.0, f"Fv_{joint}": 5.0, f"Fc_{joint}": 5.0, bias: 1.0}
+    else:
+        own["bias_load_cell"] = 5.0
+    held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
+    relative = "".join(f"{json.dumps(link)} = 1.0\n" for link in (*wanted.links, wanted.payload_link))
     return f"""
 [estimation]
 smoothing_ms = 100             # of both sides of every row
 
-[estimation.prior]             # 1 sigma about the URDF: as wide as you trust it
-relative = {{ {relative} }}
+[estimation.prior.relative]    # 1 sigma about the URDF: as wide as you trust it
+{relative}
+[estimation.prior.absolute]    # 1 sigma about none: how large a payload could be, and what the instruments add
+{held}"""
 
-[estimation.prior.absolute]    # 1 sigma about none: how large a payload could be, and the cell's zero
-{held}bias_load_cell = 5.0
-"""
+
+def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
+    """The URDF at hand, with the frames that it lacks."""
+    for name, parent in ((wanted.imu_frame, drawn.root), (wanted.payload_link, drawn.last)):
+        if name not in drawn.frames and (name == wanted.payload_link or wanted.imu != "none"):
+            drawn = drawn._replace(text=drawing.with_frame(drawn, name, parent))
+    return drawn.text
 
 
 def _urdf(wanted: Wanted) -> str:

@@ -1,7 +1,11 @@
 """Reads columns of foreign files (CSV with a header line, NumPy's NPZ); a whole file is held in memory."""
 
 import csv
+import lzma
 import re
+import struct
+import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping as Columns
@@ -17,6 +21,10 @@ from onboard.offline.bring_in.mapping import Csv
 
 Values = NDArray[np.generic]
 LARGEST_BYTES = 2 << 30  # of the arrays of one file
+BROKEN = (  # what zipfile and NumPy raise for altered archives and array headers
+    *(ValueError, EOFError, OverflowError, NotImplementedError, RuntimeError, SyntaxError, MemoryError, TypeError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, struct.error, OSError),
+)
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -27,7 +35,8 @@ def read_npz(path: Path) -> Columns[str, Values]:
         SourceError: not an NPZ file, or one with pickled objects.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file:
+    with path.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # NumPy's, of old headers that it can still read
         try:
             _require_bounded(path)
             loaded = np.load(file, allow_pickle=False)
@@ -35,7 +44,7 @@ def read_npz(path: Path) -> Columns[str, Values]:
                 return {name: loaded[name] for name in loaded.files}
         except SourceError:
             raise
-        except (ValueError, EOFError, OverflowError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        except BROKEN as error:
             raise SourceError(f"{path} is not an NPZ file of plain arrays ({error}); check its format") from error
     raise SourceError(f"{path} is one array without a name, not an NPZ file; save it with numpy.savez")
 

@@ -49,12 +49,12 @@
 """
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from onboard import config
 from onboard.offline.bring_in.errors import MappingError
 
 # unit to the unit it is stored in, and the factor
@@ -249,16 +249,10 @@ def load(name: str | Path) -> Mapping:
     known = packaged()
     path = known.get(str(name), Path(name))
     try:
-        text = path.read_text(encoding="utf-8")
-        file = MappingFile.model_validate(tomllib.loads(text))
-    except OSError as error:
-        raise MappingError(
-            f"{path}: {error.strerror}; give a mapping file, or one of these names: {', '.join(known)}"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise MappingError(f"{path} is not UTF-8 text ({error}); give a mapping file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise MappingError(f"{path} is not TOML: {error}") from error
+        text = config.read(path, f"a mapping file, or one of these names: {', '.join(known)}")
+        file = MappingFile.model_validate(config.tree_of(text, str(path)))
+    except config.ConfigError as error:
+        raise MappingError(str(error)) from error
     except ValidationError as error:
         raise MappingError("\n".join(_explain(path, dict(one)) for one in error.errors())) from error
     return Mapping(path=path, text=text, file=file)

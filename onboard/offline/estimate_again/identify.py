@@ -15,6 +15,7 @@ from drivers.records import Rows
 from onboard import config
 from onboard.config.checks import check
 from onboard.dynamics.urdf import with_bodies
+from onboard.flight.answers import Answers
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_model
 from onboard.flight.roles import roles_of
@@ -24,7 +25,7 @@ from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Fin
 from onboard.identification.rows.held_out import HeldOutFit, held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, without_rotors
-from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict
+from onboard.identification.verdict import Evidence, Level, Standing, is_positive, standing, verdict
 from onboard.offline.estimate_again import throws
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, feed
@@ -33,6 +34,7 @@ from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.planar_log import identify_planar
 from onboard.offline.estimate_again.throws import Calibration, LoadSummary
 from onboard.recording.reader import LogReader
+from onboard.recording.texts import printable
 
 _PRINCIPAL = ("I_1", "I_2", "I_3")  # moments of a thrown load
 
@@ -140,7 +142,13 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
         none = throws.throw(vehicle, load, who, None) if load else None
         return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
+    held = held_out(who.seen, who)
+    corrections = who.corrections(held.fit.relative_error) if held else {}
+    who.widen(corrections)
     estimate = who.estimate()
+    if corrections:
+        remade = Answers(estimator.outputs["estimate"], vehicle.file.estimation.nuisance)
+        _, last, _ = remade.rows(0, 0, estimate, who.findings(), who.triangle())
     answers = _answers(last, who)
     thrown = throws.throw(vehicle, load, who, estimate) if load else None
     names = _asked_names(vehicle, who)
@@ -149,12 +157,15 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     else:
         told = dict(zip(estimate.names, estimate.supported.tolist(), strict=True))
         told |= {quantity.name: quantity.supported for quantity in estimate.quantities}
-    held = held_out(who.seen, who)
     links = identified_links(who, vehicle.file.estimation.nuisance) if thrown is None else thrown.links
     asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
+    if thrown is not None and thrown.principal is not None:
+        away[f"the load {thrown.load.name}"] = thrown.principal.away
     failure = _no_payload(who, estimate)
     evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
-    evidence = evidence._replace(findings=who.findings(), standings=_standings(estimate, thrown))
+    standings, sizes = _standings(estimate, thrown)
+    evidence = evidence._replace(findings=who.findings(), standings=standings, sizes=sizes)
+    evidence = evidence._replace(corrections=corrections)
     if thrown is not None and thrown.principal is not None:
         evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(
@@ -173,15 +184,19 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     )
 
 
-def _standings(estimate: Estimate, thrown: throws.Throw | None) -> dict[str, Standing]:
-    """What each determined answer is good for by itself, and the principal moments of a throw's load."""
-    found = {one.name: standing(one, Findings()) for one in estimate.quantities if one.supported}
+def _standings(estimate: Estimate, thrown: throws.Throw | None) -> tuple[dict[str, Standing], frozenset[str]]:
+    """What each determined answer is good for by itself, the principal moments of a throw's load among them.
+
+    And the names of what has a size of its own: masses and moments of inertia; of a throw, its load's.
+    """
+    answers = [one for one in estimate.quantities if one.supported]
+    sizes = frozenset(one.name for one in answers if is_positive(one.name, one.unit))
     if thrown is not None and thrown.principal is not None:
         rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
         for name, value, sigma, low, high in rows:
-            moment = QuantityEstimate(name, "kg m^2", value, sigma, low, high, 0.0, True, "")
-            found[name] = standing(moment, Findings())
-    return found
+            answers.append(QuantityEstimate(name, "kg m^2", value, sigma, low, high, 0.0, True, ""))
+        sizes = frozenset(_PRINCIPAL)
+    return {one.name: standing(one, Findings()) for one in answers}, sizes
 
 
 def _no_payload(who: Identifier, estimate: Estimate) -> str:
@@ -214,8 +229,8 @@ def _answers(rows: Rows, who: Identifier) -> tuple[Answer, ...]:
     """The last QUANTITY rows, with the bound of each."""
     return tuple(
         Answer(
-            row["name"].decode(),
-            row["unit"].decode(),
+            printable(row["name"]),
+            printable(row["unit"]),
             float(row["value"]),
             float(row["sigma"]),
             float(row["low"]),
@@ -241,4 +256,4 @@ def urdf(vehicle: config.Vehicle, found: Identified) -> str:
     if found.throw is not None:
         model = build_model(vehicle)
         bodies = {link: without_rotors(model, body) for link, body in bodies.items()}
-    return with_bodies(vehicle.urdf_path.read_text(encoding="utf-8"), bodies)
+    return with_bodies(vehicle.urdf_text, bodies)

@@ -23,7 +23,7 @@ from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE
 from onboard.identification.rows.standard import link_estimate
-from onboard.identification.verdict import Evidence, verdict
+from onboard.identification.verdict import Evidence, is_positive, verdict
 from onboard.offline.estimate_again.identified import Answer, Identified
 from onboard.recording.reader import LogReader
 
@@ -101,6 +101,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         away={link.link: link.away},
         misfit=found.misfit,
         standings={answer.name: answer.standing for answer in answers if answer.supported},
+        sizes=frozenset(answer.name for answer in answers if is_positive(answer.name, answer.unit)),
         corrections=_corrections(exiddm, found, kept.payload),
         unchecked=unchecked,
     )
@@ -147,7 +148,7 @@ def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, 
         which[(ticks.time_s > begin_s) & (ticks.time_s < end_s)] = number
         if change is not None:
             begin_s = change.time_s
-            number = {"capture": count, "ejection": 0}.get(change.kind, number)
+            number = {"capture": count, "ejection": 0, "instrument": 0}.get(change.kind, number)
     which[~whole] = 0
     joined = (np.diff(which) == 0) & (np.abs(np.diff(ticks.time_s) / period_s - 1.0) < 0.5)
     edges = [0, *(np.flatnonzero(~joined) + 1), len(which)]

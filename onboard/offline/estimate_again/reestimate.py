@@ -22,6 +22,7 @@ from onboard.offline.tables.progress import follow
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.offline.views.summary import LogOverview, count_gates, summary
 from onboard.recording.reader import LogReader
+from onboard.recording.texts import printable
 
 _ABSENT = "not set"
 
@@ -79,18 +80,18 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
     for step in steps(rows_of_log, estimator.inputs):
         tell()
         short = short or step.short
-        for channel, rows in estimator.process(step.now_ns, step.batches, step.lag_ns):
+        for channel, rows in estimator.process(step.now_ns, step.batches, step.lag_ns, step.skipped_ns):
             if channel == "row":
                 count_gates(now, rows["gate"])
             elif channel == "quantity":
-                now.answers.update((row["name"].decode(), row) for row in rows)
+                now.answers.update((printable(row["name"]), row) for row in rows)
     said = summary(log)
     said.clocks = {}
     return Reestimate(tuple(_changes(flown, vehicle)), said, now, short, log.damage)
 
 
 def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
-    over = config.tree_of(settings.read_text(encoding="utf-8"), str(settings))
+    over = config.tree_of(config.read(settings, "a file of settings"), str(settings))
     return config.parse_tree(_over(flown.tree, over), flown.path, config.Origin(str(settings)))
 
 

@@ -87,6 +87,7 @@ class _Said:
 
     def __init__(self, dtype: np.dtype[np.void]) -> None:
         self.recorded = self.same = 0
+        self.until: int | None = None  # rows from here on are of an estimator that has not begun yet
         self.differs = False
         self._said: Rows = np.empty(0, dtype)
         self._again: Rows = np.empty(0, dtype)
@@ -107,6 +108,7 @@ class _Said:
         self._said = np.concatenate([self._said, said]) if len(self._said) else said
         self._again = np.concatenate([self._again, *again])
         count = min(len(self._said), len(self._again))
+        count = count if self.until is None else min(count, self.until - self.same)
         if self.differs or not count:
             return
         if self._said.dtype != self._again.dtype:
@@ -157,6 +159,7 @@ class EstimatorStep(NamedTuple):
     lag_ns: int | None
     fresh: bool  # a new estimator began with it
     short: str  # missing inputs; empty if complete
+    skipped_ns: int  # left out before it
 
 
 def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
@@ -179,7 +182,18 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
             if len(batches[name]) != count:
                 short = short or f"{name}: {count - len(batches[name])} rows of {first}..{last} are not in the log"
         fresh = "fresh" in (tick.dtype.names or ()) and bool(tick["fresh"])
-        yield EstimatorStep(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short)
+        skipped_ns = int(tick["skipped_ns"]) if "skipped_ns" in (tick.dtype.names or ()) else 0
+        yield EstimatorStep(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short, skipped_ns)
+
+
+def _published_before_each_restart(log: LogReader, outputs: Iterable[str]) -> deque[dict[str, int]]:
+    """Rows of each output before each estimator that began anew, in order."""
+    ticks = log.read("tick") if "tick" in log.channels else None
+    if ticks is None or "fresh" not in (ticks.dtype.names or ()) or not ticks["fresh"].any():
+        return deque()
+    times = {name: log.read(name)["host_ns"] for name in outputs}
+    anew_ns = ticks["host_ns"][ticks["fresh"] != 0].tolist()
+    return deque({name: int((at < now_ns).sum()) for name, at in times.items()} for now_ns in anew_ns)
 
 
 def _replay(log: LogReader, vehicle: config.Vehicle, tell: Callable[[], None]) -> Replay:
@@ -189,18 +203,22 @@ def _replay(log: LogReader, vehicle: config.Vehicle, tell: Callable[[], None]) -
     channels = {name: _Said(dtype) for name, dtype in outputs.items()}
     short = ""
     times_ns: deque[int] = deque([-1], maxlen=_UNANSWERED + 1)
+    begun = _published_before_each_restart(log, outputs)
+    for name, channel in channels.items():
+        channel.until = begun[0][name] if begun else None
     for step in steps(rows, estimator.inputs):
         tell()
         times_ns.append(step.now_ns)
         if step.fresh:  # replaces one that died, whose last outputs may be missing
-            said = {name: int((log.read(name)["host_ns"] < step.now_ns).sum()) for name in outputs}
+            said = begun.popleft()
             for name, channel in channels.items():
                 channel.forget(said[name])
+                channel.until = begun[0][name] if begun else None
             estimator = Estimator(vehicle)
             estimator.go_on_from(said)
         short = short or step.short
         again: dict[str, list[Rows]] = {name: [] for name in outputs}
-        for name, made in estimator.process(step.now_ns, step.batches, step.lag_ns):
+        for name, made in estimator.process(step.now_ns, step.batches, step.lag_ns, step.skipped_ns):
             if name in again:
                 again[name].append(made)
         for name, channel in channels.items():

@@ -228,8 +228,8 @@ def calibrate(vehicle: config.Vehicle, calibration: Mapping[str, Identifier]) ->
         return None
     device_kg, proof = by_role["carrier"].mass_kg, by_role["proof"]
     assert proof.truth_kg_m2 is not None
-    device = whole_body(calibration["carrier"], device_kg)
-    both = whole_body(calibration["proof"], device_kg + proof.mass_kg)
+    device = whole_body(calibration["carrier"], device_kg, exact=True)
+    both = whole_body(calibration["proof"], device_kg + proof.mass_kg, exact=True)
     known = RigidBody(proof.mass_kg, np.zeros(3), np.diag(proof.truth_kg_m2))
     rotor = calibrate_rotor(device.body, both.body, known)
     body = device.body._replace(inertia_kg_m2=rotor.factor * device.body.inertia_kg_m2)

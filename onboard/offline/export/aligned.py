@@ -14,17 +14,18 @@ from rich.progress import Progress
 
 from drivers.records import IMU, Rows
 from onboard import config
+from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.roles import roles_of
 from onboard.offline.export import opener
 from onboard.offline.export.dump import DumpResult, begin
-from onboard.offline.tables import si
 from onboard.offline.tables.columns import TIME_FIELD, Column, time_columns
 from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.selection import Selection, inside
 from onboard.offline.tables.vehicle_time import UNKNOWN, Timed, timed
 from onboard.recording.reader import LogReader
+from onboard.recording.texts import printable
 
 _IMU_UNITS = (("gyro", "rad/s"), ("accel", "m/s^2"))
 _MARGIN_NS = 100_000_000  # history kept: longest filter delay, half a period, a few samples
@@ -171,7 +172,7 @@ class _Track:
         if self._is_imu:
             return [(f"{what}_{frame}_{axis}", unit) for what, unit in _IMU_UNITS for axis in "xyz"]
         first = next((batch.rows for batch in log.batches([name])), None)
-        return [("value", "" if first is None else first["unit"][0].decode(errors="backslashreplace"))]
+        return [("value", "" if first is None else printable(first["unit"][0]))]
 
     @property
     def first_ns(self) -> int | None:
@@ -182,7 +183,7 @@ class _Track:
         """Add samples; an unusable one becomes NaN."""
         known = samples.time_ns != UNKNOWN
         rows = samples.rows[known]
-        values = si.imu(rows) if self._is_imu else si.scalar(rows, self._signal.zero_count)[:, None]
+        values = si.imu(rows, self._signal) if self._is_imu else si.scalar(rows, self._signal)[:, None]
         values[~si.usable(rows)] = np.nan
         self._time_ns = np.concatenate([self._time_ns, samples.time_ns[known]])
         self._values = np.concatenate([self._values, values])

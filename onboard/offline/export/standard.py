@@ -18,12 +18,12 @@ from rich.progress import Progress
 from scipy.spatial.transform import Rotation
 
 from drivers.records import Rows
+from onboard.devices import si
 from onboard.devices.roles import ANGLE
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.roles import roles_of
 from onboard.offline.export.aligned import aligned
 from onboard.offline.export.dump import DumpResult, begin
-from onboard.offline.tables import si
 from onboard.offline.tables.columns import TIME_FIELD, Column
 from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.progress import follow
@@ -136,7 +136,9 @@ class _Joints:
         unknown = [-1.0, *[0.0] * 8]  # REP 145: no orientation
         for _, rows in self._tables.batches([name]):
             good = rows[(rows[TIME_FIELD] != UNKNOWN) & si.usable(rows)]
-            for at_ns, values in zip(good[TIME_FIELD].tolist(), si.imu(good).tolist(), strict=True):
+            for at_ns, values in zip(
+                good[TIME_FIELD].tolist(), si.imu(good, self._roles.signals[name]).tolist(), strict=True
+            ):
                 cdr = _Cdr()
                 cdr.header(at_ns + self._offset_ns, frame)
                 cdr.numbers([0.0, 0.0, 0.0, 1.0, *unknown])

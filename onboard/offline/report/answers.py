@@ -14,6 +14,7 @@ from onboard.offline.report.alone import Alone
 from onboard.offline.report.figures import legend, second_axis, shade
 from onboard.offline.report.flight_data import FlightData, SweepData
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
+from onboard.recording.texts import printable
 
 _LINES = 4  # sweeps per axes
 GRAM = {"kg": ("g", 1e3), "kg m^2": ("g m²", 1e3), "kg m": ("g m", 1e3)}
@@ -164,7 +165,7 @@ def convergence(flight: FlightData, truths: dict[str, float], *, quantities: boo
     for axes, name in zip(every, names, strict=False):
         rows = flight.quantities[name]
         rows = rows[rows["supported"] != 0]
-        unit, factor = shown_unit(rows["unit"][-1].decode(), float(rows["value"][-1]))
+        unit, factor = shown_unit(printable(rows["unit"][-1]), float(rows["value"][-1]))
         at_s = flight.seconds(rows["vehicle_ns"])
         axes.fill_between(at_s, factor * rows["low"], factor * rows["high"], color=CYCLE[0], alpha=0.22, linewidth=0)
         axes.plot(at_s, factor * rows["value"], color=CYCLE[0])

@@ -3,9 +3,12 @@
 import tomllib
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from onboard import config
 from onboard.offline.report.flight_data import FlightData
-from onboard.offline.views.standing import shown
+from onboard.offline.views.standing import leans_on, shown
+from onboard.recording.texts import printable
 
 
 class Compared(NamedTuple):
@@ -45,9 +48,9 @@ def compared(flight: FlightData) -> list[Compared]:
         last = said[-1]
         if last["unit"]:
             value, low, high = (float(last[field]) for field in ("value", "low", "high"))
-            label, unit, supported = labels.get(name, name), last["unit"].decode(), bool(last["supported"])
+            label, unit, supported = labels.get(name, name), printable(last["unit"]), bool(last["supported"])
             known = truths.get(name), published.get(name)
-            found.append(Compared(name, label, unit, value, low, high, supported, *known, shown(last)))
+            found.append(Compared(name, label, unit, value, low, high, supported, *known, _standing(last)))
     return sorted(found, key=lambda one: order.get(one.name, len(order)))
 
 
@@ -75,3 +78,8 @@ def _published(vehicle: str) -> list[dict[str, Any]]:
         return []
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
     return [row for section in ("row", "centre", "inertia") for row in tables.get(section, [])]
+
+
+def _standing(row: np.void) -> str:
+    """Level, reason, and the calibrations that a good answer leans on."""
+    return "; ".join(part for part in (shown(row), leans_on(row)) if part)

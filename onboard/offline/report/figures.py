@@ -14,6 +14,7 @@ from onboard.estimation.gates import GateReason
 from onboard.offline.report.flight_data import FlightData, SweepData
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
 from onboard.offline.tables.thin import Trace
+from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 
 STATE_COLOUR = {
@@ -81,12 +82,12 @@ def _lanes(flight: FlightData) -> list[tuple[str, list[LabelledSpan]]]:
         for row in rows:
             end_s = float(flight.seconds(row["host_ns"]))
             span = (end_s - float(row["duration_ns"]) * 1e-9, end_s, COLOUR["bad"], "")
-            troubles.setdefault(f"gap {row['channel'].decode(errors='replace')}", []).append(span)
+            troubles.setdefault(f"gap {printable(row['channel'])}", []).append(span)
     for rows in flight.events:
         for row in rows:
             at = float(flight.seconds(row["host_ns"]))
             colour = COLOUR["bad"] if row["severity"] >= Severity.ERROR else COLOUR["warn"]
-            troubles.setdefault(f"fault {row['source'].decode(errors='replace')}", []).append((at, at, colour, ""))
+            troubles.setdefault(f"fault {printable(row['source'])}", []).append((at, at, colour, ""))
     lanes += sorted(troubles.items())
     if flight.truth and flight.truth.get("faults"):
         end_s = flight.info.duration_s

@@ -10,6 +10,7 @@ from rich.progress import Progress
 
 from drivers.records import EVENT, GAP, IMU, SCALAR, Batch, Rows, Severity
 from onboard import channels, config
+from onboard.devices import si
 from onboard.devices.roles import Roles
 from onboard.dynamics.errors import ModelError
 from onboard.dynamics.vehicle import VehicleModel
@@ -17,13 +18,13 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.identification import KERNELS_PER_BLOCK, build_online
 from onboard.flight.roles import roles_of
 from onboard.identification.rows.identifier import Identifier
-from onboard.offline.tables import si
 from onboard.offline.tables import truth as true
 from onboard.offline.tables.phases import Phase, phases_of
 from onboard.offline.tables.thin import Envelope, Thinned, Trace
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.offline.views.info import LogInfo, info
 from onboard.recording.reader import LogReader
+from onboard.recording.texts import printable
 
 _EVENTS_KEPT = 200
 _CHANGES = (b"capture", b"ejection")
@@ -137,9 +138,7 @@ class _Reader:
 
     def __init__(self, flight: FlightData, log: LogReader) -> None:
         self._flight = flight
-        self._zero = {
-            signal: roles.zero_count for signal, roles in (flight.roles.signals if flight.roles else {}).items()
-        }
+        self._signals = flight.roles.signals if flight.roles else {}
         self._envelopes: dict[str, Envelope] = {}
         self._flagged: dict[str, Thinned] = {}
         self._sweep_envelopes: dict[tuple[int, str], Envelope] = {}
@@ -172,7 +171,7 @@ class _Reader:
                 self._flight.gaps.append(batch.rows)
             case "event":
                 changes = batch.rows[np.isin(batch.rows["code"], _CHANGES)]
-                self._flight.changes += [(int(row["host_ns"]), row["code"].decode()) for row in changes]
+                self._flight.changes += [(int(row["host_ns"]), printable(row["code"])) for row in changes]
                 loud = batch.rows[batch.rows["severity"] >= Severity.WARNING]
                 if sum(map(len, self._flight.events)) < _EVENTS_KEPT and len(loud):
                     self._flight.events.append(loud)
@@ -187,7 +186,8 @@ class _Reader:
 
     def _signal(self, batch: Batch) -> None:
         name, rows, flight = batch.channel, batch.rows, self._flight
-        values = si.imu(rows) if rows.dtype == IMU else si.scalar(rows, self._zero.get(name, 0))[:, None]
+        signal = self._signals.get(name)
+        values = si.imu(rows, signal) if rows.dtype == IMU else si.scalar(rows, signal)[:, None]
         bad = ~si.usable(rows)
         if bad.any():
             values[bad] = np.nan
@@ -244,8 +244,8 @@ class _Reader:
         flight.traces = {name: envelope.trace(zero_ns) for name, envelope in self._envelopes.items()}
         for (number, name), envelope in self._sweep_envelopes.items():
             flight.sweeps[number].traces[name] = envelope.trace(zero_ns)
-        flight.quantities = {name.decode(): _kept(thinned) for name, thinned in self._quantities.items()}
-        flight.clocks = {name.decode(): _kept(thinned) for name, thinned in self._clocks.items()}
+        flight.quantities = {printable(name): _kept(thinned) for name, thinned in self._quantities.items()}
+        flight.clocks = {printable(name): _kept(thinned) for name, thinned in self._clocks.items()}
         for sweep, thinned in zip(flight.sweeps, self._sweep_rows, strict=True):
             sweep.rows = thinned.rows
         flight.gates = self._thinned["row"].rows if "row" in self._thinned else None

@@ -17,6 +17,7 @@ from onboard.offline.report.base_rate import draw as draw_base_rate
 from onboard.offline.report.compared import Compared, compared, truths_of
 from onboard.offline.report.flight_data import FlightData
 from onboard.offline.report.html import Cell
+from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 
 _EVENTS_SHOWN = 40
@@ -314,7 +315,7 @@ def _events(flight: FlightData) -> str:
     for row in rows[:_EVENTS_SHOWN]:
         severity = int(row["severity"])
         kind, word = ("bad", "error") if severity >= Severity.ERROR else ("warn", "warning")
-        texts = [row[field].decode(errors="replace") for field in ("source", "code", "text")]
+        texts = [printable(row[field]) for field in ("source", "code", "text")]
         shown.append([Cell(f"{float(flight.seconds(row['host_ns'])):.3f}"), Cell(word, kind), *texts])
     more = html.paragraph(f"And {len(rows) - _EVENTS_SHOWN} more: heft info.") if len(rows) > _EVENTS_SHOWN else ""
     table = html.table(["time s", "", "source", "code", "what"], shown)

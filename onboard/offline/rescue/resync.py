@@ -16,6 +16,7 @@ from rich.table import Table
 
 from drivers.records import IMU, SCALAR
 from onboard import config
+from onboard.devices import si
 from onboard.devices.roles import ANGLE, RATE
 from onboard.dynamics.payload import BodyEstimate
 from onboard.dynamics.ticks import FlightSignals
@@ -27,7 +28,6 @@ from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.offline.rescue.sampled import sampled
-from onboard.offline.tables import si
 from onboard.recording.reader import LogReader
 from onboard.timebase.resync import Alignment, ResyncError, Stream, align, shocks
 
@@ -169,7 +169,7 @@ def _through_the_model(
     rate_limit: float,
 ) -> AlignedLog:
     section, roles = vehicle.file.vehicle, roles_of(vehicle)
-    urdf = vehicle.urdf_path.read_text(encoding="utf-8")
+    urdf = vehicle.urdf_text
     model = Model(urdf, VehicleSpec(BaseKind.FREE, section.base_link, section.payload_link))
     frame = roles.imu.frame
     noise = roles.signals[roles.imu.channels[0]].noise
@@ -229,8 +229,8 @@ def _joints(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, _Joint]
         unit = bytes(rows["unit"][0]) if len(rows) else b""
         factor = {**ANGLE, **RATE}.get(unit)
         if factor is not None:
-            zero = roles.signals[name].zero_count if roles else 0
-            stream = Stream(time_s, factor * si.scalar(rows, zero)[:, None])
+            signal = roles.signals[name] if roles else None
+            stream = Stream(time_s, factor * si.scalar(rows, signal)[:, None])
             found[name] = _Joint(stream, unit in RATE)
     return found
 

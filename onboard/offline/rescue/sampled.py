@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
+from onboard.devices import si
 from onboard.estimation.arrays import FloatArray
-from onboard.offline.tables import si
 from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.vehicle_time import UNKNOWN
 from onboard.recording.reader import LogReader

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
+from onboard.devices import si
 from onboard.offline.tables.meaning import Meaning
 from onboard.offline.tables.vehicle_time import UNKNOWN
+from onboard.recording.texts import printable
 
 Values = NDArray[np.generic]
 
@@ -64,6 +66,7 @@ _CARTESIAN = {
 }
 
 
+_IMU_COLUMNS = {"gyro": 0, "accel": 3}  # of si.imu, by what the raw field is called
 TIME_FIELD = "time_ns"
 _FAR_NS = 1 << 62  # the sum of two smaller ones is an i8
 _PLAIN = Meaning()
@@ -220,10 +223,18 @@ def _converted(
         scale, unit, text = own, unit_of(own), b""
     elif base == "value" and {"scale", "unit"} <= set(fields):
         text = bytes(sample["unit"][0]) if len(sample) else b""
-        scale, unit = "scale", text.decode(errors="backslashreplace")
+        scale, unit = "scale", printable(text)
     else:
         return []
     digits = 9 if dtype[scale] == np.float32 else 17
+    signal = meaning.signal if meaning.signal and meaning.signal.corrections else None
+
+    def calibrated(index: tuple[int, ...]) -> Callable[[Rows], Values]:
+        if text:
+            assert signal is not None
+            return lambda rows: np.where(rows["unit"] == text, si.scalar(rows, signal), np.nan)
+        column = _IMU_COLUMNS[base] + index[0]
+        return lambda rows: si.imu(rows, signal)[:, column]
 
     def converter(index: tuple[int, ...]) -> Callable[[Rows], Values]:
         def values(rows: Rows) -> Values:
@@ -238,9 +249,10 @@ def _converted(
 
     made: list[Column] = []
     for suffix, index in _components(base, shape):
-        whole = not text and not meaning.zero_count
+        whole = not text and not meaning.zero_count and signal is None
         product = (_getter(f"{base}_raw", index), _getter(scale, ())) if whole else None
         sources = (f"{base}_raw{suffix}", scale, *(("unit",) if text else ()))
         of_frame = f"_{meaning.frame}" if meaning.frame and len(shape) == 1 else ""
-        made.append(Column(base + of_frame + suffix, unit, converter(index), digits, product, sources))
+        values = converter(index) if signal is None else calibrated(index)
+        made.append(Column(base + of_frame + suffix, unit, values, digits, product, sources))
     return made

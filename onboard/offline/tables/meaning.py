@@ -21,6 +21,7 @@ class Meaning(NamedTuple):
         measures: in words; empty where the vehicle does not say.
         frame: of the URDF, in whose axes vectors are; empty where it has none.
         zero_count: raw value at zero, subtracted from converted values.
+        signal: what the vehicle file says of its readings; its calibration is taken off converted values.
         time: which of its clocks ``time_s`` is of, in words.
         delay: of the filters that the sample came through, which is not taken off its time; in words.
         time_field: the field that holds that time [ns]; empty where the flight's clocks place the sample, or
@@ -31,6 +32,7 @@ class Meaning(NamedTuple):
     measures: str = ""
     frame: str = ""
     zero_count: int = 0
+    signal: SmoothedChannel | None = None
     time: str = "arrival at the flight computer"
     delay: str = ""
     time_field: str = "host_ns"
@@ -53,6 +55,7 @@ def meanings(log: LogReader, vehicle: config.Vehicle | None) -> dict[str, Meanin
             measures=measures.get(name, ""),
             frame=frames.get(name, ""),
             zero_count=signal.zero_count if signal else 0,
+            signal=signal,
             time="the sample, by its clock",
             delay=_delay(signal),
             time_field="",
@@ -94,4 +97,7 @@ def _measures(roles: Roles) -> dict[str, str]:
     for name, zero in ((name, signal.zero_count) for name, signal in roles.signals.items()):
         if zero:
             said[name] = f"{said.get(name, '')}; zero count {zero} is subtracted from the value"
+    for name, signal in roles.signals.items():
+        if signal.corrections:
+            said[name] = f"{said.get(name, '')}; the vehicle file's calibration is taken off the value"
     return said

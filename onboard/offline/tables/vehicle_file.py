@@ -8,6 +8,8 @@ from onboard import config
 from onboard.flight.flight_log import VEHICLE_ATTACHMENT
 from onboard.recording.reader import LogReader
 
+MOST_NAME_BYTES = 255  # of a file, by Linux
+
 
 def vehicle_of(log: LogReader, directory: Path) -> config.Vehicle:
     """The vehicle a log was flown with; its attached files are written to ``directory``.
@@ -18,11 +20,17 @@ def vehicle_of(log: LogReader, directory: Path) -> config.Vehicle:
     if VEHICLE_ATTACHMENT not in log.attachments:
         raise config.ConfigError(f"{log.path} carries no vehicle file; give the vehicle that flew with --vehicle")
     for name, attachment in log.attachments.items():
-        (directory / Path(name).name).write_bytes(attachment.data)
+        if _is_file_name(name):
+            (directory / name).write_bytes(attachment.data)
     try:
         return config.load(directory / VEHICLE_ATTACHMENT)
     except config.ConfigError as error:  # no vehicle directory of that name
         raise config.ConfigError(str(error).replace(f"{directory}/", f"{log.path}: its ")) from error
+
+
+def _is_file_name(name: str) -> bool:
+    """Whether a file of that name lies in the directory it is written to, and not beside it."""
+    return name not in ("", ".", "..") and "/" not in name and len(name.encode()) <= MOST_NAME_BYTES
 
 
 def attached_vehicle(log: LogReader) -> config.Vehicle:
@@ -42,11 +50,14 @@ def urdf_of(log: LogReader, vehicle: config.Vehicle) -> str:
         ConfigError: it is in neither place.
     """
     if vehicle.urdf_path.exists():
-        return vehicle.urdf_path.read_text(encoding="utf-8")
+        return vehicle.urdf_text
     attached = log.attachments.get(vehicle.file.vehicle.urdf)
     if attached is None:
         raise config.ConfigError(f"{vehicle.file.vehicle.urdf} is neither beside its vehicle file nor in {log.path}")
-    return attached.data.decode()
+    try:
+        return attached.data.decode()
+    except UnicodeDecodeError as error:
+        raise config.ConfigError(f"{log.path}: its {attached.name} is not UTF-8 text; give the vehicle") from error
 
 
 def flown_by(logs: Sequence[LogReader], directory: Path) -> config.Vehicle:

@@ -20,6 +20,7 @@ from onboard.offline.views.info import LogInfo, info
 from onboard.offline.views.summary import LogOverview, summary
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
+from onboard.recording.texts import printable
 
 LEVEL = 1.96  # sigmas of a 95 % interval
 DISAGREE = 0.01  # chance that flights of one value scatter so widely, below which it is said
@@ -118,7 +119,7 @@ def _compared(name: str, answers: Sequence[dict[str, np.void]]) -> ComparedQuant
     sigma = np.array(
         [row["sigma"] if row is not None and good else np.nan for row, good in zip(rows, known, strict=True)]
     )
-    unit = next((row["unit"].decode() for row in rows if row is not None and row["supported"]), "")
+    unit = next((printable(row["unit"]) for row in rows if row is not None and row["supported"]), "")
     at, x, s = np.flatnonzero(known).astype(float), value[known], sigma[known]
     if not len(x):
         return ComparedQuantity(name, unit, tuple(value), tuple(sigma), np.nan, np.nan, None, None)

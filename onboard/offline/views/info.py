@@ -16,6 +16,7 @@ from onboard.offline.views.continuity import NO_RANGES, Continuity, Ranges, comm
 from onboard.recording.reader import LogReader
 from onboard.recording.scan import Damage
 from onboard.recording.schema import message_name
+from onboard.recording.texts import printable
 
 _EVENTS_KEPT = 6
 _OWN_VERSION = ("heft", "revision")  # the others are in --json
@@ -162,12 +163,6 @@ class _Gatherer:
             repeated=seen.repeated,
             flagged=self.flagged[name],
         )
-
-
-def printable(data: bytes) -> str:
-    """Text with control characters replaced, safe for a terminal."""
-    text = bytes(data).decode(errors="backslashreplace")
-    return "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in text)
 
 
 def info(log: LogReader | str | Path, progress: Progress | None = None) -> LogInfo:

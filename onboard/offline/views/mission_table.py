@@ -2,11 +2,14 @@
 
 The numbers are the last onboard estimates, read from the log without recomputation. The packaged vehicle's
 ``published.toml`` lists what is compared: masses (``row``), centres of mass (``centre``) and ``inertia``, each with its
-display unit and, if there is one, the published value.
+display unit and, if there is one, the published value. Of any other vehicle all that it answers is compared, base
+parameters of rows (``parameter``) among it (:mod:`onboard.offline.views.own_mission`).
 """
 
+import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +21,11 @@ from rich.text import Text
 from drivers import records
 from onboard import config
 from onboard.flight.hil import Flown
-from onboard.offline.views.standing import shown
+from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.offline.views import accounts, own_mission
+from onboard.offline.views.standing import leans_on, shown
 from onboard.recording.reader import LogReader
+from onboard.recording.texts import printable
 
 Result = dict[str, Any]
 
@@ -29,14 +35,15 @@ def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
     answers: dict[str, dict[str, Any]] = {}
     for _, rows in log.batches(["quantity"]) if "quantity" in log.channels else ():
         for row in rows[-256:]:
-            answers[row["name"].decode()] = {
+            answers[printable(row["name"])] = {
                 "value": float(row["value"]),
                 "low": float(row["low"]),
                 "high": float(row["high"]),
                 "sigma": float(row["sigma"]),
-                "unit": row["unit"].decode(),
+                "unit": printable(row["unit"]),
                 "supported": bool(row["supported"]),
                 "standing": shown(row),
+                "leans": leans_on(row),
                 "drawn": float(row["drawn"]) if "drawn" in row.dtype.names else 0.0,
             }
     return answers
@@ -46,13 +53,15 @@ def result(flown: Flown) -> Result:
     """Everything the table shows, as plain JSON values."""
     log = LogReader(flown.log)
     name = log.metadata["flight"]["vehicle"]
-    published = tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
     answers = last_answers(log)
-    masses, centres, inertias = (
+    own = own_mission.is_own(flown.truth)
+    published = _own(log, name, answers, flown.truth) if own else _published(name)
+    masses, centres, inertias, parameters = (
         [_compared(shown | row, answers, flown.truth) for row in published.get(section, [])]
         for section, shown in _SHOWN.items()
     )
-    channels = dict(_accounts(log, flown.produced))
+    every = (*masses, *centres, *inertias, *parameters)
+    counted = accounts.accounts(log, flown.produced, int(flown.truth["start_ns"]))
     return {
         "vehicle": name,
         "title": published["title"],
@@ -61,20 +70,36 @@ def result(flown: Flown) -> Result:
         "masses": masses,
         "centres": centres,
         "inertias": inertias,
-        "channels": channels,
-        "identified": all(mass["supported"] for mass in masses),
-        "accounted": all(c["recorded"] + c["missing"] == c["produced"] for c in channels.values()),
+        "parameters": parameters,
+        "channels": {name: account.as_json() for name, account in counted.items()},
+        "identified": any(row["supported"] for row in every) if own else all(mass["supported"] for mass in masses),
+        "accounted": all(account.is_whole for account in counted.values()),
+        "accounts": accounts.render(counted),
         "events": _troubles(log),
         "capture": _capture(log, flown.truth),
     }
 
 
+def _published(name: str) -> Result:
+    """What is compared of a packaged vehicle."""
+    return tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
+
+
+def _own(log: LogReader, name: str, answers: Mapping[str, Any], truth: Result) -> Result:
+    """What is compared of any other vehicle."""
+    with tempfile.TemporaryDirectory() as directory:
+        vehicle = vehicle_of(log, Path(directory))
+        return {"title": f"{name}: rehearsed", **own_mission.compared(vehicle, answers, truth)}
+
+
 def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: dict[str, Any]) -> dict[str, Any]:
     answer = answers.get(row["quantity"])
     supported = answer is not None and answer["supported"]
-    true = float(truth[row["truth"]] if "truth" in row else truth["quantities"][row["quantity"]])
+    true = row.get("value", None if "truth" not in row else truth[row["truth"]])
+    true = float(truth["quantities"][row["quantity"]] if true is None else true)
     standing = "" if answer is None else answer["standing"]
-    made: dict[str, Any] = {**row, "truth": true, "supported": supported, "standing": standing}
+    leans = "" if answer is None else answer["leans"]
+    made: dict[str, Any] = {**row, "truth": true, "supported": supported, "standing": standing, "leans": leans}
     if answer is not None and supported:
         made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "drawn", "unit")}
         made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true else None
@@ -82,32 +107,25 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
     return made
 
 
-def _accounts(log: LogReader, produced: dict[str, int]) -> Iterator[tuple[str, dict[str, int]]]:
-    """Samples produced, recorded, and in GAP records, for each channel of the devices."""
-    recorded = dict.fromkeys(produced, 0)
-    missing = dict.fromkeys(produced, 0)
-    for channel, rows in log.batches():
-        if channel in recorded:
-            recorded[channel] += len(rows)
-        elif rows.dtype == records.GAP:
-            for row in rows:
-                missing[row["channel"].decode()] += int(row["last_missing"] - row["first_missing"]) + 1
-    for name, count in produced.items():
-        yield name, {"produced": count, "recorded": recorded[name], "missing": missing[name]}
-
-
 def _capture(log: LogReader, truth: dict[str, Any]) -> dict[str, Any] | None:
-    """Mission time [s] of a capture and of its detection; None without a capture."""
+    """Mission time [s] of a capture and of its detection, which the change before it is; None without a capture."""
     if not truth.get("capture_s"):
         return None
-    said = [row for _, rows in log.batches() if rows.dtype == records.EVENT for row in rows[rows["code"] == b"capture"]]
-    return {"true_s": truth["capture_s"], "said_s": [1e-9 * (int(row["host_ns"]) - truth["start_ns"]) for row in said]}
+    said, detected_ns = list[float](), 0
+    for _, rows in log.batches():
+        for row in rows if rows.dtype == records.EVENT else ():
+            if row["code"] == b"change":
+                detected_ns = int(row["host_ns"])
+            elif row["code"] == b"capture":
+                said.append(1e-9 * ((detected_ns or int(row["host_ns"])) - truth["start_ns"]))
+                detected_ns = 0
+    return {"true_s": truth["capture_s"], "said_s": said}
 
 
 def _troubles(log: LogReader) -> list[str]:
     """Warnings and errors, as sentences."""
     return [
-        f"{row['source'].decode()}: {row['text'].decode()}"
+        f"{printable(row['source'])}: {printable(row['text'])}"
         for _, rows in log.batches()
         if rows.dtype == records.EVENT
         for row in rows[rows["severity"] >= records.Severity.WARNING]
@@ -122,7 +140,7 @@ def render(table: Result) -> RenderableType:
     made.add_column("", no_wrap=True)
     for heading in ("truth", *(("publ.", "err %") if published else ()), "heft", "95 % interval", "err %"):
         made.add_column(heading, justify="right", no_wrap=True)
-    for section in ("masses", "centres", "inertias"):
+    for section in ("masses", "centres", "inertias", "parameters"):
         for row in table[section]:
             theirs = ("", "") if published else ()
             if "identified_g" in row:
@@ -134,19 +152,16 @@ def render(table: Result) -> RenderableType:
     if capture := table["capture"]:
         noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
         lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))
-    counted = ", ".join(
-        f"{name} {c['recorded']}" + (f" (and {c['missing']} missing)" if c["missing"] else "")
-        for name, c in table["channels"].items()
-    )
-    standings: dict[str, list[str]] = {}
-    for row in (*table["masses"], *table["centres"], *table["inertias"]):
-        standings.setdefault(row["standing"] or "not answered", []).append(row["label"])
-    lines += [Text(f"{', '.join(labels)}: {standing}") for standing, labels in standings.items()]
-    verdict = "every sample accounted for" if table["accounted"] else "SAMPLES UNACCOUNTED FOR"
+    rows = [*table["masses"], *table["centres"], *table["inertias"], *table["parameters"]]
+    for field, otherwise in (("standing", "not answered"), ("leans", "")):
+        said: dict[str, list[str]] = {}
+        for row in rows:
+            said.setdefault(row[field] or otherwise, []).append(row["label"])
+        lines += [Text(f"{', '.join(labels)}: {text}") for text, labels in said.items() if text]
     troubles = [Text(f"! {text}", style="yellow") for text in table["events"][:8]]
     if len(table["events"]) > len(troubles):
         troubles.append(Text(f"! and {len(table['events']) - len(troubles)} more: heft info", style="yellow"))
-    return Group(made, *lines, Text(f"{verdict}: {counted}"), *troubles)
+    return Group(made, *lines, *map(Text, table["accounts"]), *troubles)
 
 
 def _ours(row: dict[str, Any]) -> tuple[str, str, str]:
@@ -161,4 +176,5 @@ _SHOWN: dict[str, dict[str, Any]] = {
     "row": {"shown_in": "g", "factor": 1e3, "digits": 1},
     "centre": {"shown_in": "mm", "factor": 1e3, "digits": 2},
     "inertia": {"shown_in": "g m²", "factor": 1e3, "digits": 3},
+    "parameter": {},
 }

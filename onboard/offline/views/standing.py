@@ -3,6 +3,7 @@
 import numpy as np
 
 from onboard.identification.verdict import LEVELS, Level, Standing
+from onboard.recording.texts import printable
 
 
 def standing_of(row: np.void) -> Standing | None:
@@ -10,8 +11,13 @@ def standing_of(row: np.void) -> Standing | None:
     if "level" not in (row.dtype.names or ()):
         return None
     level = LEVELS[min(int(row["level"]), len(LEVELS) - 1)]
-    why = bytes(row["why"]).decode("utf-8", "replace")
-    return Standing(level, "".join(mark if mark.isprintable() else "?" for mark in why))
+    return Standing(level, printable(row["why"]))
+
+
+def leans_on(row: np.void) -> str:
+    """``leans on load_cell scale_sigma 0.25 %``: of a good quantity; empty where nothing is said."""
+    found = standing_of(row)
+    return found.why if found is not None and found.level is Level.GOOD else ""
 
 
 def is_withdrawn(row: np.void) -> bool:
@@ -21,10 +27,12 @@ def is_withdrawn(row: np.void) -> bool:
 
 
 def shown(row: np.void) -> str:
-    """``good, 0.8 % of it by the drawing``; empty in a log without levels."""
+    """``good; ± 0.8 % from the rows, ± 1.2 % from the drawing``; empty in a log without levels."""
     found = standing_of(row)
     if found is None:
         return ""
+    if found.level is Level.GOOD:
+        found = Standing(Level.GOOD)
     drawn = float(row["drawn"])
     if not (found.level is not Level.DO_NOT_USE and row["supported"] and drawn > 0.0 and row["value"]):
         return found.text

@@ -17,6 +17,7 @@ from onboard.offline.tables.thin import Thinned
 from onboard.offline.tables.vehicle_file import attached_vehicle
 from onboard.offline.views.standing import is_withdrawn, shown, standing_of
 from onboard.recording.reader import LogReader
+from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 from onboard.timebase.delays import Delay
 
@@ -57,11 +58,11 @@ def summary(log: LogReader, progress: Progress | None = None) -> LogOverview:
         tell()
         if {"period_ns", "state", "marks", "channel"} <= fields[channel]:
             for name in np.unique(rows["channel"]):
-                clocks.setdefault(name.decode(), Thinned(_POINTS)).add(rows[rows["channel"] == name])
+                clocks.setdefault(printable(name), Thinned(_POINTS)).add(rows[rows["channel"] == name])
         elif channel == "row" and "gate" in fields[channel]:
             count_gates(found, rows["gate"])
         elif channels.is_quantity(log.channels[channel]):
-            found.answers.update((row["name"].decode(), row) for row in rows[-256:])
+            found.answers.update((printable(row["name"]), row) for row in rows[-256:])
     found.clocks = {name: kept for name, thinned in clocks.items() if (kept := thinned.rows) is not None}
     return found
 
@@ -98,7 +99,7 @@ def _answer_json(row: np.void) -> dict[str, Any]:
     numbers = {name: float(row[name]) if supported else None for name in ("value", "sigma", "low", "high")}
     found = standing_of(row)
     level, why = (None, "") if found is None else (str(found.level), found.why)
-    return {"supported": supported, "level": level, "why": why, "unit": row["unit"].decode(), **numbers}
+    return {"supported": supported, "level": level, "why": why, "unit": printable(row["unit"]), **numbers}
 
 
 def render(found: LogOverview) -> RenderableType:
@@ -110,7 +111,7 @@ def render(found: LogOverview) -> RenderableType:
 def _table(*headings: str) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
     for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left")
+        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
     return table
 
 
@@ -153,10 +154,19 @@ def _answers(found: LogOverview) -> RenderableType | None:
     withdrawn = {name: row for name, row in found.answers.items() if row["unit"] and is_withdrawn(row)}
     if not supported and not withdrawn:
         return None
-    table = _table("identified", "value", "95 % interval", "unit", "good for")
+    table = _table("identified", "value", "95 % interval", "unit", "level")
     for name, row in supported.items():
         value, low, high = (f"{row[key]:.6g}" for key in ("value", "low", "high"))
-        table.add_row(name, value, f"{low} .. {high}", row["unit"].decode(), shown(row))
+        table.add_row(name, value, f"{low} .. {high}", printable(row["unit"]), _level(row))
     for name, row in withdrawn.items():
-        table.add_row(name, "-", "-", row["unit"].decode(), Text(shown(row), "red"))
-    return table
+        table.add_row(name, "-", "-", printable(row["unit"]), Text(_level(row), "red"))
+    reasons: dict[str, list[str]] = {}
+    for name, row in {**supported, **withdrawn}.items():
+        if shown(row) != _level(row):
+            reasons.setdefault(shown(row), []).append(name)
+    return Group(table, *(Text(f"{', '.join(names)}: {text}") for text, names in reasons.items()))
+
+
+def _level(row: np.void) -> str:
+    found = standing_of(row)
+    return "" if found is None else str(found.level)

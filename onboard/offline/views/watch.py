@@ -18,8 +18,8 @@ from drivers.records import EVENT, GAP, Batch, Rows, Severity
 from onboard import channels
 from onboard.estimation.gates import GateReason
 from onboard.identification.verdict import Level
-from onboard.offline.views.info import printable
 from onboard.offline.views.standing import is_withdrawn, shown, standing_of
+from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 
 _RATE_NS = 2_000_000_000  # window for rates and gate shares

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.calibration.imu import six_positions, turns
+from onboard.estimation.calibration.imu import rest_bias, six_positions, turns
 from onboard.estimation.calibration.linear import balance, encoder, line
 from onboard.estimation.errors import CalibrationError
 
@@ -22,11 +22,11 @@ def test_six_positions_cover(rng):
         E, bias = triad(rng)
         held = FACES + 5e-4 * rng.standard_normal((6, 3))
         held /= np.linalg.norm(held, axis=1, keepdims=True)
-        found = six_positions(G * held @ E.T + bias, FACES, G, 5e-4)
+        found = six_positions(G * held @ E.T + bias + 1e-3 * rng.standard_normal((6, 3)), FACES, G, 5e-4)
         inside += np.count_nonzero(np.abs(found.bias - bias) < 1.96 * found.bias_sigma)
-        off = ~np.eye(3, dtype=bool)
-        inside += np.count_nonzero((np.abs(found.matrix - E) < 1.96 * found.matrix_sigma)[off])
-        count += 3 + 6
+        inside += np.count_nonzero(np.abs(found.matrix - E) < 1.96 * found.matrix_sigma)
+        count += 3 + 9
+        assert np.diag(found.matrix_sigma).max() < 0.3 * found.matrix_sigma[0, 1]  # askew acts across, not along
     assert inside / count > 0.93
 
 
@@ -56,17 +56,37 @@ def test_six_positions_that_are_wrong_are_refused(rng, spoil, message):
         six_positions(*spoil(G * FACES @ E.T + bias), G)
 
 
-def test_turns_give_scale_and_bias(rng):
+def test_turns_give_the_scales_and_rests_the_bias(rng):
     E, bias = triad(rng)
     bias *= 0.01
-    angle = np.array([2 * np.pi, 2 * np.pi, 2 * np.pi, -2 * np.pi, 0.0])
-    axis, seconds = np.vstack([np.eye(3), [1, 0, 0], [0, 0, 0]]), np.array([20.0, 21.0, 19.0, 20.0, 60.0])
-    read = (angle[:, None] * axis) @ E.T + seconds[:, None] * bias
-    found = turns(angle, axis, read, seconds)
+    angle = 2.0 * np.pi * np.array([1, 1, 1, -1])
+    axis = np.vstack([np.eye(3), [1, 0, 0]])
+    read = (angle[:, None] * axis) @ E.T
+    found = turns(angle, axis, read)
     np.testing.assert_allclose(found.matrix, E, atol=1e-10)
-    np.testing.assert_allclose(found.bias, bias, atol=1e-11)
     with pytest.raises(CalibrationError, match="not determined"):
-        turns(angle[:2], axis[:2], read[:2], seconds[:2])
+        turns(angle[:2], axis[:2], read[:2])
+    with pytest.raises(CalibrationError, match=r"turn [14] is"):
+        turns(angle, axis, read + 0.05 * np.eye(4)[3][:, None])
+    per_g = 1e-3 * rng.standard_normal((3, 3))
+    rest = rest_bias(FACES @ per_g.T + bias, FACES, 1e-5)
+    np.testing.assert_allclose(rest.bias_rad_s, bias, atol=1e-12)
+    np.testing.assert_allclose(rest.per_g_rad_s, per_g, atol=1e-12)
+    with pytest.raises(CalibrationError, match="not determined"):
+        rest_bias(FACES[:3], FACES[:3], 1e-5)
+
+
+def test_turns_cover(rng):
+    inside = 0
+    axis = np.vstack([np.eye(3), np.eye(3)])
+    for _ in range(100):
+        E, _ = triad(rng)
+        held = axis + 1e-3 * rng.standard_normal((6, 3))
+        angle = np.array([1, 1, 1, -1, -1, -1]) * 2.0 * np.pi
+        true = (angle + 1e-3 * rng.standard_normal(6))[:, None] * held / np.linalg.norm(held, axis=1, keepdims=True)
+        found = turns(angle, axis, true @ E.T)
+        inside += np.count_nonzero(np.abs(found.matrix - E) < 1.96 * found.matrix_sigma)
+    assert inside / 900 > 0.93
 
 
 def test_a_load_cell_by_known_masses_covers(rng):

@@ -153,6 +153,7 @@ def _rocksat() -> list[Cell]:
         Cell("can_0", "flood", 0x7F0),
         Cell("can_0", "delayed", 0.05, 0.6, ("sync_paused",)),
         Cell("can_0", "intermittent", 0.1, 0.6, ("gap no_sync",)),
+        Cell("can_0", "unplug", 0.0, 0.6, ("bus_error", "gap no_sync"), 0.7, shares=False),
     ]
     return cells
 

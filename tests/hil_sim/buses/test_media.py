@@ -10,8 +10,9 @@ import can
 import pytest
 import smbus2
 
+from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.i2c_dev import install_i2c
-from hil_sim.buses.in_process import VirtualCan, in_process
+from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
 from hil_sim.devices.can_wire import WireFrame
 from hil_sim.faults import Fault, FaultError, FaultPlan

@@ -10,8 +10,8 @@ import canopen
 import pytest
 import smbus2
 
+from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.i2c_dev import install_i2c
-from hil_sim.buses.in_process import VirtualCan
 from hil_sim.buses.media import CanBus, I2cBus, PulseLine
 from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.can_wire import WireFrame

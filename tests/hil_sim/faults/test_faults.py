@@ -18,6 +18,7 @@ from hil_sim.devices.mpu6050 import Mpu6050Twin
 from hil_sim.devices.sync_box import SyncBox
 from hil_sim.devices.sync_line import EdgeCapture
 from hil_sim.faults import (
+    EFFECTS,
     NO_FAULTS,
     Fault,
     FaultError,
@@ -27,6 +28,7 @@ from hil_sim.faults import (
     FaultyImu,
     FaultyScalar,
     PowerCycle,
+    parse,
     reported_phases,
 )
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, CanRig, FlatImu, RateClock, StairImu
@@ -51,7 +53,7 @@ def of(*faults):
         (("intermittent", "x", 0.0, 1.0), "seconds from one"),
         (("intermittent", "x", 0.0, math.inf, 0.1), "not loose for ever"),
         (("slow", "x", 0.0), "late"),
-        (("delayed", "x", 0.0, 1.0, -0.1), "delay in seconds, above 0"),
+        (("delayed", "x", 0.0, 1.0, -0.1), "delay in seconds, of 0.0001 or more"),
         (("wrong", "x", 0.0), "how wrong it is, other than 0"),
         (("clock_jump", "x", 0.0), "the jump in seconds"),
         (("flood", "x", 0.0, 1.0, 0x800), "COB-ID"),
@@ -484,3 +486,32 @@ def test_i2c_bus_faults():
     assert found == [errno.EBUSY, errno.ETIMEDOUT, errno.EREMOTEIO]
     assert bus.transfer(0x68, b"\x75", 1, START_NS + 2150 * MS) == b"\x68"
     assert bus.refused == 3
+
+
+def test_a_fault_is_read_from_a_line() -> None:
+    assert parse("off:imu_base:10:12") == Fault(FaultKind.OFF, "imu_base", 10.0, 12.0)
+    assert parse("wrong:joint_1:3::-0.5") == Fault(FaultKind.WRONG, "joint_1", 3.0, math.inf, -0.5)
+    assert parse("reset:load_cell:3") == Fault(FaultKind.RESET, "load_cell", 3.0)
+    assert set(EFFECTS) == set(FaultKind)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("stick:imu_base:1:2", "did you mean stuck"),
+        ("off", "KIND:DEVICE:START:END"),
+        ("off:imu_base", "KIND:DEVICE:START:END"),
+        ("off::1:2", "KIND:DEVICE:START:END"),
+        ("off:imu_base:soon:2", "KIND:DEVICE:START:END"),
+        ("off:imu_base:1:2:3:4", "KIND:DEVICE:START:END"),
+        ("off:imu_base:nan:2", "KIND:DEVICE:START:END"),
+        ("off:imu_base:2:1", "0 <= start_s < end_s"),
+        ("off:imu_base:1:nan", "0 <= start_s < end_s"),
+        ("wrong:imu_base:1:2:inf", "a `value` between"),
+        ("frame_drop:can_0:1:2:nan", "a `value` between"),
+        ("intermittent:can_0:1:2:1e-9", "0.0001 or more"),
+    ],
+)
+def test_a_line_that_is_no_fault_is_refused_with_the_remedy(text: str, said: str) -> None:
+    with pytest.raises(FaultError, match=said):
+        parse(text)

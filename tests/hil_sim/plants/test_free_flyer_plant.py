@@ -50,12 +50,12 @@ def turn(axis: str, angle):
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def links(q):
+def links(q, offsets_m):
     """Axes and origins of the five links in the base, (5, n, 3, 3) and (5, n, 3)."""
     R, p = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
     found = []
     for joint, (axis, along) in enumerate(zip(AXES, MOUNTS_m, strict=True)):
-        p = p + R @ [0.0, 0.0, along]
+        p = p + R @ (np.array([0.0, 0.0, along]) + offsets_m[joint])
         R = R @ turn(axis, q[:, joint])
         found.append((R, p))
     return [np.array(parts) for parts in zip(*found, strict=True)]
@@ -85,7 +85,7 @@ def away_from_the_shock(plant):
 
 
 def test_the_wrist_carries_what_it_takes_to_move_all_beyond_it(plant) -> None:
-    R, p = links(plant.flight.q_rad)
+    R, p = links(plant.flight.q_rad, plant.joint_offsets_m)
     rows, k = away_from_the_shock(plant)
     force, moment = np.zeros_like(p[4]), np.zeros_like(p[4])
     w_B, _, _ = base_motion(plant)
@@ -113,7 +113,7 @@ def test_the_wrist_carries_what_it_takes_to_move_all_beyond_it(plant) -> None:
 def test_the_shock_at_the_wrist_is_what_base_and_arm_lose(plant) -> None:
     """Everything proximal to the flange changes its momentum by minus the impulse through it; joint rates go on."""
     _, k = away_from_the_shock(plant)
-    R, p = links(plant.flight.q_rad[k : k + 1])
+    R, p = links(plant.flight.q_rad[k : k + 1], plant.joint_offsets_m)
     flight = plant.flight
     dw = R_BS @ flight.acceleration_rad_s2[k] * STEP_S
     dv = R_BS @ flight.specific_force_m_s2[k] * STEP_S - np.cross(dw, IMU_m)
@@ -141,10 +141,12 @@ def test_rate_and_its_jump_are_the_integral_of_the_acceleration(plant) -> None:
 def test_an_imu_feels_its_place_and_its_axes(plant) -> None:
     rows, _ = away_from_the_shock(plant)
     base, other = plant.inertial("imu_base"), plant.inertial("imu_2")
-    np.testing.assert_allclose(base.specific_force_m_s2, plant.flight.specific_force_m_s2, rtol=0, atol=1e-12)
+    assert np.abs(plant.imu_offsets_m["imu_base"]).max() > 1e-4
+    own = felt(plant, np.tile(IMU_m + plant.imu_offsets_m["imu_base"], (len(base.rate_rad_s), 1)))
+    np.testing.assert_allclose((base.specific_force_m_s2 @ R_BS.T)[rows], own[rows], rtol=0, atol=2e-5)
     flipped = np.diag([1.0, -1.0, -1.0])
     np.testing.assert_allclose(other.rate_rad_s @ flipped, base.rate_rad_s @ R_BS.T, rtol=0, atol=1e-12)
-    there = np.tile([-0.150, 0.100, -0.060], (len(base.rate_rad_s), 1))
+    there = np.tile(np.array([-0.150, 0.100, -0.060]) + plant.imu_offsets_m["imu_2"], (len(base.rate_rad_s), 1))
     expected = felt(plant, there)
     assert np.abs(expected - base.specific_force_m_s2 @ R_BS.T)[rows].max() > 1e-2
     np.testing.assert_allclose((other.specific_force_m_s2 @ flipped)[rows], expected[rows], rtol=0, atol=2e-5)

@@ -10,6 +10,7 @@ import pytest
 from hil_sim.plants.rocket_arm import RocketArmPlant, build, mass_properties
 from hil_sim.plants.world import NotYetComputedError
 from hil_sim.scenario.load import load
+from tests.hil_sim.built import AS_DRAWN
 
 ARM_kg, TIP_kg = 0.23313, 0.06627
 ARM_COM_m = np.array([39.75, 1.41, 5.00]) * 1e-3
@@ -46,7 +47,7 @@ def push(degrees: float) -> dict[str, object]:
 
 
 def flown(seed: int = 7, **overrides) -> RocketArmPlant:
-    plant = RocketArmPlant(load("rocksat", overrides), np.random.default_rng(seed))
+    plant = RocketArmPlant(load("rocksat", {"as_built": AS_DRAWN} | overrides), np.random.default_rng(seed))
     plant.advance(1e9)
     return plant
 
@@ -111,6 +112,26 @@ def test_mujoco_inertia_about_the_joint_is_the_parallel_axis_number(with_tip, zz
     np.testing.assert_allclose(hinge, JOINT_m, atol=1e-12)
     np.testing.assert_allclose(data.site("imu").xpos, IMU_m, atol=1e-12)
     np.testing.assert_allclose(data.site("imu").xmat.reshape(3, 3), R_plate_imu, atol=1e-12)
+
+
+def test_parts_are_built_within_their_limits_and_each_seed_anew() -> None:
+    scenario = load("rocksat")
+    plants = [RocketArmPlant(scenario, np.random.default_rng(seed)) for seed in range(20)]
+    m5, zz = (np.array([plant.truth()[name] for plant in plants]) for name in ("m5_kg", "ZZ_without_tip_kg_m2"))
+    assert len(set(m5)) > 10
+    assert 0.005 < np.std(m5 / TIP_kg) < 0.03
+    assert abs(m5 / TIP_kg - 1.0).max() <= 0.03 + 1e-12
+    drawn = mass_properties(scenario, with_tip=False).inertia_kg_m2[2, 2]
+    assert 0.01 < np.std(zz / drawn) < 0.05
+    again = RocketArmPlant(scenario, np.random.default_rng(3)).truth()
+    assert again["m5_kg"] == plants[3].truth()["m5_kg"]
+
+
+def test_the_motion_of_the_rocket_does_not_depend_on_how_its_parts_are_built() -> None:
+    built, drawn = (
+        RocketArmPlant(load("rocksat", changed), np.random.default_rng(3)) for changed in ({}, {"as_built": AS_DRAWN})
+    )
+    assert np.array_equal(built.base.origin_accel_m_s2, drawn.base.origin_accel_m_s2)
 
 
 def test_as_built_factor_scales_mass_and_inertia_of_that_body_only() -> None:

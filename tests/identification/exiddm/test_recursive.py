@@ -17,6 +17,7 @@ from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, GeometryPrior, JointPrior
 from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.quantities import Findings
@@ -42,14 +43,14 @@ def recorded(flight, rng, errors=BIASED):
     return tick_signals(*samples[:4], samples[4:], 5, 0.1)
 
 
-def online(signals, held=True, imu_prior=BIASES, links=()):
+def online(signals, held=True, imu_prior=BIASES, links=(), geometry=EXACT_GEOMETRY):
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
     covariance = {
         name: standard_covariance(vehicle.chi[10 * k : 10 * k + 10], 0.01, 1e-3, 0.01)
         for k, name in enumerate(vehicle.links[:-1])
         if name in links
     }
-    predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, imu_prior)
+    predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, imu_prior, geometry)
     return RecursiveExiddm(predictor, "imu_base", WIDE, held)
 
 
@@ -143,7 +144,7 @@ def test_capture_and_ejection_are_found_and_only_the_payload_forgotten(mission):
     assert recursive.estimate() is None
     known = np.sqrt(np.diag(recursive.covariance))[biases]
     recursive.update(ticks.part(slice(before, before + 50)))
-    assert [change.kind for change in recursive.changes] == ["capture"]
+    assert [change.kind for change in recursive.changes] == ["change"]
     assert CAPTURE_s < recursive.changes[0].time_s < CAPTURE_s + 0.5
     assert recursive.held is None
     assert recursive.estimate() is None  # it does not go on with what it held before
@@ -154,8 +155,9 @@ def test_capture_and_ejection_are_found_and_only_the_payload_forgotten(mission):
     assert found.body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
     assert abs(found.body.mass_kg - BOX.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
     recursive.update(ticks.part(slice(gone, None)))
-    assert [change.kind for change in recursive.changes] == ["capture", "ejection"]
-    assert RELEASE_s < recursive.changes[1].time_s < RELEASE_s + 0.5
+    assert [change.kind for change in recursive.changes] == ["change", "capture", "change", "ejection"]
+    assert recursive.changes[1][1:] == recursive.changes[0][1:]
+    assert RELEASE_s < recursive.changes[2].time_s < RELEASE_s + 0.5
     assert recursive.held is False
     assert recursive.estimate() is None
 
@@ -167,7 +169,7 @@ def test_a_light_payload_is_not_taken_for_a_push(rng):
     signals = recorded(free_flyer.fly_with_capture(flight, capture, 6.0), rng)
     recursive = online(signals, held=False)
     recursive.update(ticks_of(signals))
-    assert [change.kind for change in recursive.changes] == ["capture"]
+    assert [change.kind for change in recursive.changes] == ["change", "capture"]
     found = recursive.estimate()
     assert abs(found.body.mass_kg - 0.2) < 4.0 * np.sqrt(found.covariance[0, 0]) < 0.2
 
@@ -183,7 +185,7 @@ def test_a_push_is_a_contact_and_the_payload_is_kept(rng):
     recursive.update(ticks.part(slice(0, push)))
     sigma = recursive.estimate().covariance[0, 0] ** 0.5
     recursive.update(ticks.part(slice(push, None)))
-    assert [change.kind for change in recursive.changes] == ["ejection", "contact"]
+    assert [change.kind for change in recursive.changes] == ["change", "contact"]
     assert recursive.held is True
     found = recursive.estimate()
     assert found.covariance[0, 0] ** 0.5 < sigma
@@ -200,7 +202,9 @@ def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
             **{name: np.where(wrong, joint * getattr(ticks, name), getattr(ticks, name)) for name in ("dq", "ddq")}
         )
     )
-    assert [change.kind for change in recursive.changes][:1] == ["ejection"]
+    kinds = [change.kind for change in recursive.changes]
+    assert kinds[0] == "change"
+    assert not {"capture", "ejection"} & set(kinds)
     assert recursive.exchanged or recursive.estimate() is None
     wary = online(held)
     wary.update(ticks)
@@ -214,7 +218,7 @@ def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
     assert identifier.estimate().sigma[0] > 2.0 * wary.covariance[PAYLOAD, PAYLOAD][0, 0] ** 0.5
     fine = online(mission, held=False)
     fine.update(ticks_of(mission))
-    assert [change.kind for change in fine.changes] == ["capture", "ejection"]
+    assert [change.kind for change in fine.changes] == ["change", "capture", "change", "ejection"]
     assert not fine.exchanged
 
 
@@ -251,15 +255,15 @@ def test_over_a_gap_of_the_joints_the_rate_follows_from_the_momentum(held):
     x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
     x[RATE] = [0.05, -0.02, 0.03]
     near = ticks.part(slice(300, 312))
-    predicted = predictor.predict(link_motions(predictor.vehicle, near.q, near.dq, near.ddq), x)
-    ends = link_motions(predictor.vehicle, *(part[[0, 10]] for part in (near.q, near.dq, near.ddq)))
-    carried, transition, of_a_turn = predictor.bridge(ends, x)
+    predicted = predictor.predict(near.q, near.dq, near.ddq, x)
+    ends = [part[[0, 10]] for part in (near.q, near.dq, near.ddq)]
+    carried, transition, of_a_turn = predictor.bridge(*ends, x)
     by_a_tenth_of_a_second = 0.1 * 0.06 * np.sqrt(np.linalg.eigvalsh(of_a_turn)[-1])  # the momentum turned meanwhile
     assert np.abs(carried[RATE] - predicted.state[RATE]).max() < by_a_tenth_of_a_second
     assert np.abs(carried[RATE] - x[RATE]).max() > 3.0 * by_a_tenth_of_a_second
     for k in (0, 1, 2, 3, 6, 12):
         step = 1e-5 * np.eye(x.size)[k]
-        slope = (predictor.bridge(ends, x + step)[0] - predictor.bridge(ends, x - step)[0]) / 2e-5
+        slope = (predictor.bridge(*ends, x + step)[0] - predictor.bridge(*ends, x - step)[0]) / 2e-5
         np.testing.assert_allclose(transition[:, k], slope, atol=1e-6 * max(1.0, np.abs(slope).max()))
 
 
@@ -417,18 +421,19 @@ def test_while_the_arm_is_still_the_payload_is_not_known_and_no_alarm_comes_when
 
 def test_derivatives_of_the_prediction_are_finite_differences(held):
     links = ["link_4", "base"]
-    recursive = online(held, imu_prior=PRIOR, links=links)
+    some = GeometryPrior(3e-3, {"joint_2": JointPrior(1e-3, 1e-3, 1e-3, 1e-3), "joint_5": JointPrior(zero=1e-3)})
+    recursive = online(held, imu_prior=PRIOR, links=links, geometry=some)
     predictor, ticks = recursive.predictor, ticks_of(held).part(slice(300, 324))
-    motion = link_motions(predictor.vehicle, ticks.q, ticks.dq, ticks.ddq)
+    motion = ticks.q, ticks.dq, ticks.ddq
     p = len(predictor.names)
-    assert p == 3 + 10 + 25 + 20
+    assert p == 3 + 10 + 25 + 20 + 3 + 6 + 1
     x = np.nan_to_num(predictor.sigma) * np.random.default_rng(1).normal(size=p) * 0.1
     x[:13] = [0.1, -0.2, 0.3, 5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
-    found = predictor.predict(motion, x)
+    found = predictor.predict(*motion, x)
     for k in range(p):
         size = 1e-4 if k < 13 else 1e-2 * predictor.sigma[k]
         step = size * np.eye(p)[k]
-        up, down = predictor.predict(motion, x + step), predictor.predict(motion, x - step)
+        up, down = predictor.predict(*motion, x + step), predictor.predict(*motion, x - step)
         slope = (up.values - down.values) / (2.0 * size)
         assert np.abs(found.jacobian[:, :, k] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-9, predictor.names[k]
         carried = (up.state - down.state) / (2.0 * size)
@@ -440,7 +445,7 @@ def test_the_noise_of_the_joints_is_what_their_errors_make_of_the_prediction(hel
     q, still = np.repeat(held.q[300:301], 4, axis=0), np.zeros((4, 5))
     x, chi = np.zeros(len(predictor.names)), predictor.vehicle.chi.copy()
     x[PAYLOAD] = chi[predictor.vehicle.payload_columns()] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
-    rest = predictor.predict(link_motions(predictor.vehicle, q, still, still), x).values
+    rest = predictor.predict(q, still, still, x).values
     small, variance = 1e-6, np.zeros((4, 6))
     for kind, rows in enumerate([slice(0, 3), slice(3, 6)]):  # of a rate the gyro, of an acceleration the force
         for joint in range(5):
@@ -449,7 +454,7 @@ def test_the_noise_of_the_joints_is_what_their_errors_make_of_the_prediction(hel
             links = link_motions(predictor.vehicle, q, sigma[:, 0], sigma[:, 1])
             turned = x.copy()  # the base takes up what momentum the joints seem to have: there is none in all
             turned[RATE] = predict_base(links, predictor.period_s, chi, np.zeros(3), ()).rate[0]
-            moved = predictor.predict(links, turned).values - rest
+            moved = predictor.predict(q, sigma[:, 0], sigma[:, 1], turned).values - rest
             alone = predictor.joint_noise(q, sigma, x)
             np.testing.assert_allclose(alone[1:3, rows], np.abs(moved[:, rows]), rtol=1e-3, atol=1e-3 * small)
             variance += alone**2

@@ -374,6 +374,15 @@ def test_signals_of_a_wrong_shape_are_named(rng):
         who.update(signals, held, none[:-1])
 
 
+def as_read(motion, gyro, accelerometer):
+    """The base's motion by an IMU at its place in the URDF, its readings scaled."""
+    vehicle = setup()[0]
+    R, p = vehicle.pose_in_base("imu_base")
+    w, dw, f = motion
+    at_imu = f + np.cross(dw, p) + np.cross(w, np.cross(w, p))
+    return base_motion(vehicle, "imu_base", gyro * w @ R, gyro * dw @ R, accelerometer * at_imu @ R)
+
+
 @pytest.mark.parametrize(
     ("effect", "row"), [("joint_scale", "joint_1"), ("gyro_scale", "imu_base"), ("accelerometer_scale", "imu_base")]
 )
@@ -384,14 +393,8 @@ def test_a_scale_of_the_motion_moves_the_estimate_by_what_the_interval_allows(rn
     feed(who, signals, held)
     scaled = {
         "joint_scale": lambda s: s._replace(q=1.01 * s.q, dq=1.01 * s.dq, ddq=1.01 * s.ddq),
-        "gyro_scale": lambda s: s._replace(
-            motion=s.motion._replace(
-                rate_rad_s=1.01 * s.motion.rate_rad_s, acceleration_rad_s2=1.01 * s.motion.acceleration_rad_s2
-            )
-        ),
-        "accelerometer_scale": lambda s: s._replace(
-            motion=s.motion._replace(specific_force_m_s2=1.01 * s.motion.specific_force_m_s2)
-        ),
+        "gyro_scale": lambda s: s._replace(motion=as_read(s.motion, 1.01, 1.0)),
+        "accelerometer_scale": lambda s: s._replace(motion=as_read(s.motion, 1.0, 1.01)),
     }[effect](signals)
     feed(other, scaled, held)
     moved = other.block_jackknife().mean - who.block_jackknife().mean

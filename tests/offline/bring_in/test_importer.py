@@ -340,7 +340,7 @@ def test_what_cannot_be_summed_is_refused(tmp_path):
         ('columns = ["ax", "ay", "az"]', "", "give either `column`"),
         ('record = "scalar"', 'record = "tensor"', "channel.joint"),
         ('format = "csv"', 'format = "xls"', "mapping.format"),
-        ("[mapping]", "[mapping", "is not TOML"),
+        ("[mapping]", "[mapping", "not TOML"),
     ],
 )
 def test_a_bad_mapping_is_refused_by_its_key(bench, old, new, message):

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench import spoilt_throws
 from drivers.records import IMU, SCALAR
 from onboard import cli, config
 from onboard.dynamics.inertia import RigidBody, parallel_axis, symmetric
 from onboard.flight.estimator import Estimator
 from onboard.identification.rows.free_body import FREE_BODY, whole_body
+from onboard.identification.verdict import Level
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify
@@ -133,7 +135,7 @@ def test_two_logs_through_one_identifier_know_more_than_one(tmp_path: Path, rng:
             pass
         sigma.append(np.sqrt(np.trace(first.identifier.rls.solve().covariance)))
     assert sigma[0] > sigma[1] > sigma[2]
-    assert whole_body(first.identifier, 0.5).sigma[3] < 3e-5
+    assert whole_body(first.identifier, 0.5, exact=True).sigma[3] < 3e-5
 
 
 def test_a_log_without_a_usable_row_says_not_determined(
@@ -269,6 +271,26 @@ def test_the_vehicle_file_holds_what_its_calibration_gives(logs: list[Path]) -> 
     assert found == {"rotor_sigma": held["rotor_sigma"], "carrier": held["carrier"]}
     assert calibration.rotor.factor == pytest.approx(1.0, abs=1e-4)
     assert calibration.rotor.misfit < 0.015
+
+
+def test_spoilt_copies_of_real_throws_are_not_good_and_wrong(logs: list[Path]) -> None:
+    """A slice of ``python -m bench.spoilt_throws``."""
+    chosen = [logs[index] for index in (0, 7, 15, 30)]  # of each load
+    ways = spoilt_throws.spoils()
+    for name in (
+        "gyro x 1.03",
+        "gyro x 1.1",
+        "gyro x sign",
+        "accel yz swapped",
+        "wheel 10 ms late",
+        "cut to 0 .. 0.15 s",
+    ):
+        told = spoilt_throws.judge(TUDELFT, chosen, ways[name])
+        assert len(told) == 4
+        assert not [one for one in told if one.level is Level.GOOD and one.off > 1.0], name
+    assert all(one.level is Level.GOOD for one in spoilt_throws.judge(TUDELFT, chosen, ways["as recorded"]))
+    late = spoilt_throws.judge(TUDELFT, chosen, ways["wheel 20 ms late"])
+    assert all(one.level is Level.DO_NOT_USE for one in late)
 
 
 def test_the_command_on_real_throws(logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

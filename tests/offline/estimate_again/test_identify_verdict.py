@@ -16,7 +16,7 @@ from onboard.offline.estimate_again.identify import identify
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.offline.estimate_again import throws
-from tests.offline.estimate_again.test_identify import LOAD, TUDELFT, TUMBLES, with_carrier
+from tests.offline.estimate_again.test_identify import LOAD, TUDELFT, TUMBLES, vehicle_file, with_carrier
 
 WHOLE = with_carrier(LOAD)
 
@@ -94,6 +94,52 @@ def test_a_wheel_of_the_wrong_sign_makes_a_body_that_cannot_exist(tmp_path: Path
     found = said(altered(throw(tmp_path, TUMBLES[0], rng), flip))
     assert found.verdict.level is Level.DO_NOT_USE
     assert "sigmas from any body" in found.verdict.text
+
+
+def test_a_throw_cut_short_gives_no_answer_and_no_urdf(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its moments are told from the wide prior, and not from zero."""
+    log = throw(tmp_path, TUMBLES[0], rng)
+    reader = LogReader(log)
+    rows = {name: reader.read(name) for name in reader.channels}
+    begin_ns = int(rows["imu_base"]["host_ns"][0]) + 250_000_000
+    with LogWriter.create(log, durable=False, overwrite=True) as writer:
+        for name, dtype in reader.channels.items():
+            writer.register(name, dtype)
+            after_s = (rows[name]["host_ns"].astype(np.int64) - begin_ns) * 1e-9
+            writer.write(name, rows[name][(after_s >= 0.0) & (after_s < 0.15)])
+    urdf = tmp_path / "out.urdf"
+    assert cli.main(["identify", "--vehicle", "tudelft", str(log), "--urdf", str(urdf)]) == cli.FAILED
+    assert "good" not in capsys.readouterr().out
+    assert not urdf.exists()
+
+
+@pytest.mark.parametrize("factor", [0.75, 0.85])
+def test_a_gyro_that_reads_another_scale_than_it_was_calibrated_to_is_not_good(
+    tmp_path: Path, rng: np.random.Generator, factor: float
+) -> None:
+    def scale(name: str, rows: Rows) -> None:
+        if name == "imu_base":
+            rows["gyro_raw"] = np.clip(np.rint(factor * rows["gyro_raw"]), -32768, 32767)
+
+    found = said(altered(throw(tmp_path, TUMBLES[0], rng), scale))
+    assert found.verdict.level is not Level.GOOD
+    assert "gyro had to be corrected by" in found.verdict.text
+
+
+def test_the_interval_of_a_throw_carries_the_scale_of_the_wheels_rate(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A yardstick that nothing checks: 10 % stated is 10 % of every moment."""
+    log = throw(tmp_path, TUMBLES[0], rng)
+    exact = vehicle_file(tmp_path, scale_sigma="0.0")
+    (narrow,) = identify(exact, [log]).logs
+    (wide,) = identify(vehicle_file(tmp_path, scale_sigma="0.1"), [log]).logs
+    assert narrow.throw is not None
+    assert wide.throw is not None
+    assert narrow.throw.principal is not None
+    assert wide.throw.principal is not None
+    added = np.sqrt(wide.throw.principal.sigma**2 - narrow.throw.principal.sigma**2)
+    np.testing.assert_allclose(added[1:], 0.1 * narrow.throw.principal.moments[1:], rtol=0.15)
 
 
 def test_samples_that_are_not_valid_leave_no_row(tmp_path: Path, rng: np.random.Generator) -> None:

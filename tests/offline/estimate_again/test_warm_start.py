@@ -87,7 +87,8 @@ def test_a_flight_that_shows_nothing_keeps_what_was_known(tmp_path: Path, rng: n
     assert fine.sum() > 8
     half = 0.5 * (said["high"] - said["low"])
     np.testing.assert_array_less(np.abs(told.mean - last["mean"])[fine], 0.2 * half[fine])
-    sigma = np.sqrt(np.diag(told.covariance))
+    considered = told.sensitivity * np.array([cause.sigma for cause in start.considered])
+    sigma = np.sqrt(np.diag(told.covariance) + (considered**2).sum(axis=1))
     assert (1.96 * sigma[fine] > 0.99 * half[fine]).all()
 
 

@@ -1,0 +1,218 @@
+"""What flies under a seed: vehicle, faults of the vocabulary and model errors, alone and in pairs.
+
+A *fault* is a line of ``hil_sim.faults.vocabulary``; of the recorded runs (``workshop``, ``planar``), which have no
+twins, the same on columns of the recording. A *model error* is a vehicle or sensor that is not as its files say, beyond
+what every seed draws (masses, centres, lengths, zeros, misalignment, bias).
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+_SWEEP = {"action": "sweep", "amplitude_deg": 11.5, "pause_s": 0.05, "transfer_s": 0.5}
+_SLOW, _FAST = (
+    _SWEEP | {"phase": 3, "stroke_s": 1.0, "strokes": 3},
+    _SWEEP | {"phase": 4, "stroke_s": 0.6, "strokes": 4},
+)
+
+
+def _hold(duration_s: float, phase: int = 0) -> dict[str, Any]:
+    return {"phase": phase, "action": "hold", "duration_s": duration_s}
+
+
+MISSION = [
+    *(_hold(2.5), _SLOW, _hold(0.4), _FAST, _hold(0.3), {"phase": 5, "action": "eject", "duration_s": 0.8}),
+    *(_SLOW, _hold(0.4), _FAST, _hold(0.5, 9)),
+]
+"""Of the rocket's arm: 17 s; one slow and one fast sweep with the tip mass and without."""
+FIRST_SWEEP_S, LAST_HELD_S, RELEASED_S, END_S = 2.6, 9.1, 10.9, 17.0
+_SWING = {"action": "swing", "ramp_s": 2.0, "tones": 3}
+CAPTURE_MISSION = {
+    "sequence": [
+        _hold(3.0),
+        _SWING | {"phase": 1, "duration_s": 10.0, "swing_deg": 10.0, "band_Hz": [0.1, 0.4]},
+        _SWING | {"phase": 2, "duration_s": 16.0, "swing_deg": 20.0, "band_Hz": [0.1, 0.6]},
+        _hold(1.0, 9),
+    ],
+    "capture": {"earliest_s": 7.0, "latest_s": 9.0},
+}
+"""Of the free-flyer: 30 s."""
+
+_MISSING = [("off", 0.0), ("reset", 0.0), ("silent", 0.0), ("intermittent", 0.1)]
+_FALSE = [("stuck", 0.0), ("wrong", np.nan), ("delayed", 0.1)]  # NaN: a scale is drawn
+_IMU = [*_MISSING[:2], *_FALSE, ("saturated", 1.0), ("garbage", 0.0)]
+_CAN = [*_MISSING, *_FALSE, ("garbage", 0.0)]
+_COLUMN = [("silent", 0.0), ("stuck", 0.0), ("wrong", np.nan), ("delayed", 0.05)]
+FAULTS: dict[str, dict[str, list[tuple[str, float]]]] = {
+    "rocksat": {
+        "imu_base": _IMU,
+        "joint_1": _CAN,
+        "load_cell": [*_CAN, ("saturated", 1.0)],
+        "arm_phase": [*(("wrong", float(by)) for by in (1, 2, 3, 4, 5, 6, -1, -2)), ("delayed", 0.2), ("stuck", 0.0)],
+        "can_0": [("frame_drop", 0.0), ("intermittent", 0.1), ("error_frames", 0.01)],
+        "sync_line": [("pulse_drop", 0.0), ("delayed", 0.02)],
+    },
+    "rocksat_serial": {
+        "imu_base": [*_MISSING, *_FALSE, ("saturated", 1.0)],
+        "joint_1": [*_MISSING, *_FALSE, ("slow", 0.2)],
+        "load_cell": [*_MISSING, *_FALSE, ("saturated", 1.0)],
+        "cell_port": [("byte_loss", 0.02), ("byte_garble", 0.02), ("unplug", 0.0)],
+        "joint_port": [("byte_loss", 0.02), ("unplug", 0.0)],
+    },
+    "rocksat_mixed": {
+        "joint_1": [*_MISSING[:1], *_FALSE],
+        "load_cell": [*_MISSING, *_FALSE],
+        "load_cell_2": [*_MISSING, *_FALSE],
+        "imu_base": _FALSE,
+    },
+    "dymaflex": {
+        "imu_base": _IMU,
+        "imu_2": _IMU,
+        **{f"joint_{number}": _CAN for number in range(1, 6)},
+        "load_cell": _CAN,
+        "can_0": [("frame_drop", 0.0), ("intermittent", 0.1)],
+    },
+    "workshop": {
+        **{f"joint_{number}": _COLUMN for number in range(1, 6)},
+        **{f"wrist_{kind}_{axis}": _COLUMN for kind in ("force", "moment") for axis in "xyz"},
+    },
+    "planar": {
+        **{f"joint_{number}": _COLUMN for number in range(1, 6)},
+        "imu_base": _COLUMN,
+    },
+}
+ROCKETS = ("rocksat", "rocksat_serial", "rocksat_mixed")
+_SHARE = {  # of the flights; a free-flyer's costs four times a rocket's
+    "rocksat": 0.34,
+    "rocksat_serial": 0.16,
+    "rocksat_mixed": 0.22,
+    "dymaflex": 0.08,
+    "workshop": 0.12,
+    "planar": 0.08,
+}
+_SCALES = [-2.0, -1.0, -0.5, -0.3, -0.1, 0.05, 0.1, 0.3]
+_WARM = {"sensor": {"imu": {"temperature_rise_K": 15.0, "temperature_time_s": 10.0}}}
+_DATASHEET = {"scale_sigma": 0.015, "cross_axis_sigma": 0.01}
+MODEL_ERRORS: dict[str, dict[str, dict[str, Any]]] = {
+    "rocket": {
+        "tip mass 2 mm off": {"body": {"tip_mass": {"com_mm": [2.0, -13.91, 0.0]}}},
+        "tip mass of 150 g, another shape": {
+            "body": {
+                "tip_mass": {
+                    "mass_g": 150.0,
+                    "inertia_g_mm2": {"xx": 2e4, "yy": 1e4, "zz": 2.5e4, "xy": 0.0, "xz": 0.0, "yz": 0.0},
+                }
+            }
+        },
+        "arm 2 mm off": {"body": {"arm": {"com_mm": [41.75, 1.41, 5.0]}}},
+        "arm 6 % heavier": {"body": {"arm": {"as_built_factor": 1.06}}},
+        "zero 3 mrad off": {"sensor": {"encoder": {"zero_sigma_mrad": 3.0}}},
+        "IMU turned by 1.5 deg": {"sensor": {"imu": {"mounting_sigma_deg": 1.5}}},
+        "IMU warms by 15 K": _WARM,
+    },
+    "dymaflex": {
+        "links 3 %, 2 mm": {"as_built": {"link": {"mass_relative": 0.03, "centre_mm": 2.0}}},
+        "zeros 3 mrad off": {"sensor": {"encoder": {"zero_sigma_mrad": 3.0}}},
+        "IMU turned by 0.5 deg": {"sensor": {"imu": {"mounting_sigma_deg": 0.5}}},
+        "IMU warms by 15 K": _WARM,
+        "IMU of the datasheet": {"sensor": {"imu": {"accel_g": _DATASHEET, "gyro_deg_s": _DATASHEET}}},
+    },
+    "workshop": {"zeros 3 mrad off": {"zero_rad": 0.003}, "gripper 3 % off": {"gripper": 0.03}},
+    "planar": {"zeros 3 mrad off": {"zero_rad": 0.003}, "links 3 %": {"link": 0.03}},
+}
+SHORTEST_S, LONGEST_S = 0.2, 3.0  # of a fault that ends
+HARMLESS = {"off", "reset", "silent", "intermittent", "frame_drop", "error_frames", "pulse_drop", "byte_loss", "unplug"}
+REDUNDANT = {"rocksat_mixed": {"load_cell", "load_cell_2"}, "dymaflex": {"imu_base", "imu_2"}}
+VISIBLE_SCALE = 0.2  # the drawn arm's mass shows a scale that is wrong by more
+
+
+class Drawn(NamedTuple):
+    """A flight to be flown."""
+
+    seed: int
+    vehicle: str
+    faults: list[dict[str, Any]]
+    model_errors: list[str]
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Of the scenario, or of a recorded run: what is not as drawn."""
+        kind = "rocket" if self.vehicle in ROCKETS else self.vehicle
+        merged: dict[str, Any] = {}
+        for name in self.model_errors:
+            _lay_over(merged, MODEL_ERRORS[kind][name])
+        return merged
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        said = [
+            f"{f['kind']}({f['value']:.3g}) of {f['device']} from {f['start_s']:.1f} s"
+            + (f" to {f['end_s']:.1f} s" if "end_s" in f else "")
+            for f in self.faults
+        ]
+        return f"seed {self.seed} {self.vehicle}: {', '.join([*said, *self.model_errors]) or 'healthy'}"
+
+    @property
+    def invisible(self) -> bool:
+        """A scale of a rocket's only cell or encoder is wrong for all rows with the payload, or all without.
+
+        No other instrument on board measures it, and the drawn arm's mass shows it from :data:`VISIBLE_SCALE` on.
+        """
+        if self.vehicle not in ROCKETS:
+            return False
+        alone = REDUNDANT.get(self.vehicle, set())
+        for fault in self.faults:
+            if fault["kind"] != "wrong" or fault["device"] not in {"load_cell", "joint_1"} - alone:
+                continue
+            starts, ends = fault["start_s"], fault.get("end_s", np.inf)
+            held = starts < FIRST_SWEEP_S + 1.0 and ends > LAST_HELD_S - 1.0
+            free = starts < RELEASED_S + 1.0 and ends > END_S - 1.0
+            if (held or free) and (not free or abs(fault["value"]) < VISIBLE_SCALE):
+                return True
+        return False
+
+
+class Outcome(NamedTuple):
+    """What came of a flight."""
+
+    answers: list[dict[str, Any]]  # quantity, truth, value, low, high, supported, standing, leans
+    events: list[str]
+    needed: tuple[str, ...]  # quantities without which it has not answered
+
+
+def draw(seed: int, vehicle: str | None = None, healthy: bool = False) -> Drawn:
+    """What flies under a seed: one in eight healthy, six in ten of the others with one error and four with two."""
+    rng = np.random.default_rng([seed, 0x12])
+    name = vehicle or str(rng.choice(list(_SHARE), p=list(_SHARE.values())))
+    count = 0 if healthy or rng.random() < 0.125 else int(rng.choice([1, 2], p=[0.6, 0.4]))
+    errors = list(MODEL_ERRORS["rocket" if name in ROCKETS else name])
+    model_errors, devices = list[str](), rng.permutation(list(FAULTS[name]))
+    faults = list[dict[str, Any]]()
+    for number in range(count):
+        if rng.random() < 0.25:
+            model_errors.append(errors.pop(int(rng.integers(len(errors)))))
+            continue
+        kinds = FAULTS[name][str(devices[number])]
+        kind, value = kinds[int(rng.integers(len(kinds)))]
+        faults.append(_fault(rng, str(devices[number]), kind, value, 28.0 if name == "dymaflex" else 15.0))
+    return Drawn(seed, name, faults, model_errors)
+
+
+def _fault(rng: np.random.Generator, device: str, kind: str, value: float, latest_s: float) -> dict[str, Any]:
+    if np.isnan(value):
+        value = float(rng.choice(_SCALES))
+    start_s = float(rng.choice([0.5, rng.uniform(2.0, latest_s)], p=[0.2, 0.8]))
+    fault = {"kind": kind, "device": device, "value": value, "start_s": start_s}
+    stays = kind in ("stuck", "wrong", "delayed") and device != "arm_phase" and rng.random() < 0.5
+    if not stays:
+        fault["end_s"] = start_s + float(rng.uniform(SHORTEST_S, LONGEST_S if kind in ("stuck", "wrong") else 0.8))
+    return fault
+
+
+def _lay_over(table: dict[str, Any], other: dict[str, Any]) -> None:
+    for key, value in other.items():
+        if isinstance(value, dict):
+            _lay_over(table.setdefault(key, {}), value)
+        else:
+            table[key] = value

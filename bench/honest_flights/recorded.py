@@ -1,0 +1,167 @@
+"""Recorded runs: a tool weighed in the workshop, a payload on an air-bearing table, with columns spoilt.
+
+Both become a log and are identified as ``heft identify`` does; MuJoCo's numbers are the truth.
+"""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.honest_flights.drawn import Drawn, Outcome
+from bench.identification import free_flyer as bench_flyer
+from bench.identification import planar, workshop
+from drivers.records import IMU, SCALAR, Rows
+from hil_sim.plants import fixed_arm, free_flyer, planar_bed
+from hil_sim.plants.free_flyer import Body, JointMotion
+from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, Samples, sample
+from onboard import config
+from onboard.dynamics.inertia import elements
+from onboard.identification.quantities import BODY
+from onboard.offline.estimate_again.identify import identify
+from onboard.recording.writer import LogWriter
+
+Floats = NDArray[np.float64]
+GRASP_S, END_S, TABLE_S = 5.0, 16.0, 14.0
+BOX = Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
+
+
+class Columns:
+    """Channels of a recording, spoilt as drawn.
+
+    Args:
+        time_s: of all samples, (n,).
+        drawn: the faults.
+    """
+
+    def __init__(self, time_s: Floats, drawn: Drawn) -> None:
+        self._time_s = time_s
+        self._faults = drawn.faults
+
+    def spoilt(self, name: str, values: Floats) -> Floats:
+        """A channel's values (n, ...) as recorded; NaN where there is no sample."""
+        out = np.array(values, np.float64)
+        for fault in self._faults:
+            if fault["device"] != name:
+                continue
+            during = (self._time_s >= fault["start_s"]) & (self._time_s < fault.get("end_s", np.inf))
+            if not during.any():
+                continue
+            match fault["kind"]:
+                case "silent":
+                    out[during] = np.nan
+                case "stuck":
+                    out[during] = out[max(int(np.argmax(during)) - 1, 0)]
+                case "wrong":
+                    out[during] *= 1.0 + fault["value"]
+                case "delayed":
+                    late = round(fault["value"] / float(self._time_s[1] - self._time_s[0]))
+                    out[during] = np.roll(out, late, axis=0)[during]
+        return out
+
+
+def run(drawn: Drawn) -> Outcome:
+    """The answer of one recorded run."""
+    rng = np.random.default_rng([drawn.seed, 0x13])
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "run.mcap"
+        if drawn.vehicle == "workshop":
+            truth, vehicle = _workshop(path, drawn, rng), "workshop"
+        else:
+            truth, vehicle = _table(path, drawn, rng), "dymaflex_air_bearing"
+        log = identify(config.load(config.packaged(vehicle)), [path]).logs[0]
+    usable = log.verdict.level.value != "do not use"
+    found = {answer.name: answer for answer in log.answers}
+    answers = []
+    for name, value in truth.items():
+        one = found.get(name)
+        shown = usable and one is not None and one.supported
+        numbers = {key: getattr(one, key) if shown else np.nan for key in ("value", "low", "high")}
+        said = {"supported": shown, "standing": log.verdict.text}
+        answers.append({"quantity": name, "truth": float(value), **said, **numbers})
+    return Outcome(answers, [log.verdict.text], (next(iter(truth)),))
+
+
+def _workshop(path: Path, drawn: Drawn, rng: np.random.Generator) -> dict[str, float]:
+    over = drawn.overrides
+    mass = float(np.exp(rng.uniform(np.log(0.2), np.log(2.5))))
+    size = rng.uniform(0.04, 0.25, 3)
+    tool = Body.box(mass, size.tolist(), [*rng.uniform(-0.03, 0.03, 2), float(rng.uniform(0.03, 0.12))])
+    spread = over.get("gripper", workshop.GRIPPER_SIGMA)
+    gripper = bench_flyer.as_built(
+        fixed_arm.GRIPPER, (spread, workshop.GRIPPER_CENTRE_SIGMA_m, workshop.GRIPPER_SIGMA), rng
+    )
+    flown = fixed_arm.run(tool, JointMotion.draw(rng, workshop.SWING_rad), GRASP_S, END_S, gripper)
+    read = fixed_arm.read(flown, fixed_arm.WristErrors(), rng)
+    columns = Columns(read.time_s, drawn)
+    zeros = over.get("zero_rad", 1e-4) * rng.standard_normal(5)  # as the vehicle file states
+    channels = {
+        f"joint_{k + 1}": _scalars(
+            read.time_s, columns.spoilt(f"joint_{k + 1}", read.angle_rad[:, k] + zeros[k]), 1e-7, b"rad"
+        )
+        for k in range(5)
+    }
+    for k, name in enumerate(workshop.AXES):
+        unit = b"N" if k < 3 else b"N m"
+        channels[name] = _scalars(read.time_s, columns.spoilt(name, read.wrench[:, k]), 1e-6, unit)
+    told_s = np.arange(0.0, read.time_s[-1], 0.1)
+    channels["phase"] = _scalars(told_s, np.where(told_s < GRASP_S, 1.0, 2.0), 1.0, b"1")
+    _write(path, channels)
+    return _truth(tool, "tool", BODY)
+
+
+def _table(path: Path, drawn: Drawn, rng: np.random.Generator) -> dict[str, float]:
+    over = drawn.overrides
+    base = bench_flyer.as_built(free_flyer.BASE, bench_flyer.BASE_SIGMA, rng)
+    link = (over.get("link", bench_flyer.LINK_SIGMA[0]), *bench_flyer.LINK_SIGMA[1:])
+    arm = tuple(bench_flyer.as_built(one, link, rng) for one in free_flyer.ARM)
+    motion = JointMotion.draw(rng)
+    start = np.array(planar.POSTURE_rad) + rng.uniform(-0.2, 0.2, 5)
+    motion = replace(motion, start_rad=start, amplitude_rad=motion.amplitude_rad * np.array(planar.SWING)[:, None])
+    drags = [
+        planar_bed.Drag(rng.uniform(0.0, planar.GOOD_N_s_m), rng.uniform(0.0, planar.GOOD_N))
+        for _ in planar_bed.PUCKS_m
+    ]
+    drags[int(rng.integers(3))] = planar_bed.Drag(rng.uniform(*planar.VISCOUS_N_s_m), rng.uniform(*planar.COULOMB_N))
+    velocity = rng.standard_normal(3) * [planar.VELOCITY_m_s, planar.VELOCITY_m_s, planar.RATE_rad_s]
+    world = planar_bed.world(BOX, base, arm, planar.TILT_m_s2 * rng.standard_normal(2))
+    read = sample(planar_bed.fly(world, motion, velocity, drags, TABLE_S), bench_flyer.ERRORS, rng)
+    _write(path, _of_table(read, Columns(read.time_s, drawn), over.get("zero_rad", 1e-3) * rng.standard_normal(5)))
+    return _truth(BOX, "payload", ("m", "c_x", "c_y", "I_zz"))
+
+
+def _of_table(read: Samples, columns: Columns, zeros: Floats) -> dict[str, Rows]:
+    both = columns.spoilt("imu_base", np.hstack([read.rate_rad_s, read.specific_force_m_s2]))
+    there = np.flatnonzero(np.isfinite(both).all(axis=1))
+    imu = np.zeros(len(there), IMU)
+    imu["sequence"], imu["host_ns"] = there, np.rint(1e9 * (10.0 + read.time_s[there]))
+    imu["gyro_scale_rad_s"], imu["accel_scale_m_s2"] = 1e-4, 1e-3
+    imu["gyro_raw"], imu["accel_raw"] = np.rint(both[there, :3] / 1e-4), np.rint(both[there, 3:] / 1e-3)
+    channels = {"imu_base": imu}
+    for k in range(5):
+        angle = columns.spoilt(f"joint_{k + 1}", read.angle_rad[:, k] + zeros[k])
+        channels[f"joint_{k + 1}"] = _scalars(read.time_s, angle, 2.0 * np.pi / COUNTS_PER_TURN, b"rad")
+    return channels
+
+
+def _scalars(time_s: Floats, values: Floats, scale: float, unit: bytes) -> Rows:
+    there = np.flatnonzero(np.isfinite(values))
+    made = np.zeros(len(there), SCALAR)
+    made["sequence"], made["host_ns"] = there, np.rint(1e9 * (10.0 + time_s[there]))
+    made["value_raw"], made["scale"], made["unit"] = np.rint(values[there] / scale), scale, unit
+    return made
+
+
+def _write(path: Path, channels: dict[str, Rows]) -> None:
+    with LogWriter.create(path, durable=False, overwrite=True) as writer:
+        for name, rows in channels.items():
+            writer.register(name, rows.dtype)
+            writer.write(name, rows)
+
+
+def _truth(body: Body, link: str, names: tuple[str, ...]) -> dict[str, Any]:
+    values = [body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)]
+    return {f"{name}_{link}": value for name, value in zip(BODY, values, strict=True) if name in names}

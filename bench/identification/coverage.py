@@ -1,0 +1,209 @@
+"""Do the recursive ExIDDM's intervals cover: NEES and each quantity, over random payload flights of DYMAFLEX.
+
+Every seed is a flight of its own by MuJoCo with all that the vehicle file states tolerances for drawn within them:
+masses, centres, inertias, joint places, encoder zeros, IMU place, axes, scale, bias, drift, delay. The priors are those
+of the vehicle file. Signals are synthetic: samples on one grid without buses, clocks, gear ripple or a capture.
+"""
+
+import argparse
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from bench.identification import free_flyer as case
+from bench.identification.recursive import ticks_of
+from hil_sim.plants import free_flyer
+from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
+from hil_sim.scenario.load import load
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from onboard import config
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.ticks import FlightSignals, tick_signals
+from onboard.flight.identification import build_exiddm
+from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.recursive import BATCH_TICKS
+from onboard.identification.quantities import BODY
+
+Floats = NDArray[np.float64]
+
+GYRO_PER_K_rad_s, FORCE_PER_K_m_s2 = np.deg2rad(0.08), 2.5e-3  # of the MPU-6050's biases, 1 sigma
+NORMAL, FAR = 1.960, 3.291  # half a 95 % and a 99.9 % interval, sigmas
+DURATION_s, STEP_s, SAMPLES = 30.0, 1.0 / 300.0, 3  # of MuJoCo and the sensors; in a tick
+BOXES = {
+    "0.5 kg": free_flyer.Body.box(0.5, (0.08, 0.06, 0.10), (0.01, -0.005, 0.04)),
+    "2 kg far out": free_flyer.Body.box(2.0, (0.10, 0.12, 0.60), (0.05, -0.03, 0.40)),
+    "5 kg": case.BOXES[5],
+    "30 kg": free_flyer.Body.box(30.0, (0.35, 0.30, 0.30), (0.05, -0.04, 0.18)),
+}
+
+
+class Lies(NamedTuple):
+    """What is wrong besides what is drawn by default; the first three are in the sigmas of the scenario."""
+
+    links: float = 1.0
+    places: float = 1.0
+    zeros: float = 1.0
+    swing_rad: float = 0.35
+    joint_scale: float = 0.0  # of joint 2
+    joint_late_s: float = 0.0  # of joint 4
+    gyro_scale: float = 0.0  # of gyro and accelerometer, from the middle of the flight on
+    warming_K: float = 0.0  # noqa: N815 - within 25 s
+    slosh: free_flyer.Slosh | None = None
+    compliance_rad_N_m: float = 0.0  # noqa: N815
+
+
+class Covered(NamedTuple):
+    """One flight's answer."""
+
+    z: Floats  # (10,) errors of mass, centre, inertia over their sigmas; NaN: not answered
+    nees: float  # of the standard parameters, without the misfit's widening
+    misfit: float
+    changes: int
+    relative: float  # error of the mass
+    refused: str  # why no answer is to be used
+
+
+def flown(box: free_flyer.Body, lies: Lies, seed: int) -> Covered:
+    """One flight through the estimator of the vehicle file."""
+    rng = np.random.default_rng([seed, 0xC0])
+    scenario = load("dymaflex")
+    assert isinstance(scenario, FreeFlyerScenario)
+    built = scenario.as_built
+    base, *arm = (
+        case.as_built(
+            body, (scale * own.mass_relative, 1e-3 * scale * own.centre_mm, scale * own.inertia_relative), rng
+        )
+        for body, own, scale in [
+            (free_flyer.BASE, built.base, 1.0),
+            *((link, built.link, lies.links) for link in free_flyer.ARM),
+        ]
+    )
+    offsets_m = 1e-3 * lies.places * built.joint_place_mm * rng.standard_normal((free_flyer.JOINTS, 3))
+    world = free_flyer.world(box, base, arm, STEP_s, offsets_m, lies.slosh)
+    motion = free_flyer.JointMotion.draw(rng, lies.swing_rad)
+    truth = free_flyer.fly(world, motion, rng.uniform(-0.05, 0.05, 3), DURATION_s)
+    zeros = 1e-3 * lies.zeros * rng.standard_normal(free_flyer.JOINTS)
+    off_m = 1e-3 * built.imu_place_mm * rng.standard_normal(3)
+    signals = _sensed(_spoilt(truth, lies, rng), zeros, off_m, rng)
+    online, _ = build_exiddm(_vehicle())
+    ticks = ticks_of(signals)
+    for first in range(0, len(ticks.time_s), BATCH_TICKS):
+        online.exiddm.update(ticks.part(slice(first, first + BATCH_TICKS)))
+    return _judged(box, online)
+
+
+def _vehicle() -> config.Vehicle:
+    vehicle = config.load(config.packaged("dymaflex"))
+    estimation = vehicle.file.estimation
+    held = estimation.model_copy(update={"exiddm": estimation.exiddm.model_copy(update={"held_at_start": True})})
+    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": held})})
+
+
+def _spoilt(truth: free_flyer.FreeFlightSignals, lies: Lies, rng: np.random.Generator) -> free_flyer.FreeFlightSignals:
+    """The flight with what lies."""
+    t = truth.time_s
+    q = truth.q_rad + lies.compliance_rad_N_m * truth.torque_n_m
+    q[:, 1] *= 1.0 + lies.joint_scale
+    q[:, 3] = np.interp(t - lies.joint_late_s, t, q[:, 3])
+    gain = np.where(t > 0.5 * DURATION_s, 1.0 + lies.gyro_scale, 1.0)[:, None]
+    rise_K = lies.warming_K * -np.expm1(-t / 10.0)[:, None]
+    rate = gain * truth.rate_rad_s + rise_K * GYRO_PER_K_rad_s * rng.standard_normal(3)
+    force = gain * truth.specific_force_m_s2 + rise_K * FORCE_PER_K_m_s2 * rng.standard_normal(3)
+    return truth._replace(q_rad=q, rate_rad_s=rate, specific_force_m_s2=force)
+
+
+def _sensed(
+    truth: free_flyer.FreeFlightSignals, zeros: Floats, off_m: Floats, rng: np.random.Generator
+) -> FlightSignals:
+    """The flight as encoders and the displaced IMU see it."""
+    step_s = float(truth.time_s[1] - truth.time_s[0])
+    w = truth.rate_rad_s
+    swing = np.cross(np.gradient(w, step_s, axis=0, edge_order=2), off_m) + np.cross(w, np.cross(w, off_m))
+    seen = truth._replace(q_rad=truth.q_rad + zeros, specific_force_m_s2=truth.specific_force_m_s2 + swing)
+    stated = _vehicle().file.estimation.imu_prior
+    errors = ImuErrors(
+        stated.gyro_bias_rad_s,
+        stated.gyro_drift_rad_s2,
+        stated.accelerometer_bias_m_s2,
+        stated.accelerometer_drift_m_s3,
+        stated.gyro_scale,
+        stated.gyro_misalignment_rad,
+        stated.delay_s,
+    )
+    sampled = sample(seen, errors, rng)
+    return tick_signals(*sampled[:4], sampled[4:], SAMPLES, case.SMOOTHING_s)
+
+
+def _judged(box: free_flyer.Body, online: ExiddmIdentifier) -> Covered:
+    exiddm, estimate = online.exiddm, online.estimate()
+    body = RigidBody(box.mass_kg, box.centre_of_mass_m, box.inertia_kg_m2)
+    i = box.inertia_kg_m2
+    wanted = np.array([box.mass_kg, *box.centre_of_mass_m, i[0, 0], i[0, 1], i[1, 1], i[0, 2], i[1, 2], i[2, 2]])
+    z = np.array([(q.mean - true) / q.sigma for q, true in zip(estimate.quantities, wanted, strict=True)])
+    nees = np.nan
+    if exiddm.state is not None and exiddm.held:
+        off = exiddm.state[PAYLOAD] - standard_of(body)
+        nees = float(off @ np.linalg.solve(exiddm.covariance[PAYLOAD, PAYLOAD], off))
+    misfit = max([np.nan, *exiddm.misfit.by_instrument().values()], key=np.nan_to_num)
+    found = estimate.quantities[0].mean / box.mass_kg - 1.0
+    return Covered(z, nees, misfit, len(exiddm.changes), found, "; ".join(online.findings().against))
+
+
+def show(title: str, found: Sequence[Covered]) -> None:
+    """One line for NEES, one for coverage."""
+    z, nees = np.array([one.z for one in found]), np.array([one.nees for one in found])
+    answered = int(np.isfinite(z).any(axis=1).sum())
+    low, high = chdtri(10.0, 0.95), chdtri(10.0, 0.05)
+    used = [one for one in found if not one.refused]
+    nonsense = sum(bool((np.nan_to_num(np.abs(one.z)) > FAR).any()) for one in used)
+    print(
+        f"{title:14}{answered:4} of {len(found)} answered, {len(found) - len(used)} refused, {nonsense} used and "
+        f"beyond 99.9 %, {sum(one.changes for one in found)} false alarms"
+    )
+    print(
+        f"{'':14}NEES {np.nanmean(nees):.2f} (10), inside its 90 % {np.mean((nees > low) & (nees < high)):.0%}; misfit "
+        f"{np.nanmean([one.misfit for one in found]):.2f}; mass {100 * np.nanmean([o.relative for o in found]):+.2f} % "
+        f"mean, {100 * np.nanstd([o.relative for o in found]):.2f} % rms about it, rms z {rms(z[:, 0]):.2f}"
+    )
+    inside = [f"{name} {np.mean(np.abs(c[np.isfinite(c)]) < NORMAL):.0%}" for name, c in zip(BODY, z.T, strict=True)]
+    every = np.abs(z[np.isfinite(z)]) < NORMAL
+    print(f"{'':14}inside 95 %: all {np.mean(every):.1%}; {', '.join(inside)}", flush=True)
+
+
+def rms(x: Floats) -> float:
+    """Root mean square of what is finite."""
+    return float(np.sqrt(np.nanmean(x**2)))
+
+
+LIES = {
+    "joint 2 by 5 %": Lies(joint_scale=0.05),
+    "joint 4 late": Lies(joint_late_s=0.03),
+    "IMU -30 %": Lies(gyro_scale=-0.3),
+    "15 K in 25 s": Lies(warming_K=15.0),
+    "slosh": Lies(slosh=free_flyer.Slosh(1.5, 0.45)),
+    "flexible": Lies(compliance_rad_N_m=1.0 / 4700.0),
+    "still arm": Lies(swing_rad=0.04),
+    "places x 4": Lies(places=4.0),
+    "zeros x 3": Lies(zeros=3.0),
+}
+
+
+def lies(arguments: argparse.Namespace) -> None:
+    """5 kg under each lie, over the seeds."""
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        for title, lie in LIES.items():
+            show(title, list(pool.map(partial(flown, BOXES["5 kg"], lie), case.seeds(arguments))))
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Each payload, over the seeds."""
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        for title, box in BOXES.items():
+            show(title, list(pool.map(partial(flown, box, Lies()), case.seeds(arguments))))

@@ -1,0 +1,119 @@
+"""Calibration benches with the devices of a scenario: the twins measure what :mod:`hil_sim.plants.bench` does.
+
+The instruments of a seed are those that fly with that seed, and so is the body that swings or is weighed.
+"""
+
+import tempfile
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+from hil_sim.buses.in_process import in_process
+from hil_sim.devices import registry
+from hil_sim.mission import Mission
+from hil_sim.plants import bench, free_flyer_plant
+from hil_sim.plants.body import Body
+from hil_sim.plants.world import Plant
+from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
+from hil_sim.scenario.load import Scenario, ScenarioError, load
+from hil_sim.scenario.sensor_tables import ForceCellTable
+
+KINDS = ("imu", "load-cell", "encoder", "bifilar", "balance")
+LATITUDE_deg = bench.LATITUDE_deg
+SPACING_SIGMA_m, LENGTH_SIGMA_m = 1e-4, 3e-4  # of strings that were measured with a rule
+
+
+class Bench(Mission):
+    """A mission that stands on a bench.
+
+    Args:
+        kind: one of :data:`KINDS`.
+        scenario: whose devices are there.
+        seed: of everything random.
+        settings: arguments of the bench, by name.
+
+    Raises:
+        ScenarioError: the scenario has no body that could be weighed, or no such bench.
+    """
+
+    def __init__(self, kind: str, scenario: Scenario, seed: int, settings: Mapping[str, Any]) -> None:
+        if kind not in KINDS:
+            raise ScenarioError(f"there is no bench {kind!r}; there are {', '.join(KINDS)}")
+        self._kind, self._settings = kind, settings
+        super().__init__(scenario, seed)
+
+    def _plant(self) -> Plant:
+        rng, given = self._rng(f"bench.{self._kind}"), dict(self._settings)
+        axis, turn = _cell_axis(self.scenario), lambda at: np.eye(3)
+        if self._kind == "imu":
+            signals = bench.turntable(rng, **given)
+        elif self._kind == "load-cell":
+            signals = bench.masses(rng, **given)
+        elif self._kind == "encoder":
+            signals = bench.stops(rng, **given)
+        elif self._kind == "bifilar":
+            strings = bench.Strings(
+                given.pop("spacing_m") + SPACING_SIGMA_m * rng.standard_normal(),
+                given.pop("length_m") + LENGTH_SIGMA_m * rng.standard_normal(),
+            )
+            signals, turn = bench.bifilar(rng, self._body(), strings, **given), self._mounting
+        else:
+            signals, turn = bench.balance(rng, self._body(), **given), self._mounting
+        return bench.BenchPlant(signals, axis, turn)
+
+    def _free_flyer(self) -> FreeFlyerScenario:
+        if not isinstance(self.scenario, FreeFlyerScenario):
+            raise ScenarioError(f"{self.scenario.scenario.name} has no free base that could be swung or weighed")
+        return self.scenario
+
+    def _body(self) -> Body:
+        return free_flyer_plant.as_built(self._free_flyer(), self._rng("free_flyer"))[0]
+
+    def _mounting(self, at: str) -> FloatArray:
+        return free_flyer_plant.mounting(self._free_flyer(), at)
+
+
+def _cell_axis(scenario: Scenario) -> FloatArray:
+    axes = [table.axis for table in scenario.sensor.values() if isinstance(table, ForceCellTable)]
+    return np.array(axes[0] if axes else (1.0, 0.0, 0.0))
+
+
+def open_bench(
+    kind: str, scenario: str | Scenario, seed: int, devices: set[str], settings: Mapping[str, Any]
+) -> tuple[Bench, dict[str, str]]:
+    """A bench on buses inside this process, its clock the mission's own ``now_ns``.
+
+    Args:
+        kind: one of :data:`KINDS`.
+        scenario: a packaged scenario's name, a path to a TOML file, or a scenario.
+        seed: of everything random.
+        devices: that are there, by name; what sends SYNC on their CAN bus is too.
+        settings: arguments of the bench, by name.
+
+    Returns:
+        The bench (close it when done; it is a context manager) and the URL of each bus.
+
+    Raises:
+        ScenarioError: the scenario cannot be used.
+    """
+    whole = load(scenario) if isinstance(scenario, str) else scenario
+    buses = {table.model_dump().get("bus") for name, table in whole.device.items() if name in devices}
+    kept = {n: table for n, table in whole.device.items() if n in devices or _sends_sync(table.model_dump(), buses)}
+    ticking = {clock for name, one in registry.read(kept).items() for clock in one.clocks(name)}
+    clocks = {name: table for name, table in whole.clock.items() if name in ticking}
+    there = whole.model_copy(update={"device": kept, "clock": clocks, "fault": ()})
+    stands = Bench(kind, there, seed, settings)
+    with ExitStack() as stack:
+        directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
+        ports = stack.enter_context(in_process(whole.bus, Path(directory), lambda: stands.now_ns, seed=seed))
+        stands.attach(ports.buses, stands.start_ns)
+        stands.own(stack.pop_all())
+    return stands, ports.urls
+
+
+def _sends_sync(table: Mapping[str, Any], buses: set[Any]) -> bool:
+    return "line" in table and table["bus"] in buses

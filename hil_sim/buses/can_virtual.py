@@ -1,0 +1,99 @@
+"""python-can's ``virtual`` interface with an adapter that can be pulled out, for buses in one process with twins.
+
+While ``install_can`` is in force, ``can.Bus(interface="virtual")`` makes a ``PulledBus``.
+"""
+
+import contextlib
+import errno
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import can
+from can.interfaces import BACKENDS
+from can.interfaces.virtual import VirtualBus
+
+from hil_sim.devices.can_wire import WireFrame
+
+_away: set[str] = set()  # channels whose adapter is pulled out
+
+
+class PulledBus(VirtualBus):
+    """A virtual bus that raises ENODEV once its adapter was pulled, also after another one was put in."""
+
+    def __init__(self, channel: str = "channel-0", **options: Any) -> None:
+        if channel in _away:
+            raise can.CanInitializationError(f"no adapter {channel}", error_code=errno.ENODEV)
+        super().__init__(channel, **options)
+
+    def shutdown(self) -> None:
+        """See ``can.BusABC``; also of one that was pulled."""
+        if self.queue not in self.channel:
+            self.channel.append(self.queue)
+        super().shutdown()
+
+    def _check_if_open(self) -> None:
+        super()._check_if_open()
+        if self.queue not in self.channel:
+            raise can.CanOperationError(f"adapter {self.channel_id} was pulled out", error_code=errno.ENODEV)
+
+
+@contextlib.contextmanager
+def install_can() -> Iterator[None]:
+    """Virtual buses that are opened meanwhile can be pulled out."""
+    before = BACKENDS["virtual"]
+    BACKENDS["virtual"] = (__name__, PulledBus.__name__)
+    try:
+        yield
+    finally:
+        BACKENDS["virtual"] = before
+
+
+class VirtualCan:
+    """The far end of a python-can ``virtual`` channel; ``timestamp`` is ``CLOCK_MONOTONIC`` in seconds.
+
+    Args:
+        channel: Its name in this process.
+    """
+
+    def __init__(self, channel: str) -> None:
+        self._channel = channel
+        self._bus = VirtualBus(channel, preserve_timestamps=True)
+
+    @property
+    def listening(self) -> bool:
+        """Whether a bus is open on the channel."""
+        return len(self._bus.channel) > 1
+
+    def take(self) -> list[tuple[int, bytes | int]]:
+        """Frames with 11-bit identifiers sent by others on the channel; see ``CanLink``."""
+        frames: list[tuple[int, bytes | int]] = []
+        while (message := self._bus.recv(0)) is not None:
+            if not (message.is_extended_id or message.is_error_frame):
+                content = message.dlc if message.is_remote_frame else bytes(message.data)
+                frames.append((message.arbitration_id, content))
+        return frames
+
+    def give(self, frames: Sequence[WireFrame]) -> None:
+        """Send frames with their stamps."""
+        for end_ns, identifier, data in frames:
+            self._bus.send(
+                can.Message(timestamp=end_ns * 1e-9, arbitration_id=identifier, is_extended_id=False, data=data)
+            )
+
+    def give_error(self, end_ns: int, classes: int) -> None:
+        """Send an error frame."""
+        self._bus.send(can.Message(timestamp=end_ns * 1e-9, arbitration_id=classes, is_error_frame=True, data=bytes(8)))
+
+    def unplug(self) -> None:
+        """The adapter is pulled out: what is open on the channel is dead, and nothing can be opened."""
+        _away.add(self._channel)
+        self._bus.channel[:] = [self._bus.queue]
+
+    def plug(self) -> None:
+        """The adapter is back."""
+        _away.discard(self._channel)
+
+    def close(self) -> None:
+        """Leave the channel."""
+        _away.discard(self._channel)
+        self._bus.shutdown()

@@ -1,0 +1,290 @@
+"""From a vehicle.toml, read here as a document of its own, to the scenario of its rehearsal.
+
+Every device of the file gets its emulator on its bus, by ``Emulator.from_vehicle``; URDF, base, tolerances of links,
+gravity, phases and what calibration has left of the IMU are the file's. What it does not say has defaults, which a
+scenario file may override table by table.
+"""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from hil_sim.devices import registry
+from hil_sim.plants import urdf_drawing
+from hil_sim.plants.urdf_drawing import Drawing
+from hil_sim.scenario.load import load, merged, parse
+from hil_sim.scenario.sheets import Sheets, sheet
+from hil_sim.scenario.tables import Scenario, ScenarioError
+
+Table = dict[str, Any]
+
+_REST_S, _REACH_S, _MOVE_S, _END_S = 4.0, 12.0, 24.0, 1.0
+_GRAVITY = [0.0, 0.0, -9.80665]
+_WIRING = ("canopen_sync", "sync_pulse")  # together the sync box
+_OURS = ("pps", "pulse_generator")  # of the flight computer itself
+
+
+def scenario_of(name: str | Path, over: str | Path | None = None) -> Scenario:
+    """The scenario of a packaged mission by name, of a scenario file, or of the rehearsal of a vehicle file.
+
+    Args:
+        name: of a packaged scenario, or the path of a scenario or of a vehicle.toml.
+        over: path of a scenario file whose tables lie over it.
+
+    Raises:
+        ScenarioError: see :func:`rehearsal` and :func:`hil_sim.scenario.load.load`.
+    """
+    if str(name).endswith(".toml") and "urdf" in _read(Path(name)).get("vehicle", {}):
+        return rehearsal(name, over)
+    own = {} if over is None else _read(Path(over))
+    return load(name, {key: value for key, value in own.items() if key != "scenario"})
+
+
+def rehearsal(vehicle: str | Path, over: str | Path | None = None) -> Scenario:
+    """The scenario that rehearses a vehicle.
+
+    Args:
+        vehicle: path of its vehicle.toml.
+        over: path of a scenario file whose tables lie over the defaults.
+
+    Raises:
+        ScenarioError: a file that cannot be read, a device without emulator, a key that is unknown or out of range.
+    """
+    file = _read(Path(vehicle))
+    said = _required(file, "vehicle", str(vehicle))
+    urdf = Path(vehicle).parent / str(said.get("urdf"))
+    try:
+        text = urdf.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{vehicle}: its URDF {urdf} cannot be read ({error}); put it beside the file") from error
+    drawing = urdf_drawing.read(text, urdf.name)
+    table = _tables(file, said, drawing)
+    table["vehicle"] = {key: said.get(key) for key in ("base", "base_link", "payload_link")}
+    table["vehicle"] |= {"urdf": text, "label": urdf.name}
+    table["scenario"] = {
+        "name": str(said.get("name")),
+        "description": f"the rehearsal of {vehicle}",
+        "plant": "vehicle",
+    }
+    if over is not None:
+        own = _read(Path(over))
+        forbidden = sorted({"vehicle"} & own.keys())
+        if forbidden:
+            raise ScenarioError(f"{over}: [{forbidden[0]}] is the vehicle file's; take it out of the scenario")
+        header = {key: value for key, value in own.pop("scenario", {}).items() if key in ("name", "description")}
+        table = merged(table, {**own, "scenario": header})
+        _find_csv(table, Path(over))
+        if "sequence" in own and "capture" not in own:
+            _fit_capture(table)
+    _drop_empty(table)
+    return parse(table, f"rehearsal of {vehicle}" + (f" with {over}" if over else ""))
+
+
+def _tables(file: Table, said: Table, drawing: Drawing) -> Table:
+    """All tables but the vehicle's own."""
+    estimation = file.get("estimation", {})
+    phases = estimation.get("phases", {})
+    devices = _required(file, "device", "the vehicle file")
+    kinds = {name: device.get("kind") for name, device in devices.items()}
+    sheets = Sheets(
+        "sync_pulse" in kinds.values(),
+        phases.get("channel"),
+        estimation.get("imu_prior", estimation.get("doubt", {})),
+        {name: joint.effort for name, joint in drawing.joints.items()},
+    )
+    out: Table = {"sensor": {}, "clock": {}, "bus": {}, "device": {}}
+    for name, device in devices.items():
+        if kinds[name] not in _WIRING:
+            _add_device(out, name, device, sheets)
+    _add_wiring(out, file, devices)
+    out["as_built"] = _as_built(estimation, drawing)
+    out["as_built"].pop(str(said.get("payload_link")), None)  # it is drawn as the payload
+    out["physics"] = {"gravity_m_s2": said.get("gravity_m_s2", _GRAVITY) if _stands(said) else [0.0, 0.0, 0.0]}
+    drag = estimation.get("gates", {}).get("specific_force_m_s2")
+    if drag is not None:  # the base's own motion is no drag to the gate
+        out["base_motion"] = {"acceleration_m_s2": drag / 6.0, "rate_rad_s": 0.02}
+    if said.get("base") == "planar":
+        out["table"] = {"pucks": [puck["frame"] for puck in file.get("planar", {}).get("puck", ())]}
+        out["table"]["tilt_sigma_m_s2"] = file.get("planar", {}).get("tilt_sigma_m_s2", 0.0)
+    _add_mission(out, said, estimation, drawing)
+    return out
+
+
+def _stands(said: Table) -> bool:
+    return said.get("base") in ("fixed", "planar")
+
+
+def _add_device(out: Table, name: str, device: Table, sheets: Sheets) -> None:
+    kind = str(device.get("kind"))
+    if kind in _OURS or kind.startswith("recorded_"):
+        why = "has no bus" if kind not in _OURS else "is of the flight computer itself"
+        raise ScenarioError(f"device.{name}: a {kind} {why} and cannot be rehearsed; take it out")
+    emulator = registry.for_vehicle(kind)
+    try:
+        found = emulator.from_vehicle(name, device, sheets)
+    except KeyError as error:
+        raise ScenarioError(f"device.{name}: {error.args[0]!r} is missing; add it to the vehicle file") from error
+    out["device"][name] = {"kind": registry.kind_of(emulator), "bus": device.get("bus"), **found.device}
+    out["sensor"] |= found.sensors
+    if emulator.has_clock:
+        for clock, oscillator in {name: "crystal", **found.clocks}.items():
+            out["clock"][clock] = sheet(f"clock.{oscillator}")
+
+
+def _add_wiring(out: Table, file: Table, devices: Table) -> None:
+    """Buses as their URLs say, and the sync box on CAN and on the pulse line."""
+    syncs = {device["bus"]: (name, device) for name, device in devices.items() if device["kind"] == "canopen_sync"}
+    lines = {device["bus"]: (name, device) for name, device in devices.items() if device["kind"] == "sync_pulse"}
+    used = {device.get("bus") for device in devices.values()}
+    for name, bus in file.get("bus", {}).items():
+        if name in used:
+            out["bus"][name] = _bus(name, str(bus.get("url")), syncs, lines)
+    if len(syncs) > 1:
+        raise ScenarioError(f"the CAN buses {', '.join(syncs)}: one sync box drives one of them; rehearse them in turn")
+    if not syncs and not lines:
+        return
+    box: Table = {"kind": "sync_box"}
+    for bus, (_, device) in syncs.items():
+        box |= {"bus": bus, "period_ms": device["period_ms"]}
+    for bus, (_, device) in lines.items():
+        box |= {"line": bus, "period_ms": device["sync_period_ms"]}
+    out["device"] = {"sync_box": box, **out["device"]}
+    out["clock"]["sync_box"] = sheet("clock.crystal")
+
+
+def _bus(name: str, url: str, syncs: Mapping[str, Any], lines: Mapping[str, Any]) -> Table:
+    scheme, options = url.split(":", 1)[0], {key: values[0] for key, values in parse_qs(urlsplit(url).query).items()}
+    try:
+        match scheme.split("+")[0]:
+            case "i2c":
+                return {"kind": "i2c"}
+            case "can":
+                return {
+                    "kind": "can",
+                    "bit_rate": int(options.get("bitrate", 500_000)),
+                    "sync_channel": syncs[name][0] if name in syncs else None,
+                }
+            case "gpio" | "pps":
+                return {"kind": "pulse", "channel": lines[name][0]}
+            case "serial":
+                line = {"parity": options.get("parity", "N"), "stop_bits": int(options.get("stop_bits", 1))}
+                return {"kind": "serial", "baud_rate": int(options["baud"]), **line}
+    except (KeyError, ValueError) as error:
+        raise ScenarioError(f"bus.{name}: {url} lacks or has a wrong {error}; correct it") from error
+    raise ScenarioError(f"bus.{name}: {scheme} is no bus that can be rehearsed; i2c, can, serial and gpio are")
+
+
+def _as_built(estimation: Table, drawing: Drawing) -> Table:
+    """How far each link is from its drawing, by what the file states of it."""
+    found: Table = {}
+    prior = estimation.get("prior", {})
+    for stated in (estimation.get("masses", {}).get("drawing", {}), prior.get("link", {})):
+        for link, sigma in stated.items():
+            if link in drawing.links:
+                found[link] = {key: sigma[key] for key in ("mass_relative", "inertia_relative") if key in sigma}
+                found[link]["centre_mm"] = 1e3 * sigma.get("centre_m", 1e-3)
+    for link, relative in prior.get("relative", {}).items():
+        if link in drawing.links and link not in found and relative < 0.01:
+            found[link] = {"mass_relative": relative, "centre_mm": 1e2 * relative, "inertia_relative": relative}
+    if estimation.get("method") == "exiddm":  # links that it does not name are certain to it
+        found.setdefault("default", {"mass_relative": 0.0, "centre_mm": 0.0, "inertia_relative": 0.0})
+    return found
+
+
+def _add_mission(out: Table, said: Table, estimation: Table, drawing: Drawing) -> None:
+    """Payload, capture or ejection, and the sequence, in the phases that the file names."""
+    phases = estimation.get("phases", {})
+    taken, gone = phases.get("payload_taken"), phases.get("payload_gone")
+    caught = not estimation.get("exiddm", {}).get("held_at_start", True)
+    resting = estimation.get("zero", {}).get("phases", [0])[0]
+    moving = [code for code in phases.get("identify", [1]) if code != resting] or [resting]
+    last = phases.get("end", moving[-1])
+    if said.get("payload_link") is not None:
+        out["payload"] = {"mass_kg": _masses(drawing, str(said["payload_link"]))}
+        if taken is not None:
+            out["capture"] = {"phase": taken, "velocity_sigma_m_s": 0.0, "rate_sigma_rad_s": 0.0}
+            if not _stands(said):
+                del out["capture"]["velocity_sigma_m_s"], out["capture"]["rate_sigma_rad_s"]
+        elif caught:
+            out["capture"] = {"earliest_s": _REST_S + 4.0, "latest_s": _REST_S + _REACH_S - 2.0}
+        if gone is not None:
+            out["ejection"] = {"phase": gone}
+    steps: list[Table] = [{"phase": resting, "action": "hold", "duration_s": _REST_S}]
+    if caught and taken is None:
+        steps.append(_swing(moving[0], _REACH_S, 0.2))
+    if taken is not None and taken not in (resting, moving[0]):
+        steps += [_swing(moving[0], _REACH_S, 0.35)]
+    if taken is not None:
+        steps.append(_swing(taken, _MOVE_S, 0.35) if taken in moving else _hold(taken, 2.0))
+    if taken is None or taken not in moving:
+        steps.append(_swing(moving[-1], _MOVE_S, 0.35))
+    if gone is not None:
+        steps += [_hold(gone, 2.0), _swing(moving[-1], _MOVE_S, 0.35)]
+    out["sequence"] = [*steps, _hold(last, _END_S)]
+
+
+def _swing(phase: int, duration_s: float, size: float) -> Table:
+    return {"phase": phase, "action": "swing", "duration_s": duration_s, "swing": size}
+
+
+def _hold(phase: int, duration_s: float) -> Table:
+    return {"phase": phase, "action": "hold", "duration_s": duration_s}
+
+
+def _masses(drawing: Drawing, payload: str) -> list[float]:
+    """A payload of 0.2 to 1 times what moves with the joints; within a quarter of the drawing where that has one."""
+    masses = dict(_weighed(drawing))
+    own = masses.pop(payload, 0.0)
+    if own > 0.0:
+        return [own / 1.25, own * 1.25]
+    arm = sum(mass for link, mass in masses.items() if link != drawing.root) or sum(masses.values()) or 1.0
+    return [0.2 * arm, arm]
+
+
+def _weighed(drawing: Drawing) -> Iterator[tuple[str, float]]:
+    for link in urdf_drawing.elements(drawing, "link"):
+        mass = link.find("inertial/mass")
+        if mass is not None:
+            value = float(mass.get("value", "nan"))
+            if math.isfinite(value):
+                yield str(link.get("name")).removeprefix(urdf_drawing.PREFIX), value
+
+
+def _read(path: Path) -> Table:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path} cannot be read: {error}; give the path of a TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{path} is not TOML: {error}; correct the file") from error
+
+
+def _required(file: Table, key: str, label: str) -> Table:
+    found = file.get(key)
+    if not isinstance(found, dict):
+        raise ScenarioError(f"{label} has no [{key}]; give the path of a vehicle.toml")
+    return found
+
+
+def _find_csv(table: Table, over: Path) -> None:
+    """A CSV of motion lies beside the scenario that names it."""
+    csv = table.get("motion", {}).get("csv")
+    if isinstance(csv, str):
+        table["motion"]["csv"] = str(over.parent / csv)
+
+
+def _fit_capture(table: Table) -> None:
+    """The default's capture, in a sequence that the scenario file gives: from a quarter to two fifths of it."""
+    if "earliest_s" in table.get("capture", {}):
+        end_s = sum(float(step.get("duration_s", 0.0)) for step in table["sequence"])
+        table["capture"] |= {"earliest_s": 0.25 * end_s, "latest_s": 0.4 * end_s}
+
+
+def _drop_empty(table: Table) -> None:
+    """``capture = {}`` in a scenario file takes the default's away."""
+    for key in ("payload", "capture", "ejection"):
+        if table.get(key) == {} or table.get(key) is False:
+            del table[key]

@@ -1,0 +1,41 @@
+"""Motion of a base that is prescribed: it sways, each axis by tones drawn per seed."""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+from hil_sim.scenario.vehicle_tables import BaseSway
+
+
+class BasePath(NamedTuple):
+    """A base's motion on a grid: MuJoCo's numbers of a free joint, (n, ...)."""
+
+    pose: FloatArray  # (n, 7): place, world; w x y z of its attitude
+    velocity: FloatArray  # (n, 6): of its origin, world; rate, its own axes
+    acceleration: FloatArray  # (n, 6): the same
+
+
+def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BasePath:
+    """A drawn motion at evenly spaced times (n,); the base stands in the world's axes at the first."""
+    shape = (6, table.tones)
+    w = 2.0 * np.pi * rng.uniform(*table.band_Hz, shape)
+    phase = rng.uniform(0.0, 2.0 * np.pi, shape)
+    rms = np.repeat([table.acceleration_m_s2, table.rate_rad_s], 3)[:, None]
+    size = rms * np.sqrt(2.0 / table.tones) * rng.uniform(0.6, 1.2, shape)
+    turn = time_s[:, None, None] * w + phase  # (n, 6, tones)
+    sine, cosine = size * np.sin(turn), size * np.cos(turn)
+    acceleration, velocity, pose = np.zeros((len(time_s), 6)), np.zeros((len(time_s), 6)), np.zeros((len(time_s), 7))
+    acceleration[:, :3] = sine.sum(axis=2)[:, :3]
+    velocity[:, :3] = -(cosine / w).sum(axis=2)[:, :3]
+    pose[:, :3] = -(sine / w**2).sum(axis=2)[:, :3]
+    velocity[:, 3:] = sine.sum(axis=2)[:, 3:]
+    acceleration[:, 3:] = (cosine * w).sum(axis=2)[:, 3:]
+    middle = 0.5 * (velocity[1:, 3:] + velocity[:-1, 3:])
+    attitude = np.array([1.0, 0.0, 0.0, 0.0])
+    pose[0, 3:] = attitude
+    for k, step_s in enumerate(np.diff(time_s)):
+        mujoco.mju_quatIntegrate(attitude, middle[k], step_s)
+        pose[k + 1, 3:] = attitude
+    return BasePath(pose, velocity, acceleration)

@@ -1,0 +1,64 @@
+"""A rigid body's inertial parameters, and how one is drawn about its drawing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Body:
+    """Inertial parameters in the body's own frame."""
+
+    mass_kg: float
+    centre_of_mass_m: FloatArray  # (3,)
+    inertia_kg_m2: FloatArray  # (3, 3) about the centre of mass
+
+    @staticmethod
+    def box(mass_kg: float, size_m: Sequence[float], centre_of_mass_m: Sequence[float]) -> "Body":
+        """A solid box along the frame's axes."""
+        squares = np.square(np.asarray(size_m, np.float64))
+        inertia = np.diag(mass_kg / 12.0 * (squares.sum() - squares))
+        return Body(mass_kg, np.asarray(centre_of_mass_m, np.float64), inertia)
+
+    def grown(self, mass_kg: float) -> "Body":
+        """The body scaled about its frame's origin to another mass at the same density."""
+        factor = (mass_kg / self.mass_kg) ** (1.0 / 3.0)
+        return Body(mass_kg, self.centre_of_mass_m * factor, self.inertia_kg_m2 * factor**5)
+
+    def turned(self, R: FloatArray) -> "Body":
+        """The body with its inertia turned about its centre of mass by ``R`` (3, 3)."""
+        return Body(self.mass_kg, self.centre_of_mass_m, R @ self.inertia_kg_m2 @ R.T)
+
+    @property
+    def principal_kg_m2(self) -> FloatArray:
+        """Principal moments of inertia, rising, (3,)."""
+        return np.asarray(np.linalg.eigvalsh(self.inertia_kg_m2))
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether a body of these parameters can exist: no principal moment exceeds the sum of the others."""
+        least, middle, most = self.principal_kg_m2
+        return bool(self.mass_kg >= 0.0 and least >= 0.0 and most <= least + middle + 1e-12)
+
+
+def built(
+    drawn: Body, mass_relative: float, centre_m: float, inertia_relative: float, rng: np.random.Generator
+) -> Body:
+    """A part with its as-built errors.
+
+    Args:
+        drawn: the drawing.
+        mass_relative: standard deviation of the mass.
+        centre_m: of each coordinate of the centre of mass.
+        inertia_relative: of each element of the inertia, relative to half its trace.
+        rng: draws mass, centre and inertia, in this order.
+    """
+    change = np.zeros((3, 3))
+    half_trace = 0.5 * np.trace(drawn.inertia_kg_m2)
+    mass_kg = drawn.mass_kg * (1.0 + mass_relative * rng.standard_normal())
+    centre = drawn.centre_of_mass_m + centre_m * rng.standard_normal(3)
+    change[np.triu_indices(3)] = inertia_relative * half_trace * rng.standard_normal(6)
+    return Body(mass_kg, centre, drawn.inertia_kg_m2 + change + np.triu(change, 1).T)

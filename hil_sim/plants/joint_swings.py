@@ -1,0 +1,130 @@
+"""Prescribed motion of a vehicle's joints: holds and multi-tone swings inside the drawing's limits, or a recorded one.
+
+The tones are those of ``arm_swings``; every joint has a swing of its own size.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants.arm_swings import Swinging, envelope
+from hil_sim.plants.motion import PhaseSpan, Program
+from hil_sim.plants.urdf_drawing import DrawnJoint
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import Step, VehicleScenario
+
+_FREE_RAD, _FREE_M = 1.0, 0.2  # way to the end of a joint that has none, or one far away
+_MARGIN = 0.9  # of the way to an end, and of the largest speed, that is used at most
+
+
+class JointSwings(Program):
+    """Joint motion of a vehicle's sequence.
+
+    Args:
+        scenario: its ``[motion]`` and ``[[sequence]]``.
+        joints: in the order of the columns.
+        rng: draws posture and tones, in the order of the sequence.
+
+    Raises:
+        ScenarioError: a posture outside the limits, of a joint that is not there, or a CSV that does not fit.
+    """
+
+    def __init__(self, scenario: VehicleScenario, joints: Sequence[DrawnJoint], rng: np.random.Generator) -> None:
+        names = [joint.name for joint in joints]
+        unknown = sorted(scenario.motion.posture.keys() - set(names))
+        if unknown:
+            raise ScenarioError(f"motion.posture names {', '.join(unknown)}; the joints are {', '.join(names)}")
+        drawn = scenario.motion.spread * rng.uniform(-1.0, 1.0, len(joints))
+        self.posture = np.array(
+            [_posture(joint, scenario.motion.posture, share) for joint, share in zip(joints, drawn, strict=True)]
+        )
+        room = np.array([_room(joint, at) for joint, at in zip(joints, self.posture, strict=True)])
+        speed = np.array([joint.speed for joint in joints])
+        self._swings: list[Swinging] = []
+        spans: list[PhaseSpan] = []
+        now_s = 0.0
+        for step in scenario.sequence:
+            end_s = round(now_s + step.duration_s, 9)
+            if step.action == "swing":
+                self._swings.append(_draw(step, now_s, end_s, room, speed, rng))
+            spans.append(PhaseSpan(step.phase, step.action, now_s, end_s))
+            now_s = end_s
+        self.spans = tuple(spans)
+        self._recorded: tuple[CubicSpline, float, float] | None = None
+        if scenario.motion.csv is not None:
+            self._recorded = _recorded(Path(scenario.motion.csv), joints)
+            self.posture = self._recorded[0](self._recorded[1])
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angle, rate and acceleration at times (n,); (n, joints) each, rad or m."""
+        if self._recorded is not None:
+            spline, first_s, last_s = self._recorded
+            inside = ((time_s >= first_s) & (time_s <= last_s))[:, None]
+            t = np.clip(time_s, first_s, last_s)
+            return spline(t), np.where(inside, spline(t, 1), 0.0), np.where(inside, spline(t, 2), 0.0)
+        q = np.tile(self.posture, (len(time_s), 1))
+        dq, ddq = np.zeros_like(q), np.zeros_like(q)
+        for swing in self._swings:
+            rows = (time_s > swing.start_s) & (time_s < swing.end_s)
+            s, ds, dds = swing.at(time_s[rows])
+            e, de, dde = (part[:, None] for part in envelope(time_s[rows], swing))
+            q[rows] += e * s
+            dq[rows] = de * s + e * ds
+            ddq[rows] = dde * s + 2.0 * de * ds + e * dds
+        return q, dq, ddq
+
+
+def _posture(joint: DrawnJoint, told: dict[str, float], drawn: float) -> float:
+    if joint.name in told:
+        if not joint.low <= told[joint.name] <= joint.high:
+            raise ScenarioError(f"motion.posture.{joint.name}: it goes from {joint.low:g} to {joint.high:g}")
+        return told[joint.name]
+    middle = 0.5 * (joint.low + joint.high) if joint.bounded else 0.0
+    reach = min(0.5 * (joint.high - joint.low), _FREE_M if joint.slides else 2.0 * _FREE_RAD)
+    return middle + drawn * reach
+
+
+def _room(joint: DrawnJoint, posture: float) -> float:
+    way = min(posture - joint.low, joint.high - posture)
+    return _MARGIN * min(way, _FREE_M if joint.slides else _FREE_RAD)
+
+
+def _draw(
+    step: Step, start_s: float, end_s: float, room: FloatArray, speed: FloatArray, rng: np.random.Generator
+) -> Swinging:
+    """Tones whose sum stays within the room and the speed of every joint."""
+    shape = (len(room), step.tones)
+    amplitude = step.swing * room[:, None] * np.sqrt(2.0 / step.tones) * rng.uniform(0.6, 1.2, shape)
+    rate = 2.0 * np.pi * rng.uniform(*step.band_Hz, shape)
+    largest = amplitude.sum(axis=1)
+    fastest = (amplitude * rate).sum(axis=1) + 1.875 * largest / step.ramp_s
+    shrunk = np.minimum(room / np.maximum(largest, 1e-12), _MARGIN * speed / np.maximum(fastest, 1e-12))
+    amplitude *= np.minimum(shrunk, 1.0)[:, None]
+    return Swinging(start_s, end_s, step.ramp_s, amplitude, rate, rng.uniform(0.0, 2.0 * np.pi, shape))
+
+
+def _recorded(path: Path, joints: Sequence[DrawnJoint]) -> tuple[CubicSpline, float, float]:
+    """Spline through a CSV's columns, and its first and last time."""
+    try:
+        rows: Any = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"motion.csv: {path} cannot be read: {error}; give rows of numbers below names") from error
+    names = rows.dtype.names or ()
+    wanted = ["time_s", *(joint.name for joint in joints)]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise ScenarioError(f"motion.csv: {path} has no column {', '.join(missing)}; its columns: {', '.join(names)}")
+    time_s = np.atleast_1d(rows["time_s"])
+    q = np.column_stack([np.atleast_1d(rows[joint.name]) for joint in joints])
+    if len(time_s) < 4 or not (np.isfinite(time_s).all() and np.isfinite(q).all() and (np.diff(time_s) > 0.0).all()):
+        raise ScenarioError(f"motion.csv: {path} needs four rows and more of numbers, time_s rising")
+    for joint, column in zip(joints, q.T, strict=True):
+        if column.min() < joint.low or column.max() > joint.high:
+            raise ScenarioError(
+                f"motion.csv: {joint.name} goes from {column.min():g} to {column.max():g}, beyond the URDF's limits"
+            )
+    return CubicSpline(time_s, q, bc_type="clamped"), float(time_s[0]), float(time_s[-1])

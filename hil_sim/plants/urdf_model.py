@@ -1,0 +1,172 @@
+"""MuJoCo's model of a URDF: compiled by MuJoCo's own reader, its base let go or held, its bodies as they were built."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import mujoco
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants.body import Body
+from hil_sim.plants.urdf_drawing import PREFIX, Drawing
+from hil_sim.scenario.tables import ScenarioError
+
+BASE_FREEDOM = {"free": 6, "prescribed": 6, "fixed": 0, "planar": 3}
+_SENSED = {
+    "gyro": mujoco.mjtSensor.mjSENS_GYRO,
+    "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+    "force": mujoco.mjtSensor.mjSENS_FORCE,
+    "torque": mujoco.mjtSensor.mjSENS_TORQUE,
+}
+Sensed = Literal["gyro", "accelerometer", "force", "torque"]
+
+
+class Places(NamedTuple):
+    """Links at which something is measured."""
+
+    imus: tuple[str, ...]
+    cells: tuple[str, ...]
+
+
+class UrdfModel:
+    """A vehicle's model, base joints first.
+
+    Args:
+        drawing: its URDF.
+        base: kind of the base.
+        gravity_m_s2: world axes.
+        places: where it is measured.
+
+    Attributes:
+        model: MuJoCo's.
+        freedom: degrees of freedom of the base.
+        joints: names of the joints in the order of MuJoCo's columns after the base's.
+
+    Raises:
+        ScenarioError: MuJoCo cannot simulate it.
+    """
+
+    def __init__(self, drawing: Drawing, base: str, gravity_m_s2: Sequence[float], places: Places) -> None:
+        try:
+            spec = mujoco.MjSpec.from_string(drawing.plain)
+            spec.compiler.fusestatic = False
+            _let_go(spec.body(PREFIX + drawing.root), base)
+            _instrument(spec, places)
+            self.model = spec.compile()
+        except ValueError as error:
+            raise ScenarioError(
+                f"MuJoCo cannot simulate the URDF: {error}; give every link that moves a mass, and an inertia about "
+                "its centre of mass that a body can have"
+            ) from error
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        self.model.opt.gravity = gravity_m_s2
+        self.model.dof_damping[:] = self.model.dof_armature[:] = self.model.dof_frictionloss[:] = 0.0
+        self.freedom = BASE_FREEDOM[base]
+        self.pose = 7 if self.freedom == 6 else self.freedom  # numbers of the base's pose
+        first = {0: 0, 3: 3, 6: 1}[self.freedom]
+        self.joints = tuple(self.model.joint(index).name for index in range(first, self.model.njnt))
+        self._drawn = {link: self._read(link) for link in drawing.links}
+
+    def _read(self, link: str) -> Body:
+        body = self.model.body(PREFIX + link)
+        R = _matrix(body.iquat)
+        return Body(float(body.mass[0]), np.array(body.ipos), R @ np.diag(body.inertia) @ R.T)
+
+    @property
+    def drawn(self) -> dict[str, Body]:
+        """Every link that has a mass, as drawn, in its own frame."""
+        return {link: body for link, body in self._drawn.items() if body.mass_kg > 0.0}
+
+    def build(self, bodies: Mapping[str, Body]) -> None:
+        """Give links other inertias."""
+        for link, own in bodies.items():
+            body = self.model.body(PREFIX + link)
+            moments, axes = np.linalg.eigh(own.inertia_kg_m2)
+            axes[:, 2] *= np.sign(np.linalg.det(axes))
+            quaternion = np.zeros(4)
+            mujoco.mju_mat2Quat(quaternion, axes.ravel())
+            body.mass, body.ipos, body.inertia, body.iquat = own.mass_kg, own.centre_of_mass_m, moments, quaternion
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+
+    def empty(self, link: str) -> Body:
+        """Take a link's own inertia away, which is that of the payload it holds; returns it as drawn."""
+        own = self._drawn[link]
+        self._drawn[link] = Body(0.0, np.zeros(3), np.zeros((3, 3)))
+        self.build({link: self._drawn[link]})
+        return own
+
+    def hold(self, link: str, payload: Body | None) -> None:
+        """Weld a payload to a link, or take it off: the link has its own inertia besides."""
+        own = self._drawn[link]
+        self.build({link: own if payload is None else _together(own, payload)})
+
+    def body(self, link: str) -> int:
+        """MuJoCo's number of a link."""
+        return int(self.model.body(PREFIX + link).id)
+
+    def beyond(self, link: str) -> list[int]:
+        """MuJoCo's numbers of a link and of all that hangs on it."""
+        cut, found = self.body(link), []
+        for index in range(1, self.model.nbody):
+            at = index
+            while at not in (cut, 0):
+                at = int(self.model.body_parentid[at])
+            if at == cut:
+                found.append(index)
+        return found
+
+    def sensor(self, kind: Sensed, link: str) -> slice:
+        """Where a sensor's three numbers stand."""
+        first = int(self.model.sensor(f"{kind} {link}").adr[0])
+        return slice(first, first + 3)
+
+
+def _let_go(root: mujoco.MjsBody, base: str) -> None:
+    if BASE_FREEDOM[base] == 6:
+        root.add_freejoint()
+    elif base == "planar":
+        slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+        root.add_joint(name="table x", type=slide, axis=[1, 0, 0])
+        root.add_joint(name="table y", type=slide, axis=[0, 1, 0])
+        root.add_joint(name="table yaw", type=hinge, axis=[0, 0, 1])
+
+
+def _instrument(spec: mujoco.MjSpec, places: Places) -> None:
+    def add(kinds: Iterable[Sensed], links: Iterable[str]) -> None:
+        for link in links:
+            for kind in kinds:
+                spec.add_sensor(
+                    name=f"{kind} {link}",
+                    type=_SENSED[kind],
+                    objtype=mujoco.mjtObj.mjOBJ_SITE,
+                    objname=f"at {link}",
+                )
+
+    for link in dict.fromkeys((*places.imus, *places.cells)):
+        spec.body(PREFIX + link).add_site(name=f"at {link}")
+    add(("gyro", "accelerometer"), places.imus)
+    add(("force", "torque"), places.cells)
+
+
+def _together(one: Body, other: Body) -> Body:
+    """Two bodies in one frame, welded."""
+    mass = one.mass_kg + other.mass_kg
+    centre = (one.mass_kg * one.centre_of_mass_m + other.mass_kg * other.centre_of_mass_m) / mass
+    inertia = np.zeros((3, 3))
+    for part in (one, other):
+        d = part.centre_of_mass_m - centre
+        inertia += part.inertia_kg_m2 + part.mass_kg * (d @ d * np.eye(3) - np.outer(d, d))
+    return Body(mass, centre, inertia)
+
+
+def _matrix(quaternion: FloatArray) -> FloatArray:
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, np.asarray(quaternion, np.float64))
+    return out.reshape(3, 3)
+
+
+def rotation(roll_pitch_yaw: FloatArray) -> FloatArray:
+    """(3, 3): Rz(yaw) Ry(pitch) Rx(roll), rad."""
+    quaternion = np.zeros(4)
+    mujoco.mju_euler2Quat(quaternion, np.asarray(roll_pitch_yaw, np.float64), "XYZ")
+    return _matrix(quaternion)

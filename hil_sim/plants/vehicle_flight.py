@@ -1,0 +1,297 @@
+"""Flight of a vehicle whose joints move as told: MuJoCo's inverse dynamics gives the base's acceleration and all loads.
+
+At a pose, MuJoCo's inverse dynamics with the joints' accelerations and none of the base gives the wrench b that would
+keep the base from accelerating; with M the inertia matrix at the base and f the wrench on it from outside, the base
+accelerates by ``M^-1 (f - b)``. A Runge-Kutta scheme of fourth order integrates that, its stages on half steps.
+
+A capture is plastic: from one row to the next the payload is welded to its link, the momentum of the whole vehicle is
+that of before and the payload's own together, and the joints continue as told. A release is the reverse.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import mujoco
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants.base_sway import BasePath
+from hil_sim.plants.body import Body
+from hil_sim.plants.urdf_model import Places, UrdfModel
+
+_ROUNDING_m_s = 2e-3  # of Coulomb drag
+_LATER = int(mujoco.mjtStage.mjSTAGE_VEL)  # stages of inverse dynamics that are done already
+
+
+class JointMotion(Protocol):
+    """The joints' motion."""
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angle, rate and acceleration at times (n,); (n, joints) each."""
+
+
+class Puck(NamedTuple):
+    """An air puck under the base."""
+
+    place_m: FloatArray  # (3,), base axes
+    viscous_N_s_m: float  # noqa: N815
+    coulomb_N: float  # noqa: N815
+
+
+class Rows(NamedTuple):
+    """True signals on a grid, (n, ...)."""
+
+    sensors: FloatArray  # (n, s) MuJoCo's, in the order of the model
+    joints: FloatArray  # (n, j) rad or m
+    rates: FloatArray  # (n, j)
+    torques: FloatArray  # (n, j) that the joints' drives exert on what is beyond them, without their own friction
+
+
+class Jolt(NamedTuple):
+    """What jumps between two rows: velocities gained and impulses felt, in the axes of the sensors."""
+
+    sensors: FloatArray  # (s,) accelerometers: velocity gained; force and torque: impulse; gyros: nothing
+    torques: FloatArray  # (j,) impulse
+
+
+class Released(NamedTuple):
+    """A payload that comes, or goes; its motion relative to its link just before, in the axes of the link."""
+
+    payload: Body
+    velocity_m_s: FloatArray  # (3,)
+    rate_rad_s: FloatArray  # (3,)
+
+
+class VehicleFlight:
+    """A flight computed in chunks.
+
+    Args:
+        vehicle: the model; the payload is welded to it and taken off in flight.
+        motion: of the joints, in the order of the vehicle's.
+        places: where it is measured.
+        link: that holds the payload.
+        step_s: between rows.
+        velocity: of the base at the start, MuJoCo's numbers; empty where it is fixed or prescribed.
+        path: of a prescribed base, at half steps.
+        pucks: of a planar one.
+    """
+
+    def __init__(
+        self,
+        vehicle: UrdfModel,
+        motion: JointMotion,
+        places: Places,
+        link: str | None,
+        step_s: float,
+        velocity: FloatArray,
+        path: BasePath | None = None,
+        pucks: Sequence[Puck] = (),
+    ) -> None:
+        self.vehicle, self._motion, self._places, self._link = vehicle, motion, places, link
+        self._step_s, self._path, self._pucks = step_s, path, pucks
+        self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
+        self._nb, self._np = vehicle.freedom, vehicle.pose
+        self._free = path is None and self._nb > 0
+        self._units = np.eye(self.model.nv)[: self._nb]
+        self._columns = np.zeros((self._nb, self.model.nv))
+        self._pose = self.data.qpos[: self._np].copy()
+        self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
+        self.count = 0  # of the next row
+
+    def advance(self, rows: int) -> Rows:
+        """The next ``rows`` rows; the vehicle then stands at the row after them."""
+        half: FloatArray = 0.5 * self._step_s * np.arange(2 * self.count, 2 * (self.count + rows) + 1, dtype=np.float64)
+        q, dq, ddq = self._motion.at(half)
+        out = Rows(np.empty((rows, self.model.nsensordata)), *(np.empty((rows, q.shape[1])) for _ in range(3)))
+        for k in range(rows):
+            stage = 2 * k
+            self._show(k, out, q[stage], dq[stage], ddq[stage])
+            if self._free:
+                self._step(q[stage : stage + 3], dq[stage : stage + 3], ddq[stage : stage + 3])
+            self.count += 1
+        return out
+
+    def show(self) -> Rows:
+        """The row at which the vehicle stands, without leaving it."""
+        q, dq, ddq = self._motion.at(np.array([self._step_s * self.count]))
+        out = Rows(np.empty((1, self.model.nsensordata)), *(np.empty((1, q.shape[1])) for _ in range(3)))
+        self._show(0, out, q[0], dq[0], ddq[0])
+        return out
+
+    def exchange(self, comes: Released | None, goes: Released | None) -> Jolt:
+        """Weld a payload to its link, or let one go, between two rows.
+
+        Args:
+            comes: what is caught.
+            goes: what is let go.
+        """
+        assert self._link is not None
+        self.show()
+        body = self.vehicle.body(self._link)
+        seen, parts = self._velocities(), self._momenta()
+        moves = comes if comes is not None else goes
+        assert moves is not None
+        own, moving = self._outside(body, moves), self._payload_momentum(body, moves)
+        momentum = self._momentum() + (moving if comes is not None else -moving)
+        self.vehicle.hold(self._link, None if comes is None else comes.payload)
+        self._refresh()
+        dq = self.data.qvel[self._nb :].copy()
+        if self._free:
+            M = self._base_inertia()
+            self._velocity = np.linalg.solve(M[:, : self._nb], momentum[: self._nb] - M[:, self._nb :] @ dq)
+            self._refresh()
+        sensors = np.zeros(self.model.nsensordata)
+        for link, gained in zip(self._places.imus, self._velocities() - seen, strict=True):
+            sensors[self.vehicle.sensor("accelerometer", link)] = gained
+        at, p, L = own
+        sign = 1.0 if comes is not None else -1.0
+        for link, after, before in zip(self._places.cells, self._momenta(), parts, strict=True):
+            site = self.data.site(f"at {link}")
+            linear, angular = after[0] - before[0], after[1] - before[1]
+            if body in self.vehicle.beyond(link):
+                linear, angular = linear - sign * p, angular - sign * (L + np.cross(at - site.xpos, p))
+            R = site.xmat.reshape(3, 3)
+            sensors[self.vehicle.sensor("force", link)] = linear @ R
+            sensors[self.vehicle.sensor("torque", link)] = angular @ R
+        return Jolt(sensors, (self._momentum() - momentum)[self._nb :])
+
+    def _show(self, k: int, out: Rows, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
+        data, nb = self.data, self._nb
+        if self._path is not None:
+            stage = 2 * self.count
+            self._pose, self._velocity = self._path.pose[stage], self._path.velocity[stage]
+            acceleration = self._path.acceleration[stage]
+            self._place(self._pose, self._velocity, q, dq)
+            data.qacc[:nb], data.qacc[nb:] = acceleration, ddq
+            mujoco.mj_inverse(self.model, data)
+        else:
+            acceleration = self._accelerate(self._pose, self._velocity, q, dq, ddq)
+            data.qacc[:nb] = acceleration
+            mujoco.mj_inverseSkip(self.model, data, _LATER, 0)
+        out.sensors[k], out.joints[k], out.rates[k] = data.sensordata, q, dq
+        out.torques[k] = data.qfrc_inverse[nb:]
+
+    def _place(self, pose: FloatArray, velocity: FloatArray, q: FloatArray, dq: FloatArray) -> None:
+        data = self.data
+        data.qpos[: self._np], data.qpos[self._np :] = pose, q
+        data.qvel[: self._nb], data.qvel[self._nb :] = velocity, dq
+
+    def _refresh(self) -> None:
+        """Everything that depends on pose and velocity anew, after the base's velocity or a body has changed."""
+        self.data.qvel[: self._nb] = self._velocity
+        mujoco.mj_forward(self.model, self.data)
+
+    def _accelerate(
+        self, pose: FloatArray, velocity: FloatArray, q: FloatArray, dq: FloatArray, ddq: FloatArray
+    ) -> FloatArray:
+        """Of the base, (b,); leaves the joints' accelerations in place."""
+        data, nb = self.data, self._nb
+        self._place(pose, velocity, q, dq)
+        data.qacc[:nb], data.qacc[nb:] = 0.0, ddq
+        mujoco.mj_inverse(self.model, data)
+        if nb == 0:
+            return velocity
+        wrench = -data.qfrc_inverse[:nb]
+        if self._pucks:
+            wrench += drag_wrench(self._pucks, float(pose[2]), velocity)
+        return np.asarray(np.linalg.solve(self._base_inertia()[:, :nb], wrench), np.float64)
+
+    def _base_inertia(self) -> FloatArray:
+        """Rows of the inertia matrix at the base, (b, v)."""
+        for row, unit in zip(self._columns, self._units, strict=True):
+            mujoco.mj_mulM(self.model, self.data, row, unit)
+        return self._columns
+
+    def _step(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
+        """One Runge-Kutta step; joints at its start, middle and end."""
+        h, v = self._step_s, self._velocity
+        rates: list[FloatArray] = [v]
+        forces = [self.data.qacc[: self._nb].copy()]  # as _show left it
+        for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
+            pose = self._moved(rates[-1], part * h)
+            velocity = v + part * h * forces[-1]
+            forces.append(self._accelerate(pose, velocity, q[stage], dq[stage], ddq[stage]))
+            rates.append(velocity)
+        mean = (rates[0] + 2.0 * rates[1] + 2.0 * rates[2] + rates[3]) / 6.0
+        self._pose = self._moved(mean, h)
+        self._velocity = v + h * (forces[0] + 2.0 * forces[1] + 2.0 * forces[2] + forces[3]) / 6.0
+
+    def _moved(self, velocity: FloatArray, step_s: float) -> FloatArray:
+        """The base's pose after a step from where it stands."""
+        if self._nb == 3:
+            return np.asarray(self._pose + step_s * velocity, np.float64)
+        pose: FloatArray = self._pose.copy()
+        pose[:3] += step_s * velocity[:3]
+        attitude = pose[3:].copy()
+        mujoco.mju_quatIntegrate(attitude, velocity[3:], step_s)
+        pose[3:] = attitude
+        return pose
+
+    def _momentum(self) -> FloatArray:
+        """Generalised momentum of the vehicle, (v,)."""
+        out = np.zeros(self.model.nv)
+        mujoco.mj_mulM(self.model, self.data, out, self.data.qvel)
+        return out
+
+    def _outside(self, body: int, moves: Released) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of a payload beside its link: place of its centre, momentum, angular momentum about that; world axes."""
+        R, origin = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
+        link = np.zeros(6)  # rate, velocity
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, body, link, 0)
+        rate, velocity = link[:3] + R @ moves.rate_rad_s, link[3:] + R @ moves.velocity_m_s
+        arm = R @ moves.payload.centre_of_mass_m
+        return (
+            origin + arm,
+            moves.payload.mass_kg * (velocity + np.cross(rate, arm)),
+            R @ moves.payload.inertia_kg_m2 @ R.T @ rate,
+        )
+
+    def _payload_momentum(self, body: int, moves: Released) -> FloatArray:
+        """Generalised momentum that a payload beside its link has, (v,)."""
+        at, linear, angular = self._outside(body, moves)
+        J = np.zeros((2, 3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, J[0], J[1], at, body)
+        return np.asarray(linear @ J[0] + angular @ J[1])
+
+    def _velocities(self) -> FloatArray:
+        """Of the IMUs, their axes, (imus, 3)."""
+        found = np.zeros((len(self._places.imus), 3))
+        twist = np.zeros(6)
+        for row, link in zip(found, self._places.imus, strict=True):
+            site = self.model.site(f"at {link}").id
+            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, site, twist, 1)
+            row[:] = twist[3:]
+        return found
+
+    def _momenta(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Linear momentum beyond each cell and angular momentum about it, world axes."""
+        return [self._beyond(link) for link in self._places.cells]
+
+    def _beyond(self, link: str) -> tuple[FloatArray, FloatArray]:
+        about, linear, angular = self.data.site(f"at {link}").xpos, np.zeros(3), np.zeros(3)
+        motion = np.zeros(6)  # rate, velocity of the centre of mass
+        for body in self.vehicle.beyond(link):
+            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, motion, 0)
+            axes = self.data.ximat[body].reshape(3, 3)
+            p = self.model.body_mass[body] * motion[3:]
+            linear += p
+            angular += axes @ (self.model.body_inertia[body] * (axes.T @ motion[:3]))
+            angular += np.cross(self.data.xipos[body] - about, p)
+        return linear, angular
+
+
+def drag_wrench(pucks: Sequence[Puck], yaw: float, velocity: FloatArray) -> FloatArray:
+    """Generalised force of all pucks on x, y and yaw of the table, (3,); ``velocity`` of these, (3,)."""
+    vx, vy, w = velocity.tolist()
+    c, s = math.cos(yaw), math.sin(yaw)
+    force_x = force_y = moment = 0.0
+    for puck in pucks:
+        px, py = float(puck.place_m[0]), float(puck.place_m[1])
+        x, y = c * px - s * py, s * px + c * py
+        slip_x, slip_y = vx - w * y, vy + w * x
+        share = puck.viscous_N_s_m + puck.coulomb_N / math.hypot(slip_x, slip_y, _ROUNDING_m_s)
+        force_x -= share * slip_x
+        force_y -= share * slip_y
+        moment -= share * (x * slip_y - y * slip_x)
+    return np.array([force_x, force_y, moment])

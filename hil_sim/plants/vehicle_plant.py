@@ -1,0 +1,286 @@
+"""Plant of any vehicle: its URDF as it was built, its base released, held or moved, its joints as told, its payload.
+
+The whole mission is computed when the plant is created, at steps of a few ms (the flight computer does not act on it).
+The sensors' finer grid is interpolated by splines, separately between captures and releases; a jolt is in one row of
+that grid, as its mean. Rows are released in chunks as time advances, so no sensor reads future rows.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants import urdf_drawing, world
+from hil_sim.plants.base_sway import sway
+from hil_sim.plants.body import Body, built
+from hil_sim.plants.joint_swings import JointSwings
+from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
+from hil_sim.plants.vehicle_flight import Jolt, Puck, Released, Rows, VehicleFlight
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import JointFriction, LetGo, PayloadTable, Tolerance, VehicleScenario
+
+_ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
+_DRAWS = 1000  # of a part until it is one that can exist
+_SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
+
+
+class Drive(NamedTuple):
+    """What a joint's drive adds to the torque that its motor makes."""
+
+    coulomb_n_m: float
+    viscous_n_m_s: float
+    rotor_kg_m2: float
+
+
+class VehiclePlant(world.Plant):
+    """A vehicle's whole mission.
+
+    Args:
+        scenario: the mission.
+        rng: draws bodies, payload, release, motion, drives, table and capture, in this order.
+
+    Attributes:
+        bodies: every link that has a mass, as built.
+        payload: what is held, or caught; None where nothing is.
+        events_s: capture and ejection, by name.
+        rows_true: true signals of the whole flight; rows from ``count`` on are not yet released.
+
+    Raises:
+        ScenarioError: a drawing, a link or a number that cannot be simulated.
+    """
+
+    def __init__(self, scenario: VehicleScenario, rng: np.random.Generator) -> None:
+        physics, said = scenario.physics, scenario.vehicle
+        self._scenario = scenario
+        self.drawing = urdf_drawing.read(said.urdf, said.label)
+        if said.base_link != self.drawing.root:
+            raise ScenarioError(f"{said.label} hangs on {self.drawing.root!r}, and base_link is {said.base_link!r}")
+        self._places = _places(scenario, self.drawing)
+        gravity = physics.gravity_m_s2
+        tilt = scenario.table.tilt_sigma_m_s2 * rng.standard_normal(2) if said.base == "planar" else np.zeros(2)
+        self._gravity = np.array(gravity) + np.array([*tilt, 0.0])
+        self._model = UrdfModel(self.drawing, said.base, self._gravity.tolist(), self._places)
+        self.joints = tuple(self.drawing.joints[name] for name in self._model.joints)
+        drawn = None
+        if scenario.payload is not None and said.payload_link is not None:
+            if said.payload_link not in self.drawing.links:
+                raise ScenarioError(f"{said.label} has no link {said.payload_link!r}, which is the payload_link")
+            drawn = self._model.empty(said.payload_link)
+        self.bodies = _as_built(scenario, self._model.drawn, rng)
+        self._model.build(self.bodies)
+        self.payload = None if scenario.payload is None else _payload(scenario.payload, drawn, rng)
+        self._velocity = _let_go(scenario.release, said.base, rng)
+        self.program: JointSwings = JointSwings(scenario, self.joints, rng)
+        self.drives = _drives(scenario.friction, self, rng)
+        self._pucks = _pucks(scenario, self._model, rng)
+        self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
+        self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
+        self.events_s: dict[str, float] = {}
+        self.rows_true = self._fly(rng)
+
+    def _fly(self, rng: np.random.Generator) -> Rows:
+        """True signals of the whole flight on the sensors' grid."""
+        scenario, every = self._scenario, self._scenario.physics.integration_steps
+        coarse_s, steps = every * self.step_s, -(-self.rows // every) + 1
+        prescribed = scenario.vehicle.base == "prescribed"
+        half_s = np.asarray(0.5 * coarse_s * np.arange(2 * steps + 1), np.float64)
+        path = sway(scenario.base_motion, half_s, rng) if prescribed else None
+        link = scenario.vehicle.payload_link
+        if self.payload is not None and scenario.capture is None and link is not None:
+            self._model.hold(link, self.payload)
+        flight = VehicleFlight(
+            self._model, self.program, self._places, link, coarse_s, self._velocity, path, self._pucks
+        )
+        parts: list[Rows] = []
+        jolt: Jolt | None = None
+        for name, first, moves in self._events(rng, coarse_s, steps):
+            parts.append(self._part(flight, first, every, jolt))
+            jolt = flight.exchange(moves, None) if name == "capture" else flight.exchange(None, moves)
+            self.events_s[name] = first * coarse_s
+        parts.append(self._part(flight, steps, every, jolt))
+        return Rows(*(np.concatenate(of)[: self.rows] for of in zip(*parts, strict=True)))
+
+    def _part(self, flight: VehicleFlight, until: int, every: int, jolt: Jolt | None) -> Rows:
+        """Fly to a coarse row, and refine what is before it; what jumped at the first row is in that."""
+        flown, last = flight.advance(until - flight.count), flight.show()
+        coarse = Rows(*(np.concatenate(of) for of in zip(flown, last, strict=True)))
+        at = np.arange(every * (len(coarse.joints) - 1)) / every
+        fine = Rows(*(CubicSpline(np.arange(len(values)), values)(at) for values in coarse))
+        if jolt is not None:
+            fine.sensors[0] += jolt.sensors / self.step_s
+            fine.torques[0] += jolt.torques / self.step_s
+        return fine
+
+    def _events(self, rng: np.random.Generator, coarse_s: float, steps: int) -> Iterator[tuple[str, int, Released]]:
+        """Capture and ejection: name, coarse row, and what comes or goes."""
+        scenario, payload = self._scenario, self.payload
+        capture, ejection = scenario.capture, scenario.ejection
+        first = 0
+        if capture is not None and payload is not None:
+            window = rng.uniform(capture.earliest_s, max(capture.latest_s, capture.earliest_s))
+            at_s = window if capture.phase is None else scenario.start_of(capture.phase)
+            first = min(max(round(at_s / coarse_s), 2), steps - 2)
+            velocity = capture.velocity_sigma_m_s * rng.standard_normal(3)
+            yield "capture", first, Released(payload, velocity, capture.rate_sigma_rad_s * rng.standard_normal(3))
+        if ejection is not None and payload is not None:
+            told = scenario.start_of(ejection.phase) if ejection.phase is not None else ejection.at_s
+            row = min(max(round((told or 0.0) / coarse_s), first + 2), steps - 2)
+            yield "ejection", row, Released(payload, np.asarray(ejection.velocity_m_s), np.zeros(3))
+
+    def inertial(self, at: str) -> world.Inertial:
+        """See ``world.Plant``; ``at`` is a link or joint of the URDF."""
+        link = self.drawing.link_at(at)
+        sensors = self.rows_true.sensors
+        force, rate = (sensors[:, self._model.sensor(kind, link)] for kind in ("accelerometer", "gyro"))
+        return world.Inertial(force, rate, 0.0)
+
+    def angle_rad(self, at: str) -> FloatArray:
+        """See ``world.Plant``: m of a joint that slides."""
+        return self.rows_true.joints[:, self._joint(at)].copy()
+
+    def moment_n_m(self, at: str, axis: world.Axis = world.Z) -> FloatArray:
+        """See ``world.Plant``."""
+        unit = np.asarray(axis) / np.linalg.norm(axis)
+        return np.asarray(self.rows_true.sensors[:, self._model.sensor("torque", self.drawing.link_at(at))] @ unit)
+
+    def force_n(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        return self.rows_true.sensors[:, self._model.sensor("force", self.drawing.link_at(at))]
+
+    def servo_torque_n_m(self, at: str) -> FloatArray:
+        """See ``world.Plant``: with the drive's friction and rotor."""
+        column, drive = self._joint(at), self.drives[at]
+        rate = self.rows_true.rates[:, column]
+        own = drive.coulomb_n_m * np.tanh(rate / _SLOW) + drive.viscous_n_m_s * rate
+        own = own + drive.rotor_kg_m2 * np.gradient(rate, self.step_s)
+        return self.rows_true.torques[:, column] + own
+
+    def truth(self) -> dict[str, Any]:
+        """See ``world.Plant``: of the payload in its link's frame, and of every link in its own."""
+        quantities: dict[str, float] = {}
+        if self.payload is not None:
+            name, c = str(self._scenario.vehicle.payload_link), self.payload.centre_of_mass_m
+            quantities = {
+                f"m_{name}": self.payload.mass_kg,
+                **{f"c_{axis}_{name}": value for axis, value in zip("xyz", c.tolist(), strict=True)},
+                **{f"I_{of}_{name}": float(self.payload.inertia_kg_m2[at]) for of, at in _ELEMENTS.items()},
+            }
+        return {
+            "quantities": quantities,
+            "payload_link": self._scenario.vehicle.payload_link,
+            "links": {link: _told(body) for link, body in self.bodies.items()},
+            "drives": {name: drive._asdict() for name, drive in self.drives.items()},
+            "pucks": {name: puck._asdict() for name, puck in zip(self._scenario.table.pucks, self._pucks, strict=True)},
+            "gravity_m_s2": self._gravity,
+            "posture": dict(zip(self._model.joints, self.program.posture.tolist(), strict=True)),
+            "capture_s": self.events_s.get("capture", 0.0),
+            "ejection_s": self.events_s.get("ejection"),
+        }
+
+    def _joint(self, name: str) -> int:
+        if name not in self._model.joints:
+            raise ScenarioError(f"the URDF has no moving joint {name!r}; it has {', '.join(self._model.joints)}")
+        return self._model.joints.index(name)
+
+    def _run_chunk(self) -> None:
+        self.count += self.chunk
+
+
+def _told(body: Body) -> dict[str, Any]:
+    return {
+        "mass_kg": body.mass_kg,
+        "centre_of_mass_m": body.centre_of_mass_m,
+        "inertia_kg_m2": body.inertia_kg_m2,
+    }
+
+
+def _places(scenario: VehicleScenario, drawing: urdf_drawing.Drawing) -> Places:
+    """Links at which the devices measure motion or loads."""
+    imus: dict[str, None] = {}
+    cells: dict[str, None] = {}
+    for device in scenario.device.values():
+        table = device.model_dump()
+        for part in (table, *table.get("channel", ())):
+            sensor = scenario.sensor.get(str(part.get("measures")))
+            if sensor is not None and sensor.quantity == "inertial":
+                imus[drawing.link_at(str(part.get("at")))] = None
+            elif sensor is not None and sensor.quantity in ("joint_moment", "force"):
+                cells[drawing.link_at(str(part.get("at")))] = None
+    return Places(tuple(imus), tuple(cells))
+
+
+def _as_built(scenario: VehicleScenario, drawn: dict[str, Body], rng: np.random.Generator) -> dict[str, Body]:
+    """Every link within its tolerance of the drawing; drawn again until it is a body that can exist."""
+    unknown = sorted(scenario.as_built.keys() - drawn.keys() - {"default"})
+    if unknown:
+        raise ScenarioError(f"as_built names {', '.join(unknown)}; links with a mass are {', '.join(drawn)}")
+    usual = scenario.as_built.get("default", Tolerance())
+    found: dict[str, Body] = {}
+    for link, body in drawn.items():
+        sigma = scenario.as_built.get(link, usual)
+        for _ in range(_DRAWS):
+            one = built(body, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
+            if one.is_possible:
+                break
+        else:
+            raise ScenarioError(f"as_built.{link}: hardly any body lies within it; make it smaller")
+        found[link] = one
+    return found
+
+
+def _payload(table: PayloadTable, drawn: Body | None, rng: np.random.Generator) -> Body:
+    """A solid box in the frame of its link; whatever is not told is drawn.
+
+    Where its link has an inertia in the URDF and the table gives no shape, it has that shape at another density.
+    """
+    low, high = np.log(table.mass_kg)
+    mass = float(np.exp(rng.uniform(low, high)))
+    shape = rng.uniform(0.7, 1.4, 3)
+    size = (mass / table.density_kg_m3) ** (1.0 / 3.0) * shape / np.cbrt(shape.prod())
+    aside, turn = rng.uniform(-0.3, 0.3, 3), rng.uniform(-np.pi, np.pi, 3)
+    if drawn is not None and drawn.mass_kg > 0.0 and table.size_mm is None and table.centre_of_mass_mm is None:
+        return Body(mass, drawn.centre_of_mass_m, drawn.inertia_kg_m2 * mass / drawn.mass_kg)
+    if table.size_mm is not None:
+        size = 1e-3 * np.asarray(table.size_mm)
+    centre = aside * size + [0.0, 0.0, 0.5 * size[2]]
+    if table.centre_of_mass_mm is not None:
+        centre = 1e-3 * np.asarray(table.centre_of_mass_mm)
+    if table.roll_pitch_yaw_deg is not None:
+        turn = np.deg2rad(table.roll_pitch_yaw_deg)
+    return Body.box(mass, size.tolist(), centre.tolist()).turned(rotation(turn))
+
+
+def _let_go(table: LetGo, base: str, rng: np.random.Generator) -> FloatArray:
+    """Velocity of the base at the start, MuJoCo's numbers."""
+    rate = table.rate_rad_s * rng.uniform(-1.0, 1.0, 3) + np.asarray(table.spin_rad_s)
+    velocity = table.velocity_m_s * rng.uniform(-1.0, 1.0, 3)
+    return {"free": np.concatenate([velocity, rate]), "planar": np.array([*velocity[:2], rate[2]])}.get(
+        base, np.zeros(0)
+    )
+
+
+def _drives(table: JointFriction, plant: VehiclePlant, rng: np.random.Generator) -> dict[str, Drive]:
+    """Friction and rotor of every joint."""
+    found = {}
+    for joint in plant.joints:
+        effort = joint.effort if np.isfinite(joint.effort) else table.effort_N_m
+        factor = 2.0 ** rng.uniform(-1.0, 1.0, 3)
+        turned = sum(float(body.principal_kg_m2[-1]) for body in plant.bodies.values()) / len(plant.joints)
+        sizes = effort * table.coulomb, effort * table.viscous_s_rad, turned * table.rotor
+        found[joint.name] = Drive(*(float(size * by) for size, by in zip(sizes, factor, strict=True)))
+    return found
+
+
+def _pucks(scenario: VehicleScenario, model: UrdfModel, rng: np.random.Generator) -> list[Puck]:
+    """Every puck of the table, its drag drawn."""
+    found = []
+    for frame in scenario.table.pucks:
+        link = model.model.body(model.body(frame))
+        if int(link.parentid[0]) != model.body(scenario.vehicle.base_link):
+            raise ScenarioError(f"table.pucks: {frame!r} is not fixed to {scenario.vehicle.base_link!r}; make it so")
+        share = rng.uniform(0.0, 1.0, 2)
+        drag = share * [scenario.table.viscous_N_s_m, scenario.table.coulomb_N]
+        found.append(Puck(np.array(link.pos), *drag.tolist()))
+    return found

@@ -1,0 +1,202 @@
+"""Tables of the scenario of any vehicle, made from its vehicle.toml and URDF: ``[scenario] plant = "vehicle"``.
+
+What stands here is what a scenario file may say over the defaults; ``hil_sim.devices.vehicle_file`` adds sensors,
+clocks, buses and devices.
+"""
+# ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from hil_sim.scenario.sensor_tables import Fraction, NonNegative, Table, Vector
+from hil_sim.scenario.tables import Scenario
+
+PhaseCode = Annotated[int, Field(ge=0, le=255)]
+Span = tuple[float, float]
+
+
+class VehicleTable(Table):
+    """``[vehicle]``: taken from the vehicle file; ``urdf`` is the text of the drawing, ``label`` its name."""
+
+    urdf: str
+    label: str
+    base: Literal["free", "prescribed", "fixed", "planar"]
+    base_link: str
+    payload_link: str | None = None
+
+
+class WorldPhysics(Table):
+    """``[physics]``: steps of the sensors' grid, how many the integration takes at a time, and how many are released.
+
+    ``gravity_m_s2``: in the axes of the world, which are the base's at the start; a free base falls with it.
+    """
+
+    step_us: PositiveInt = 500
+    integration_steps: PositiveInt = 8
+    chunk_steps: PositiveInt = 40
+    gravity_m_s2: Vector = (0.0, 0.0, 0.0)
+
+
+class Tolerance(Table):
+    """``[as_built.LINK]``, ``[as_built.default]``: standard deviations about the drawing; inertia of half its trace."""
+
+    mass_relative: NonNegative = 0.01
+    centre_mm: NonNegative = 1.0
+    inertia_relative: NonNegative = 0.01
+
+
+class LetGo(Table):
+    """``[release]``: motion of a free or planar base at the start; each component within +- these, but for ``spin``.
+
+    ``spin_rad_s``: of a spinning body, added to the rate drawn, in base axes.
+    """
+
+    rate_rad_s: NonNegative = 0.05
+    velocity_m_s: NonNegative = 0.01
+    spin_rad_s: Vector = (0.0, 0.0, 0.0)
+
+
+class PayloadTable(Table):
+    """``[payload]``: a solid box in the frame of the payload link. What is not given is drawn by seed.
+
+    ``mass_kg``: two equal numbers are that mass. ``density_kg_m3`` gives the box its size where ``size_mm`` does not.
+    """
+
+    mass_kg: tuple[PositiveFloat, PositiveFloat]
+    density_kg_m3: PositiveFloat = 1000.0
+    size_mm: Vector | None = None
+    centre_of_mass_mm: Vector | None = None
+    roll_pitch_yaw_deg: Vector | None = None
+
+
+class CaptureWindow(Table):
+    """``[capture]``: when the payload is caught; without it, it is held from the start. Sigmas of its relative motion.
+
+    ``phase``: at the start of the first step with this phase, and not in the window.
+    """
+
+    earliest_s: NonNegative = 0.0
+    latest_s: NonNegative = 0.0
+    phase: PhaseCode | None = None
+    velocity_sigma_m_s: NonNegative = 0.005
+    rate_sigma_rad_s: NonNegative = 0.01
+
+
+class EjectionTable(Table):
+    """``[ejection]``: the payload is let go at the start of the first step with ``phase``, or at ``at_s``.
+
+    ``velocity_m_s``: of the payload against the gripper afterwards, axes of the payload link.
+    """
+
+    phase: PhaseCode | None = None
+    at_s: NonNegative | None = None
+    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "EjectionTable":
+        if (self.phase is None) == (self.at_s is None):
+            raise ValueError("give either phase or at_s")
+        return self
+
+
+class Step(Table):
+    """``[[sequence]]``: the arm keeps its posture (``hold``), or every joint swings about it (``swing``).
+
+    ``swing``: rms amplitude of a joint, of the way to its nearer end (a third of a radian at most of one that turns
+    freely or far); the motion grows from rest and dies down within ``ramp_s``.
+    """
+
+    phase: PhaseCode
+    action: Literal["hold", "swing"]
+    duration_s: PositiveFloat
+    ramp_s: PositiveFloat = 2.0
+    swing: Fraction = 0.35
+    tones: PositiveInt = 3
+    band_Hz: tuple[PositiveFloat, PositiveFloat] = (0.1, 0.6)
+
+    @model_validator(mode="after")
+    def _ramps_fit(self) -> "Step":
+        if self.action == "swing" and 2.0 * self.ramp_s > self.duration_s:
+            raise ValueError("duration_s must hold two ramps of ramp_s")
+        return self
+
+
+class Motion(Table):
+    """``[motion]``: of the joints. ``posture``: by joint, rad or m; drawn near the middle of its range where not given.
+
+    ``csv``: a file of ``time_s`` and a column for each joint, rad or m, in place of the swings of the sequence; beside
+    the scenario. The first posture holds before it, the last after it.
+    """
+
+    posture: dict[str, float] = Field(default_factory=dict)
+    spread: Fraction = 0.3
+    csv: str | None = None
+
+
+class BaseSway(Table):
+    """``[base_motion]`` of a prescribed base: rms of its rate and of its acceleration by axis, as tones of a band."""
+
+    rate_rad_s: NonNegative = 0.05
+    acceleration_m_s2: NonNegative = 0.1
+    tones: PositiveInt = 4
+    band_Hz: tuple[PositiveFloat, PositiveFloat] = (0.05, 0.5)
+
+
+class JointFriction(Table):
+    """``[friction]``: of each joint's drive, drawn per seed within a factor of two about these shares of ``effort``.
+
+    ``effort_N_m``: of a joint whose URDF gives none. Rotor inertia: of the largest inertia that the joint turns.
+    """
+
+    coulomb: Fraction = 0.02
+    viscous_s_rad: NonNegative = 0.02
+    rotor: NonNegative = 0.05
+    effort_N_m: PositiveFloat = 10.0
+
+
+class TableTop(Table):
+    """``[table]`` of a planar base: sigmas of its tilt; drag of a puck is drawn between none and these."""
+
+    tilt_sigma_m_s2: NonNegative = 0.002
+    viscous_N_s_m: NonNegative = 0.5
+    coulomb_N: NonNegative = 0.05
+    pucks: tuple[str, ...] = ()
+
+
+class VehicleScenario(Scenario):
+    """A whole mission of a vehicle of one's own."""
+
+    vehicle: VehicleTable
+    physics: WorldPhysics = WorldPhysics()
+    as_built: dict[str, Tolerance] = Field(default_factory=dict)
+    release: LetGo = LetGo()
+    payload: PayloadTable | None = None
+    capture: CaptureWindow | None = None
+    ejection: EjectionTable | None = None
+    motion: Motion = Motion()
+    base_motion: BaseSway = BaseSway()
+    friction: JointFriction = JointFriction()
+    table: TableTop = TableTop()
+    sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _payload_is_there(self) -> "VehicleScenario":
+        if self.payload is not None and self.vehicle.payload_link is None:
+            raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
+        if self.payload is None and (self.capture is not None or self.ejection is not None):
+            raise ValueError("capture and ejection need a [payload]")
+        end_s = sum(step.duration_s for step in self.sequence)
+        caught = self.capture
+        if caught and caught.phase is None and not 0.0 < caught.earliest_s <= caught.latest_s < end_s:
+            raise ValueError(f"capture must lie between earliest_s and latest_s, and both before the end, {end_s} s")
+        return self
+
+    def start_of(self, phase: int) -> float:
+        """Mission time at which the first step with this phase begins, s; the end where there is none."""
+        at_s = 0.0
+        for step in self.sequence:
+            if step.phase == phase:
+                return at_s
+            at_s += step.duration_s
+        return at_s

@@ -1,0 +1,385 @@
+"""``heft calibrate`` measures instruments and the bare vehicle on a bench, and writes the result into vehicle.toml."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from onboard.cli.common import (
+    FAILED,
+    OK,
+    Commands,
+    bus_and_url,
+    complain,
+    console,
+    load_vehicle,
+    next_log,
+    progress,
+    show,
+)
+
+if TYPE_CHECKING:
+    from onboard import config
+    from onboard.offline.calibrate.guide import Step
+    from onboard.offline.calibrate.readings import Span
+    from onboard.offline.calibrate.result import Calibration
+    from onboard.recording.reader import LogReader
+
+    Analysis = Callable[[argparse.Namespace, LogReader, config.Vehicle, str, Sequence[Span]], Calibration]
+
+_WEIGHED_SIGMA_KG, _SPACING_M, _LENGTH_M = 0.005, 0.40, 1.80  # of the simulated pendulum
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    calibrate = commands.add_parser(
+        "calibrate",
+        help="measure an instrument or the bare vehicle on a bench, and write it into vehicle.toml",
+        description="From the devices, step by step; from a log with --log; against a simulated bench with --hil.",
+    )
+    kinds = calibrate.add_subparsers(required=True, metavar="WHAT")
+    _add_imu(kinds)
+    _add_load_cell(kinds)
+    _add_encoder(kinds)
+    _add_bifilar(kinds)
+    _add_balance(kinds)
+
+
+def _kind(kinds: Any, name: str, about: str, device: str, **others: Any) -> Any:
+    one = kinds.add_parser(name, help=about, description=f"{about}; docs/calibration.md tells how.")
+    one.add_argument("vehicle", help="vehicle.toml; it gets the result")
+    one.add_argument("--device", metavar="NAME", help=device)
+    one.add_argument("--log", type=Path, help="of a bench run, in place of the devices")
+    one.add_argument("--at", default="", metavar="S-S,S-S", help="the stretches of the log to use, s from its start")
+    one.add_argument("--hil", nargs="?", const="", metavar="SCENARIO", help="a simulated bench (that of the vehicle)")
+    one.add_argument("--seed", type=int, default=1, help="of the simulated bench (1)")
+    one.add_argument("--record", type=Path, metavar="LOG", help="log to write (flights/NAME-WHAT-NNN.mcap)")
+    one.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
+    one.add_argument("--latitude-deg", type=float, help="of the place, for gravity; without it 0.15 %% are added")
+    one.add_argument("--height-m", type=float, default=0.0, help="above the sea (0)")
+    one.add_argument("--dry-run", action="store_true", help="show what would change in the file, and leave it")
+    one.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    one.set_defaults(command=_calibrate, what=name, **others)
+    return one
+
+
+def _add_imu(kinds: Any) -> None:
+    one = _kind(
+        *(kinds, "imu", "six positions and whole turns: bias, scale, misalignment", "the IMU (that of the base)"),
+        analyse=_imu, role="imu",
+    )  # fmt: skip
+    one.add_argument("--turn-deg", type=float, default=360.0, help="a turn is this, or a multiple (360)")
+    one.add_argument("--turn-sigma-mrad", type=float, default=1.0, help="how well (1)")
+    one.add_argument("--fixture-mrad", type=float, default=1.0, help="how well a position is held, 1 sigma (1)")
+    one.add_argument(
+        "--allan", nargs="?", type=float, const=1800.0, metavar="S", help="noise by Allan deviation, from a rest of S s"
+    )
+    one.add_argument("--plot", type=Path, metavar="FILE", help="the Allan deviation as a figure (.png, .svg, .pdf)")
+
+
+def _add_load_cell(kinds: Any) -> None:
+    one = _kind(
+        *(kinds, "load-cell", "known masses: scale, offset, or lever", "the load cell (the only one)"),
+        analyse=_load_cell, role="cell",
+    )  # fmt: skip
+    one.add_argument("--masses-kg", type=_numbers, required=True, metavar="M,M", help="in their order; 0 for none")
+    one.add_argument("--mass-sigma-g", type=float, default=0.1, help="of each (0.1)")
+    one.add_argument("--combined-error-percent", type=float, default=0.03, help="of the cell's data sheet (0.03)")
+    one.add_argument("--arm-m", type=float, help="of a moment: from the axis to where they hang, for its lever")
+    one.add_argument("--arm-sigma-mm", type=float, default=0.2, help="how well (0.2)")
+
+
+def _add_encoder(kinds: Any) -> None:
+    one = _kind(
+        *(kinds, "encoder", "the stops of a joint: zero, direction, counts per turn", "the encoder (the only one)"),
+        analyse=_encoder, role="joint",
+    )  # fmt: skip
+    one.add_argument("--angles-deg", type=_numbers, metavar="A,A", help="in their order (limits of the URDF, twice)")
+    one.add_argument("--angle-sigma-deg", type=float, default=0.02, help="of each (0.02)")
+
+
+def _add_bifilar(kinds: Any) -> None:
+    one = _kind(
+        *(kinds, "bifilar", "swings on two strings: inertia of the bare base", "the IMU on it (that of the base)"),
+        analyse=_bifilar, role="imu",
+    )  # fmt: skip
+    one.add_argument("--mass-kg", type=float, help="of the body, weighed")
+    one.add_argument("--mass-sigma-kg", type=float, default=_WEIGHED_SIGMA_KG, help="how well (0.005)")
+    one.add_argument("--spacing-m", type=float, help="between the strings")
+    one.add_argument("--spacing-sigma-m", type=float, default=1e-4, help="how well (0.0001)")
+    one.add_argument("--length-m", type=float, help="of each string")
+    one.add_argument("--length-sigma-m", type=float, default=3e-4, help="how well (0.0003)")
+
+
+def _add_balance(kinds: Any) -> None:
+    one = _kind(
+        *(kinds, "balance", "a load cell in several orientations: mass and centre of the base", "the load cell"),
+        analyse=_balance, role="cell",
+    )  # fmt: skip
+    one.add_argument("--rig", type=Path, required=True, help="TOML file of the orientations")
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(part) for part in text.split(","))
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
+    import datetime
+
+    from onboard.estimation.errors import CalibrationError
+    from onboard.offline.calibrate import readings, result, vehicle_file
+    from onboard.recording.reader import LogReader
+
+    vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
+    if not arguments.dry_run:
+        vehicle_file.require_writable(vehicle)
+    device = _device(vehicle, arguments)
+    at = readings.spans_of(arguments.at)
+    log = arguments.log or _recorded(arguments, vehicle, device)
+    try:
+        with progress() as bar:
+            bar.add_task(f"{arguments.what} {log.name}", total=None)
+            found = arguments.analyse(arguments, LogReader(log), vehicle, device, at)
+    except CalibrationError as error:
+        complain(f"{error} ({vehicle.label} is as it was; the log is {log})")
+        return FAILED
+    note = f"{datetime.date.fromtimestamp(time.time())}, {log.name}, heft calibrate {arguments.what}"
+    tables = dict.fromkeys(one.table for one in found.changes if one.table[0] in ("device", "link"))
+    found.changes += [result.Change(table, "calibrated", note) for table in tables]
+    text = vehicle_file.changed(vehicle, found.changes)
+    show(result.render(found, f"{arguments.what}: {device} of {vehicle.file.vehicle.name}"))
+    for line in found.notes:
+        console().print(line, soft_wrap=True, highlight=False, markup=False)
+    if arguments.dry_run:
+        sys.stdout.write(vehicle_file.difference(vehicle, text))
+    else:
+        vehicle_file.replace(vehicle, text)
+    told = "would be changed" if arguments.dry_run else "changed"
+    console().print(f"{vehicle.label}: {len(found.changes)} keys {told}; log: {log}", soft_wrap=True, markup=False)
+    if arguments.json:
+        told_json = found.as_json() | {"log": str(log), "device": device, "calibrated": note}
+        arguments.json.write_text(json.dumps(told_json, indent=1, default=str) + "\n", encoding="utf-8")
+    return OK
+
+
+def _device(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> str:
+    """The device that is meant.
+
+    Raises:
+        ConfigError: none is, or it is not there.
+    """
+    from onboard import config
+    from onboard.flight.roles import roles_of
+
+    roles = roles_of(vehicle)
+    by_role = {
+        "imu": [imu.channels[0] for imu in roles.imus[:1]],
+        "cell": [cell.name for cell in roles.cells],
+        "joint": [joint.channel for joint in roles.joints],
+    }
+    name: str | None = arguments.device
+    if name is None:
+        known = by_role[arguments.role]
+        if len(known) != 1:
+            raise config.ConfigError(f"{vehicle.label}: which one? give --device, one of {', '.join(known) or 'none'}")
+        name = known[0]
+    if name not in vehicle.file.device:
+        raise config.ConfigError(f"{vehicle.label}: no device {name!r}; there are {', '.join(vehicle.file.device)}")
+    return name
+
+
+def _recorded(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> Path:
+    """A log of the devices, step by step, or of a simulated bench."""
+    from onboard.flight import bench
+    from onboard.flight.roles import roles_of
+
+    if arguments.at:
+        raise ValueError("--at says which stretches of a log to use: give --log as well")
+    imus = [imu.channels[0] for imu in roles_of(vehicle).imus[:1] if len(imu.channels) == 1]
+    wanted = {device, *(imus if arguments.what == "balance" else [])}
+    some = bench.only(vehicle, wanted)
+    name = f"{vehicle.file.vehicle.name}-{arguments.what}"
+    log: Path = arguments.record or next_log(vehicle.file.recording.directory, name)
+    if arguments.hil is not None:
+        _simulated(arguments, some, device, log)
+    else:
+        if not sys.stdin.isatty():
+            raise ValueError("a calibration is done by hand: run it on a terminal, or give --log or --hil")
+        _guided(_steps(arguments, vehicle, device), some, log)
+    return log
+
+
+def _simulated(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: str, log: Path) -> None:
+    try:
+        from hil_sim.bench import LATITUDE_deg, open_bench
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--hil simulates with MuJoCo ({error}): pip install mujoco") from error
+    from onboard.flight import bench
+
+    if arguments.latitude_deg is None:
+        arguments.latitude_deg = LATITUDE_deg
+    scenario = arguments.hil or vehicle.file.vehicle.name
+    settings = _settings(arguments, vehicle, device)
+    with progress() as bar:
+        task = bar.add_task(f"{arguments.what} bench, seed {arguments.seed}", total=1.0)
+        world, urls = open_bench(arguments.what, scenario, arguments.seed, set(vehicle.file.device), settings)
+        with world:
+            bench.record_simulated(vehicle.with_urls(urls), world, log, lambda done: bar.update(task, completed=done))
+        if arguments.what == "bifilar" and arguments.mass_kg is None:  # the bench has a scale, too
+            arguments.mass_kg = round(world.truth()["weighed_kg"], 3)
+
+
+def _guided(steps: "list[Step]", vehicle: "config.Vehicle", log: Path) -> None:
+    """The steps on a terminal: each told, confirmed, then held for its time."""
+    from onboard.flight import bench
+
+    with bench.BenchRun(vehicle, log, time.monotonic_ns) as run, bench.PumpedBench(run) as pumped:
+        for number, step in enumerate(steps, 1):
+            input(f"{number}/{len(steps)}  {step.text} Enter when it is so: ")
+            pumped.check()
+            run.mark(bench.BEGIN, step.name)
+            with progress() as bar:
+                task = bar.add_task(step.name, total=step.hold_s)
+                begun_s = time.monotonic()
+                while (done_s := time.monotonic() - begun_s) < step.hold_s:
+                    bar.update(task, completed=done_s)
+                    time.sleep(0.1)
+            pumped.check()
+            run.mark(bench.END, step.name)
+
+
+# By kind: what the log says, what the operator does, what the simulated bench does
+
+
+def _place(arguments: argparse.Namespace) -> Any:
+    from onboard.offline.calibrate.place import place
+
+    return place(arguments.latitude_deg, arguments.height_m)
+
+
+def _imu(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+    import math
+
+    from onboard.offline.calibrate import allan
+    from onboard.offline.calibrate.imu import ImuOptions, calibrate_imu
+    from onboard.offline.calibrate.readings import readings
+
+    options = ImuOptions(
+        _place(a), 1e-3 * a.fixture_mrad, math.radians(a.turn_deg), 1e-3 * a.turn_sigma_mrad, a.allan is not None
+    )
+    found, deviation = calibrate_imu(readings(log, v, device), v, device, options, at)
+    if a.plot is not None:
+        if deviation is None:
+            raise ValueError("--plot shows the Allan deviation: give --allan as well")
+        allan.plot(deviation, a.plot)
+    return found
+
+
+def _load_cell(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+    from onboard.offline.calibrate.load_cell import Masses, calibrate_load_cell
+    from onboard.offline.calibrate.readings import readings
+
+    hung = Masses(
+        a.masses_kg, 1e-3 * a.mass_sigma_g, _place(a), a.arm_m, 1e-3 * a.arm_sigma_mm, 1e-2 * a.combined_error_percent
+    )
+    channel = next(iter(v.file.device[device].channels(device)))
+    return calibrate_load_cell(readings(log, v, channel), v, device, hung, at)
+
+
+def _encoder(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+    import math
+
+    from onboard.offline.calibrate.encoder import Stops, calibrate_encoder
+    from onboard.offline.calibrate.readings import readings
+
+    angles = tuple(math.radians(angle) for angle in _angles_deg(a, v, device))
+    stops = Stops(angles, math.radians(a.angle_sigma_deg))
+    return calibrate_encoder(readings(log, v, device), v, device, stops, at)
+
+
+def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+    from onboard.estimation.calibration.bifilar import Suspension
+    from onboard.offline.calibrate.bifilar import calibrate_bifilar
+    from onboard.offline.calibrate.readings import readings
+
+    missing = [f"--{key}" for key in ("mass-kg", "spacing-m", "length-m") if getattr(a, key.replace("-", "_")) is None]
+    if missing:
+        raise ValueError(f"give {', '.join(missing)}: what the body weighs and how it hangs")
+    sigmas = a.mass_sigma_kg, a.spacing_sigma_m, a.length_sigma_m
+    g = _place(a)
+    suspension = Suspension(a.mass_kg, a.spacing_m, a.length_m, *sigmas, gravity_m_s2=g.gravity_m_s2)
+    read = readings(log, v, device, calibrated=True)
+    return calibrate_bifilar(read, v, device, suspension, at, g.sigma_m_s2 / g.gravity_m_s2)[0]
+
+
+def _balance(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
+    from onboard.flight.roles import roles_of
+    from onboard.offline.calibrate.balance import calibrate_balance, rig
+    from onboard.offline.calibrate.readings import readings
+
+    channel, imus = next(iter(v.file.device[device].channels(device))), roles_of(v).imus
+    imu = imus[0].channels[0] if imus and imus[0].channels[0] in log.channels else None
+    cell = readings(log, v, channel, calibrated=True)
+    base = readings(log, v, imu, calibrated=True) if imu else None
+    return calibrate_balance(cell, base, v, device, rig(a.rig), _place(a), at)
+
+
+def _angles_deg(a: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> tuple[float, ...]:
+    """The joint's stops: as given, or the URDF's limits, each twice.
+
+    Raises:
+        ValueError: the joint has none.
+    """
+    import math
+
+    from onboard.flight.identification import build_model
+    from onboard.flight.roles import roles_of
+
+    if a.angles_deg:
+        return tuple(a.angles_deg)
+    name = next((joint.joint for joint in roles_of(vehicle).joints if joint.channel == device), None)
+    if name is None:
+        raise ValueError(f"{device} measures no joint; give --device")
+    joint = build_model(vehicle).joint(name)
+    if not (math.isfinite(joint.low) and math.isfinite(joint.high)):
+        raise ValueError(f"joint {name} has no limits in the URDF; give --angles-deg")
+    return (math.degrees(joint.low), math.degrees(joint.high)) * 2
+
+
+def _steps(a: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> "list[Step]":
+    """What the operator does."""
+    from onboard.offline.calibrate import balance, guide
+
+    match a.what:
+        case "imu":
+            return guide.imu(a.turn_deg, a.allan or 0.0)
+        case "load-cell":
+            return guide.masses(a.masses_kg)
+        case "encoder":
+            return guide.stops(_angles_deg(a, vehicle, device))
+        case "bifilar":
+            return guide.swings()
+    return guide.orientations(len(balance.rig(a.rig).orientation))
+
+
+def _settings(a: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> dict[str, Any]:
+    """What the simulated bench does."""
+    import math
+
+    from onboard.offline.calibrate.balance import rig
+
+    match a.what:
+        case "imu":
+            return {"long_rest_s": a.allan or 0.0}
+        case "load-cell":
+            return {"masses_kg": a.masses_kg, "sigma_kg": 1e-3 * a.mass_sigma_g, "arm_m": a.arm_m}
+        case "encoder":
+            return {"angles_rad": [math.radians(angle) for angle in _angles_deg(a, vehicle, device)]}
+        case "bifilar":
+            a.spacing_m = _SPACING_M if a.spacing_m is None else a.spacing_m
+            a.length_m = _LENGTH_M if a.length_m is None else a.length_m
+            return {"spacing_m": a.spacing_m, "length_m": a.length_m, "scale_sigma_kg": a.mass_sigma_kg}
+    return {"rig": [one.model_dump() for one in rig(a.rig).orientation]}

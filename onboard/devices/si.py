@@ -1,0 +1,40 @@
+"""SI values of rows, by the scale that each row carries and the calibration in the vehicle file."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Rows, SampleStatus
+from onboard.devices.roles import SmoothedChannel
+from onboard.estimation.arrays import FloatArray
+
+UNUSABLE = int(SampleStatus.SATURATED | SampleStatus.NOT_VALID)
+
+
+def imu(rows: Rows, signal: SmoothedChannel | None = None) -> FloatArray:
+    """Angular rate [rad/s] and specific force [m/s^2] in sensor axes, (n, 6); calibrated where ``signal`` is."""
+    gyro = rows["gyro_raw"] * rows["gyro_scale_rad_s"].astype(np.float64)[:, None]
+    accel = rows["accel_raw"] * rows["accel_scale_m_s2"].astype(np.float64)[:, None]
+    readings = np.hstack([gyro, accel])
+    return readings if signal is None else signal.corrected(readings)
+
+
+def factors(rows: Rows, signal: SmoothedChannel) -> FloatArray:
+    """SI units in the unit of each row, (n,); NaN where that is none that the channel may have."""
+    factor = np.full(len(rows), np.nan)
+    for unit, si in signal.si.items():
+        factor[rows["unit"] == unit] = si
+    return factor
+
+
+def scalar(rows: Rows, signal: SmoothedChannel | None = None) -> FloatArray:
+    """Values (n,) in the rows' unit; zero count taken off and calibrated where ``signal`` is."""
+    values: FloatArray = (rows["value_raw"] - (signal.zero_count if signal else 0)) * rows["scale"]
+    if signal is None or not signal.corrections:
+        return values
+    factor = factors(rows, signal)
+    return np.asarray(signal.corrected((values * factor)[:, None])[:, 0] / factor, np.float64)
+
+
+def usable(rows: Rows) -> NDArray[np.bool_]:
+    """Which rows (n,) of an IMU or a scalar channel are usable samples."""
+    return np.asarray((rows["status"] & UNUSABLE) == 0)

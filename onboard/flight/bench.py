@@ -1,0 +1,143 @@
+"""Records some buses of a vehicle without estimating: the flight app's acquisition and recorder, for calibration.
+
+One thread pumps all devices in turn. What the operator does is an event in the log, so that the log alone tells a
+calibration again.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+
+from drivers.records import CAN_SYNC, Severity, event
+from onboard import config
+from onboard.devices.base import BusDevice
+from onboard.flight import rings, simulated
+from onboard.flight.acquisition import Acquisition
+from onboard.flight.devices import open_devices
+from onboard.flight.directories import scratch
+from onboard.flight.flight_log import open_simulated_recorder
+from onboard.flight.hil import World
+from onboard.flight.publisher import Publisher
+
+BEGIN, END = "bench_begin", "bench_end"  # events: what the operator holds still, from when to when
+PAUSE_S = 1e-3
+
+
+def only(vehicle: config.Vehicle, devices: Iterable[str]) -> config.Vehicle:
+    """The vehicle with some of its devices, and with those that time them: the sync line, SYNC on their CAN bus.
+
+    Raises:
+        ConfigError: a device that is on no bus.
+    """
+    wanted = set(devices)
+    on_bus = {name: one for name, one in vehicle.file.device.items() if isinstance(one, BusDevice)}
+    if missing := sorted(wanted - set(on_bus)):
+        raise config.ConfigError(f"device {missing[0]!r} is a recording's: it cannot be run; give --log")
+    buses = {on_bus[name].bus for name in wanted}
+    kept = {
+        name: one
+        for name, one in on_bus.items()
+        if name in wanted or one.sync_line(name) is not None or (one.records == CAN_SYNC and one.bus in buses)
+    }
+    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"device": kept})})
+
+
+class BenchRun:
+    """The devices of a vehicle, recorded to a log. A context manager: the log is whole when it ends.
+
+    Args:
+        vehicle: see :func:`only`; the log carries its whole file.
+        log: to write; must not exist.
+        clock: CLOCK_MONOTONIC ns, or a virtual one.
+
+    Raises:
+        FileExistsError: there is such a log.
+        OSError: it cannot be written.
+    """
+
+    def __init__(self, vehicle: config.Vehicle, log: Path, clock: Callable[[], int]) -> None:
+        self._clock = clock
+        with ExitStack() as stack:
+            directory = stack.enter_context(scratch())
+            made = rings.create(directory, vehicle, rings.device_channels(vehicle))
+            opened = open_devices(vehicle, clock)
+            stack.callback(opened.close)
+            self._recorder = open_simulated_recorder(vehicle, directory, log)
+            self.acquisition = Acquisition(opened.devices, Publisher(made))
+            self._stack = stack.pop_all()
+        self.acquisition.report(opened.problems)
+        self.acquisition.start(clock())
+        self._recorded_ns = clock()
+
+    def mark(self, code: str, text: str) -> None:
+        """Put what the operator does into the log."""
+        self.acquisition.report([event(self._clock(), Severity.INFO, code, "bench", text)])
+
+    def step(self) -> None:
+        """Pump what is due, and record now and then."""
+        now_ns = self._clock()
+        self.acquisition.step(now_ns)
+        if now_ns - self._recorded_ns > 2e8:
+            self._recorder.step(now_ns)
+            self._recorded_ns = now_ns
+
+    def __enter__(self) -> "BenchRun":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.acquisition.stop(self._clock())
+        self._recorder.close(self._clock())
+        self._stack.close()
+
+
+class PumpedBench:
+    """A bench run on the real clock, pumped by a thread of its own while the operator is asked."""
+
+    def __init__(self, run: BenchRun) -> None:
+        self.run = run
+        self._over = threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._pump, name="bench", daemon=True)
+
+    def _pump(self) -> None:
+        try:
+            while not self._over.is_set():
+                self.run.step()
+                time.sleep(PAUSE_S)
+        except Exception as error:  # noqa: BLE001 - told to the operator by check(), in the thread that asks
+            self._error = error
+
+    def check(self) -> None:
+        """Raise what ended the recording."""
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> "PumpedBench":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress: Callable[[float], None]) -> None:
+    """Record a simulated bench to its end, in virtual time.
+
+    Args:
+        vehicle: with the URLs of the simulated buses.
+        world: the bench.
+        log: to write; must not exist.
+        progress: told the fraction done.
+    """
+    clock = simulated.VirtualClock(world.start_ns)
+    with BenchRun(vehicle, log, clock) as run:
+        pause_ns = simulated.step_ns(device.period_ns for device in run.acquisition.devices)
+        while clock.now_ns < world.end_ns:
+            clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
+            world.advance(clock.now_ns)
+            run.step()
+            progress((clock.now_ns - world.start_ns) / (world.end_ns - world.start_ns))

@@ -1,0 +1,74 @@
+"""What an estimate by rows takes from calibrations and from the drawing, and the drawing as a witness of calibrations.
+
+The scale of the only cell on a joint, and that of the joint's only encoder, change every inertia alike: no motion shows
+them. What shows them is a link whose mass is known from the drawing.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.consistency import JackknifeEstimate
+from onboard.identification.quantities import Leaning, Quantity
+from onboard.identification.rows.considered import Considered
+
+REFUSED, DOUBTFUL = 5.0, 3.29  # sigmas between what was found and the drawing
+_OF_SIGMA = 0.2  # part of the sigma from which on a cause is named
+_COMMON = 0.5  # relative change of the answer per relative change of a scale: it stands and falls with it
+_SCALES = ("scale", "joint_scale", "gyro_scale", "accelerometer_scale")
+
+
+def leans_on(
+    considered: Sequence[Considered],
+    effects: FloatArray,
+    mean: float,
+    sigma: float,
+    leanings: Sequence[Leaning],
+    parameters: FloatArray,
+) -> str:
+    """Calibrations and parts of the drawing that a quantity depends on and no instrument checks; empty if none.
+
+    Args:
+        considered: k considered parameters.
+        effects: of one sigma of each on the quantity, (k,).
+        mean: the quantity.
+        sigma: of the quantity.
+        leanings: on the drawing.
+        parameters: base parameters, (p,).
+    """
+    said = []
+    for cause, effect in zip(considered, np.abs(effects).tolist(), strict=True):
+        stands_with_it = cause.effect in _SCALES and cause.sigma and effect > _COMMON * cause.sigma * abs(mean)
+        if stands_with_it or effect > _OF_SIGMA * sigma:
+            said.append(cause.stated)
+    parts = [(abs(float(leaning.weights @ parameters)), leaning.cause) for leaning in leanings]
+    if parts and max(parts)[0] > _OF_SIGMA * sigma:
+        said.append(max(parts)[1])
+    return f"leans on {', '.join(said)}" if said else ""
+
+
+def judged_drawing(
+    quantity: Quantity, jackknife: JackknifeEstimate, considered: Sequence[Considered]
+) -> tuple[list[str], list[str]]:
+    """Reasons to refuse all estimates, and reasons to weaken them: a mass that is not the drawing's.
+
+    Args:
+        quantity: with what is known of it.
+        jackknife: the estimate.
+        considered: which scales may be wrong.
+    """
+    if quantity.known is None:
+        return [], []
+    drawn, tolerance = quantity.known
+    interval = jackknife.combination(quantity.weights)
+    shape = [float(one.weights @ jackknife.mean) for one in quantity.leanings]
+    found = float(interval.mean[0])
+    spread = float(np.hypot.reduce([interval.sigma[0], tolerance, *shape]))
+    away = abs(found - drawn) / spread
+    if away < DOUBTFUL:
+        return [], []
+    names = [cause.key for cause in considered if cause.effect in ("scale", "joint_scale")]
+    check = f": check {', '.join(names)}" if names else ""
+    said = f"{quantity.name} is {found:.3g} {quantity.unit}, drawn {drawn:.3g} ({away:.0f} sigmas off){check}"
+    return ([said], []) if away > REFUSED else ([], [said])

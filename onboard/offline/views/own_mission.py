@@ -1,0 +1,109 @@
+"""What a rehearsal of any vehicle compares: its answers with the truth of the world that was made from it.
+
+The world gives mass, centre of mass and inertia of every link as it was built, and of the payload. From these come the
+true values of the quantities that the vehicle answers, and for rows also those of its base parameters.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from onboard import config
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.vehicle import STANDARD
+from onboard.estimation.arrays import FloatArray
+from onboard.flight.identification import build_identifier
+from onboard.identification.rows.identifier import Identifier
+from onboard.offline.tables.truth import Truth
+from onboard.regressor.friction import COLUMNS
+
+Row = dict[str, Any]
+_UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "kg m^2": ("g m²", 1e3)}
+_SECTIONS = {"kg": "row", "m": "centre", "kg m^2": "inertia"}
+_KINDS = {  # units of base parameters, by the first part of their names
+    **{"M": "kg", "Ia": "kg m²", "Fv": "N m s", "Fc": "N m"},
+    **dict.fromkeys(("MX", "MY", "MZ"), "kg m"),
+    **dict.fromkeys(("XX", "XY", "YY", "XZ", "YZ", "ZZ"), "kg m²"),
+}
+_DIGITS = 5  # significant, of a truth
+
+
+def is_own(truth: Truth) -> bool:
+    """Whether a truth is of a world that was made from the vehicle itself."""
+    return "links" in truth
+
+
+def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) -> dict[str, list[Row]]:
+    """Rows of the result table by section, as a ``published.toml`` has them, with their true values.
+
+    Args:
+        vehicle: that flew.
+        answers: the last QUANTITY of each name.
+        truth: of the world.
+    """
+    true = {**truth["quantities"]}
+    if vehicle.file.estimation.method != "exiddm":
+        true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
+    found: dict[str, list[Row]] = {section: [] for section in (*_SECTIONS.values(), "parameter")}
+    for name, answer in answers.items():
+        value = true.get(name, np.nan)
+        if not np.isfinite(value):
+            continue
+        kind = _KINDS.get(name.split("_", 1)[0], "SI")
+        shown_in, factor = _UNITS.get(answer["unit"], (answer["unit"] or kind, 1.0))
+        section = _SECTIONS.get(answer["unit"], "parameter")
+        row = {"quantity": name, "label": name, "value": float(value), "shown_in": shown_in, "factor": factor}
+        row["digits"] = _digits(factor * abs(float(value)))
+        found[section].append(row)
+    if vehicle.file.estimation.method == "exiddm":  # their standard parameters say the same as their body
+        found["parameter"] = []
+    return found
+
+
+def _digits(size: float) -> int:
+    if size == 0.0 or not np.isfinite(size):
+        return 3
+    return int(np.clip(_DIGITS - 1 - np.floor(np.log10(size)), 0, 6))
+
+
+def _of_rows(identifier: Identifier, vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
+    """True base parameters and quantities of the rows, by name; NaN where something is not known to the world."""
+    model = identifier.model
+    by_name = dict.fromkeys(model.names, np.nan)
+    for link in model.vehicle.links:
+        for kind, value in zip(STANDARD, _standard(link, truth), strict=True):
+            by_name[f"{kind}_{link}"] = value
+    for joint, drive in truth["drives"].items():
+        own = dict(zip(COLUMNS, (drive["rotor_kg_m2"], drive["viscous_n_m_s"], drive["coulomb_n_m"]), strict=True))
+        by_name |= {f"{column}_{joint}": value for column, value in own.items() if f"{column}_{joint}" in by_name}
+    chi = np.array(list(by_name.values()))
+    beta = np.array([_sum(weights, chi) for weights in identifier.base.grouping])
+    found = dict(zip(identifier.base.names, beta.tolist(), strict=True))
+    return found | {quantity.name: _sum(quantity.weights, beta) for quantity in identifier.quantities}
+
+
+def _sum(weights: FloatArray, values: FloatArray) -> float:
+    """Of what has a weight: an unknown value without one does not matter."""
+    used = np.abs(weights) > 0.0
+    return float(weights[used] @ values[used])
+
+
+def _standard(link: str, truth: Truth) -> FloatArray:
+    """Standard parameters of a link as it was built, and of what it holds, (10,)."""
+    found = np.zeros(10)
+    if link in truth["links"]:
+        own = truth["links"][link]
+        found += standard_of(
+            RigidBody(own["mass_kg"], *(np.asarray(own[k]) for k in ("centre_of_mass_m", "inertia_kg_m2")))
+        )
+    if link == truth["payload_link"] and truth["quantities"]:
+        m, x, y, z, *inertia = (truth["quantities"][f"{key}_{link}"] for key in _PAYLOAD)
+        xx, xy, yy, xz, yz, zz = inertia
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        found += standard_of(RigidBody(m, np.array([x, y, z]), tensor))
+    return found
+
+
+_PAYLOAD = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")

@@ -1,0 +1,105 @@
+"""The documentation: its commands exist with their options, the tour runs, the site builds without warnings."""
+
+import argparse
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from onboard.cli import parser
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", ROOT / "deploy" / "README.md", *(ROOT / "docs").glob("*.md")])
+_FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
+_LINE = re.compile(r"^(?: {4}|\$ )?((?:\.venv/bin/)?heft [a-z].*)$", re.MULTILINE)
+_SPAN = re.compile(r"`((?:\.venv/bin/)?heft [^`]+)`")
+_SCRIPT = re.compile(r"(?:python|sh|bash) ((?:bench|deploy|tests)/[\w/]+\.\w+)|python -m ((?:bench|tests)(?:\.\w+)+)")
+
+
+def _commands() -> dict[str, argparse.ArgumentParser]:
+    action = next(it for it in parser()._actions if isinstance(it, argparse._SubParsersAction))
+    return dict(action.choices)
+
+
+def _unknown(snippet: str, commands: dict[str, argparse.ArgumentParser]) -> str:
+    """What of a command line, or of a usage with brackets and bars, heft does not have; empty if nothing."""
+    words = re.sub(r"[\[\]|]|\.\.\.", " ", snippet).split()[1:]
+    name = words[0].rstrip(",")
+    if name not in commands:
+        return "" if name in ("--version", "--help", "COMMAND") else name
+    known = {option for action in commands[name]._actions for option in action.option_strings}
+    nested = [it for it in commands[name]._actions if isinstance(it, argparse._SubParsersAction)]
+    for action in nested:
+        known |= {option for inner in action.choices.values() for it in inner._actions for option in it.option_strings}
+    asked = [word.split("=")[0].rstrip(",)") for word in words[1:] if re.match(r"--?[a-z]", word)]
+    return next((option for option in asked if option not in known), "")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_command_shown_exists_with_its_options(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    commands = _commands()
+    found = _SPAN.findall(_FENCE.sub("", text))
+    for block in _FENCE.findall(text):
+        found += [line.split(" #")[0] for line in _LINE.findall(block.replace("\\\n", " "))]
+    snippets = [" ".join(snippet.replace("\\|", "|").split()) for snippet in found]
+    wrong = {snippet: unknown for snippet in snippets if (unknown := _unknown(snippet, commands))}
+    assert not wrong
+    for script, module in _SCRIPT.findall(text):
+        path = ROOT / (script or module.replace(".", "/"))
+        assert path.is_file() or path.is_dir() or path.with_suffix(".py").is_file(), path
+
+
+def test_a_command_that_does_not_exist_is_noticed() -> None:
+    commands = _commands()
+    assert _unknown("heft weigh LOG", commands) == "weigh"
+    assert _unknown("heft info LOG --clock PNG", commands) == "--clock"
+    assert _unknown("heft fly vehicle.toml [--live] [--quiet|--json-lines]", commands) == ""
+
+
+def test_the_tour_runs_as_it_stands(tmp_path: Path) -> None:
+    """Each command of its blocks in order; ``sh deploy/hil.sh`` by the flight that it makes after the installation."""
+    text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```(sh|python)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert sum(kind == "python" for kind, _ in blocks) == 1
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80"}
+    heft = [sys.executable, "-m", "onboard.cli"]
+    commands: list[tuple[list[str], int]] = []
+    for kind, block in blocks:
+        if kind == "python":
+            commands.append(([sys.executable, "-c", block], 0))
+            continue
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            code = re.search(r"# exit code (\d)", line)
+            if words[:2] == ["sh", "deploy/hil.sh"]:
+                words = [*heft, "hil", "rocksat"]
+            elif words[0] == "heft":
+                words[:1] = heft
+            else:
+                words = ["sh", "-c", line]
+            commands.append((words, int(code[1]) if code else 0))
+    assert len(commands) >= 15
+    for words, expected in commands:
+        ran = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert ran.returncode == expected, (words, ran.stdout[-2000:], ran.stderr[-2000:])
+        assert "Traceback" not in ran.stderr, words
+
+
+def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet"]
+    command += ["--config-file", str(ROOT / "deploy" / "mkdocs.yml"), "--site-dir", str(tmp_path)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
+    listed = re.findall(r": (\w+\.md)$", (ROOT / "deploy" / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {page.name for page in PAGES if page.parent == ROOT / "docs"} == set(listed)
+    named = {page.with_suffix(".html").name for page in PAGES if page.parent == ROOT / "docs"}
+    assert named <= {page.name for page in tmp_path.glob("*.html")}
+    theory = (tmp_path / "estimators.html").read_text(encoding="utf-8")
+    assert "<math" in theory
+    assert not re.search(r"\$[\\A-Za-z]", theory)  # no formula that was left as text

@@ -1,0 +1,48 @@
+"""A slice of ``bench/faults.py``, without the estimator: flights in which samples were once lost without a gap."""
+
+from typing import Any
+
+import pytest
+
+from bench.faults import draw, flown, vocabulary
+from hil_sim.faults import Fault, FaultKind, parse
+
+pytestmark = pytest.mark.timeout(120)
+FOUND = [  # seed, mission, what broke
+    (212, "rocksat_serial", "intermittent:imu_base:0:0.814:0.2206"),  # before the first row
+    (612, "rocksat_serial", "byte_garble:joint_port:1.5537:4:0.1231"),  # at a jump of the device's clock
+    (647, "rocksat_mixed", "bus_off:can_0:6.0439:6.287"),  # an answer that was asked for again
+    (685, "rocksat_mixed", "silent:arm_phase:2.094:3.301"),  # a change that its node did not send
+    (7045, "rocksat", "garbage:sync_box:2.9108:2.9413:306.2"),  # a SYNC that cannot be read, before one that jumps
+    (5, "rocksat", "bus_off:can_0:8:"),  # until the end
+    (5, "rocksat", "unplug:can_0:5:7"),
+    (5, "rocksat", "frame_drop:can_0:0:2:386"),
+]
+
+
+def table(fault: Fault) -> dict[str, Any]:
+    made = {"kind": str(fault.kind), "device": fault.device, "start_s": fault.start_s, "value": fault.value}
+    return made | ({"end_s": fault.end_s} if fault.end_s < 1e9 else {})
+
+
+@pytest.mark.parametrize(("seed", "mission", "fault"), FOUND)
+def test_every_lost_sample_is_in_a_gap(seed: int, mission: str, fault: str) -> None:
+    told = flown(seed, mission, [table(parse(fault))], without_estimator=True)
+    assert (told["unnamed"], told["jumps"]) == ({}, {})
+    assert any(missing for _, _, missing, _ in told["accounts"].values()) or seed == 647
+
+
+def test_a_healthy_flight_has_no_gap_but_for_questions_without_an_answer() -> None:
+    told = flown(5, "rocksat_serial", [], without_estimator=True)
+    assert {name for name, (_, _, missing, _) in told["accounts"].items() if missing} <= {"load_cell"}
+    assert (told["unnamed"], told["jumps"]) == ({}, {})
+
+
+def test_the_campaign_draws_every_kind_on_every_mission() -> None:
+    drawn = [draw(seed) for seed in range(7001, 8001)]
+    kinds = {fault["kind"] for _, faults in drawn for fault in faults}
+    assert kinds == set(FaultKind)
+    for mission in {name for name, _ in drawn}:
+        flown_on = {fault["device"] for name, faults in drawn if name == mission for fault in faults}
+        assert flown_on == set(vocabulary(mission))
+    assert {len(faults) for _, faults in drawn} == {1, 2}

@@ -1,0 +1,31 @@
+"""A slice of the campaign ``python -m bench.identification coverage`` and ``lies``: full runs are the bench's."""
+
+import numpy as np
+from scipy.special import chdtri
+
+from bench.identification.coverage import BOXES, FAR, Lies, flown
+
+
+def test_flights_of_an_arm_off_its_drawing_are_covered_together() -> None:
+    found = [flown(BOXES[name], Lies(), seed) for name, seed in (("0.5 kg", 401), ("30 kg", 403))]
+    one_in_ten_thousand = 1e-4
+    nees = sum(one.nees for one in found)
+    assert chdtri(20.0, 1.0 - one_in_ten_thousand) < nees < chdtri(20.0, one_in_ten_thousand)
+    for one in found:
+        assert np.isfinite(one.z).all()
+        assert np.abs(one.z).max() < FAR
+        assert one.changes == 0
+        assert not one.refused
+
+
+def test_an_imu_that_warms_up_is_followed() -> None:
+    one = flown(BOXES["5 kg"], Lies(warming_K=15.0), 404)
+    assert one.changes == 0
+    assert not one.refused
+    assert np.abs(one.z).max() < FAR
+
+
+def test_a_joint_of_a_wrong_scale_is_refused() -> None:
+    one = flown(BOXES["5 kg"], Lies(joint_scale=0.05), 201)
+    assert abs(one.relative) > 0.05 or np.isnan(one.relative)
+    assert one.refused
