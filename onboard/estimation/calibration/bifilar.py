@@ -155,6 +155,11 @@ def _fitted(
         off = np.nan_to_num((1.0 + scale) * solved[:, 1] + bias - seen, nan=1e3)
         return np.append(off, scale * noise / scale_sigma if scale_sigma else 0.0)
 
+    def slopes(x: FloatArray) -> FloatArray:
+        """Differences over steps far above the integrator's tolerance, which hides those of the solver's own."""
+        steps, middle = 1e-3 * unit[: x.size], residual(x)
+        return np.column_stack([(residual(x + row) - middle) / row.sum() for row in np.diag(steps)])
+
     size = float(np.sqrt(np.mean((w - w.mean()) ** 2)))
     omega = math.sqrt(suspension.stiffness() / start[0])
     noise = float(np.std(np.diff(w, 2))) / math.sqrt(6.0) + 1e-9 * size  # white part of the rate's
@@ -163,7 +168,7 @@ def _fitted(
     while True:
         part = t < swings * 2.0 * np.pi / omega
         span, seen = t[part], w[part]
-        found = least_squares(residual, x, x_scale=unit[: x.size], max_nfev=20)
+        found = least_squares(residual, x, slopes, x_scale=unit[: x.size], max_nfev=50)
         x = np.asarray(found.x, np.float64)
         rms = float(np.sqrt(np.mean(found.fun[:-1] ** 2)))
         if not x[0] > 0.0 or rms > (WORST_RESIDUAL if part.all() else HOPELESS) * size:
