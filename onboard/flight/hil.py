@@ -4,11 +4,12 @@ It uses the simulator through a protocol and bus URLs, and imports none of it.
 """
 
 import json
+import os
 import select
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -146,8 +147,8 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
 
             def begin() -> None:
                 assert devices.stdin is not None
-                devices.stdin.write("start\n")
-                devices.stdin.flush()
+                with suppress(BrokenPipeError):  # they died; they say no line either
+                    os.write(devices.stdin.fileno(), b"start\n")
                 _line_of(devices, "the simulated devices cannot fly; their message stands above")
 
             def watch(elapsed_s: float) -> None:
