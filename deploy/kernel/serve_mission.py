@@ -16,7 +16,7 @@ from pathlib import Path
 
 import mujoco
 
-from hil_sim.buses.realtime import Server
+from hil_sim.buses.realtime import MissionServer
 from hil_sim.kernel.server import open_nodes
 from hil_sim.mission import Mission
 from hil_sim.scenario.load import load
@@ -65,7 +65,7 @@ def main() -> None:
         gc.freeze()
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
         say(dict(ports.urls))
-        server = Server(ports, time.monotonic_ns)
+        server = MissionServer(ports, time.monotonic_ns)
         server.run(Unpowered(ports.urls), lambda: bool(stops))
         mission.attach(ports.buses, time.monotonic_ns())
         server.run(mission, lambda: bool(stops))

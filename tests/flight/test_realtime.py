@@ -129,7 +129,7 @@ def test_devices_that_die_in_a_rehearsal_end_it_with_a_sentence(tmp_path: Path) 
         hil.send_signal(signal.SIGTERM)
         _, err = hil.communicate(timeout=60)
     assert hil.returncode == cli.FAILED, err
-    assert "the simulated devices died in flight" in err or "the simulated devices cannot fly" in err  # before its start
+    assert "the simulated devices died in flight" in err or "the simulated devices cannot fly" in err
     assert "Traceback" not in err
     assert LogReader(log).complete
 

@@ -13,7 +13,7 @@ from drivers.canopen_pdo import CanopenBus, Cia404Config, Cia406Config, SyncConf
 from drivers.canopen_pdo.channel import NodeConfig
 from drivers.records import Batch
 from drivers.transports import open_can
-from drivers.transports.can_socket import SocketcanPort
+from drivers.transports.can_reopen import ReopeningCanPort
 from tests.kernel.conftest import Served
 from tests.kernel.devices import NEWTONS, TURN_PER_S
 
@@ -89,7 +89,7 @@ def test_our_driver_gets_every_sync_and_both_answers(nodes: Served) -> None:
     while time.monotonic() < end:
         batches += bus.pump(time.monotonic_ns(), 0.05)
     batches += bus.stop(time.monotonic_ns())
-    assert isinstance(port, SocketcanPort)
+    assert isinstance(port, ReopeningCanPort)
     assert port.lost_frames == 0
     port.close()
     told = [row[["code", "text"]].item() for batch in batches if batch.channel == "event" for row in batch.rows]

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import network
 import numpy as np
@@ -44,7 +44,19 @@ class Mission:
             text=True,
             env={**os.environ, "PYTHONPATH": str(CHECKOUT)},
         )
-        self.urls = self._line()
+        self.urls: dict[str, Any] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            self.urls = self._line()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.communicate()
 
     def end(self) -> dict[str, Any]:
         """At the end of the mission: what was made, what was true, what the server lost."""
@@ -59,10 +71,8 @@ class Mission:
 
 @pytest.fixture
 def mission(tmp_path: Path) -> Iterator[Mission]:
-    mission = Mission(tmp_path)
-    yield mission
-    mission.process.kill()
-    mission.process.communicate()
+    with Mission(tmp_path) as mission:
+        yield mission
 
 
 @pytest.fixture
