@@ -19,6 +19,7 @@ from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.faults import Fault, FaultError, FaultKind, FaultPlan
 from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
+from hil_sim.plants.planned import Planned, planned
 from hil_sim.plants.rocket_arm import RocketArmPlant as RocketPlant
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
@@ -180,6 +181,17 @@ class Mission:
             "clock": {name: _clock_truth(clock) for name, clock in self._clocks.items()},
             "faults": [dataclasses.asdict(fault) for fault in self.faults],
         }
+
+    def planned(self, period_s: float) -> Planned | None:
+        """What is known of the motion before it is flown, on a grid; None of a packaged mission.
+
+        Args:
+            period_s: of the grid.
+        """
+        if not isinstance(self.scenario, VehicleScenario) or not isinstance(self.plant, VehiclePlant):
+            return None
+        joints = tuple(joint.name for joint in self.plant.joints)
+        return planned(self.scenario, self.plant.program, joints, period_s)
 
     def own(self, resources: ExitStack) -> None:
         """Take over what must be closed with the mission."""

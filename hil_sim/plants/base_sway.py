@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
@@ -36,6 +35,15 @@ def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BaseP
     attitude = np.array([1.0, 0.0, 0.0, 0.0])
     pose[0, 3:] = attitude
     for k, step_s in enumerate(np.diff(time_s)):
-        mujoco.mju_quatIntegrate(attitude, middle[k], step_s)
+        attitude = _turned(attitude, middle[k] * step_s)
         pose[k + 1, 3:] = attitude
     return BasePath(pose, velocity, acceleration)
+
+
+def _turned(attitude: FloatArray, turn: FloatArray) -> FloatArray:
+    """An attitude, w x y z, turned by a rotation vector in its own axes, rad."""
+    angle = float(np.linalg.norm(turn))
+    w, x, y, z = np.cos(0.5 * angle), *(0.5 * np.sinc(0.5 * angle / np.pi) * turn)
+    left = np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+    out: FloatArray = left @ attitude
+    return np.asarray(out / np.linalg.norm(out), np.float64)

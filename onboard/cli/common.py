@@ -137,3 +137,24 @@ def bus_and_url(text: str, option: str = "--url") -> tuple[str, str]:
     if not separator:
         raise ValueError(f"{option} {text}: write BUS=URL, e.g. can_0=can+socketcan://can0?bitrate=500000")
     return bus, url
+
+
+def show_foreseen(vehicle: "config.Vehicle", planned: Any, motion: str) -> list[dict[str, Any]]:
+    """Print what a planned motion determines; the same as JSON values, none where it is not known.
+
+    Args:
+        vehicle: what flies.
+        planned: the motion, by the simulator.
+        motion: whose it is, in words.
+    """
+    from onboard.offline.foresee.foresee import foresee
+    from onboard.offline.foresee.plan import plan_of
+    from onboard.offline.views import foreseen
+
+    try:
+        found = foresee(vehicle, plan_of(vehicle, planned))
+    except ValueError as error:
+        console().print(f"what {motion} determines is not known: {error}")
+        return []
+    show(foreseen.render(found, motion))
+    return [one._asdict() for one in (*found.quantities, *found.parameters)]

@@ -4,7 +4,7 @@ import argparse
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from onboard.cli.common import (
     FAILED,
@@ -17,7 +17,11 @@ from onboard.cli.common import (
     progress,
     serve_live,
     show,
+    show_foreseen,
 )
+
+if TYPE_CHECKING:
+    from onboard import config
 
 
 def add(commands: Commands) -> None:
@@ -58,18 +62,21 @@ def _hil(arguments: argparse.Namespace) -> int:
 
     if arguments.live is not None and not arguments.realtime:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
-    shown = console()
     seed = arguments.seed
     faults = [parse(text) for text in arguments.fault]
     vehicle = config.named(arguments.scenario)
-    name = vehicle.file.vehicle.name if str(arguments.scenario).endswith(".toml") else arguments.scenario
+    own = str(arguments.scenario).endswith(".toml")
+    name = vehicle.file.vehicle.name if own else arguments.scenario
     scenario = scenario_of(arguments.scenario, arguments.over)
-    if arguments.faults or (faults and arguments.realtime):  # refused here, with the reason
-        with open_in_process(scenario, seed, faults)[0] as world:
-            possible = world.possible_faults()
+    expected: list[dict[str, Any]] = []
+    if own or faults or arguments.faults or not arguments.realtime:  # what cannot be is refused here, with the reason
+        world, urls = open_in_process(scenario, seed, faults)
+        if arguments.faults or arguments.realtime:
+            world.close()
         if arguments.faults:
-            _list_faults(possible, EFFECTS)
+            _list_faults(world.possible_faults(), EFFECTS)
             return OK
+        expected = _foresee(vehicle, world)
     log = arguments.log or next_log(vehicle.file.recording.directory, name)
     with progress() as bar:
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)
@@ -84,17 +91,30 @@ def _hil(arguments: argparse.Namespace) -> int:
                 complain(error)
                 return FAILED
         else:
-            world, urls = open_in_process(scenario, seed, faults)
             with world:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
     truth.write(flown.log, flown.truth)
-    result = mission_table.result(flown)
+    result = mission_table.result(flown) | {"expected": expected}
+    return _told(arguments, result, log)
+
+
+def _told(arguments: argparse.Namespace, result: dict[str, Any], log: Path) -> int:
+    """Print the result, write it, and give the exit code."""
+    from onboard.offline.views import mission_table
+
+    shown = console()
     show(mission_table.render(result))
     shown.print(f"log: {log}", soft_wrap=True)
     shown.print(f"next: heft report {log}, heft info {log}, heft replay {log}", soft_wrap=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return OK if result["identified"] and result["accounted"] else FAILED
+
+
+def _foresee(vehicle: "config.Vehicle", world: Any) -> list[dict[str, Any]]:
+    """Say what the motion of a vehicle of one's own determines, before it is flown; as JSON values too."""
+    planned = world.planned(1.0 / vehicle.file.estimation.row_rate_hz)
+    return [] if planned is None else show_foreseen(vehicle, planned, "this motion")
 
 
 def _list_faults(possible: Mapping[str, Iterable[str]], effects: Mapping[Any, str]) -> None:

@@ -2,15 +2,21 @@
 
 import argparse
 import time
+from typing import TYPE_CHECKING
 
 from onboard.cli.common import (
     NOT_READY,
     OK,
     Commands,
     bus_and_url,
+    console,
     load_vehicle,
     show,
+    show_foreseen,
 )
+
+if TYPE_CHECKING:
+    from onboard import config
 
 
 def add(commands: Commands) -> None:
@@ -37,4 +43,22 @@ def _preflight(arguments: argparse.Namespace) -> int:
         *(vehicle, time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds, flight_s, estimator, time.time())
     )
     show(preflight.render(found))
+    _foresee(vehicle)
     return OK if found.ready else NOT_READY
+
+
+def _foresee(vehicle: "config.Vehicle") -> None:
+    """Say what the default motion of a rehearsal determines: preflight knows no other."""
+    try:
+        from hil_sim.devices.vehicle_file import scenario_of
+        from hil_sim.plants.planned import default_plan
+    except ModuleNotFoundError as error:
+        console().print(f"what the vehicle can determine is said where the simulator is installed ({error})")
+        return
+    motion = "the default motion of a rehearsal"
+    try:
+        plan = default_plan(scenario_of(vehicle.path), 1.0 / vehicle.file.estimation.row_rate_hz)
+    except ValueError as error:
+        console().print(f"what {motion} determines is not known: {error}")
+        return
+    show_foreseen(vehicle, plan, motion)

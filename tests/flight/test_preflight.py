@@ -166,11 +166,13 @@ def test_the_command_line_against_devices_in_another_process(tmp_path, capsys, m
     serve = [sys.executable, "-m", "hil_sim.serve", "rocksat", "--directory", str(tmp_path)]
     with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as devices:
         try:
-            said = json.loads(devices.stdout.readline())
+            serving = json.loads(devices.stdout.readline())
             buses = config.load(config.packaged("rocksat")).file.bus
-            urls = [part for bus in buses for part in ("--url", f"{bus}={said[bus]}")]
+            urls = [part for bus in buses for part in ("--url", f"{bus}={serving[bus]}")]
             assert main(["preflight", "rocksat", *urls]) == 0
-            assert "self test passed" in capsys.readouterr().out
+            said = capsys.readouterr().out
+            assert "self test passed" in said
+            assert "expected of the default motion of a rehearsal" in said
             assert (
                 main(
                     ["preflight", "rocksat", "--seconds", "2", *urls[:4], "--url", "sync_line=gpio:///dev/null?line=1"]

@@ -39,7 +39,7 @@ def honest(rows):
             assert row["standing"].startswith("weak"), row
 
 
-def test_a_free_flyer_of_one_s_own(tmp_path):
+def test_a_free_flyer_of_one_s_own(tmp_path, capsys):
     result, code = rehearsed(tmp_path, ["--base", "free", "--joints", "3"], "[payload]\nmass_kg = [3.0, 6.0]", seed=2)
     rows = answers(result)
     assert code == 0
@@ -47,6 +47,10 @@ def test_a_free_flyer_of_one_s_own(tmp_path):
     assert rows["m_payload"]["supported"]
     assert abs(rows["m_payload"]["our_error_percent"]) < 10.0
     honest(rows)
+    said = capsys.readouterr().out
+    assert said.index("expected of this motion") < said.index("rehearsed (seed 2)")
+    expected = {one["name"]: one["sigma"] for one in result["expected"]}
+    assert expected["m_payload"] == pytest.approx(rows["m_payload"]["sigma"], rel=0.7)
 
 
 def test_a_planar_arm_without_a_load_cell(tmp_path):

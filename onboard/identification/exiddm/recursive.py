@@ -33,7 +33,7 @@ from onboard.identification.exiddm.window import Hypothesis, WindowFit
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
 BATCH_TICKS = 10
-_DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
+DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
@@ -315,7 +315,7 @@ class RecursiveExiddm:
         P[c] = F[c] @ covariance
         P[:, c] = P @ F[c].T
         aged_s = BATCH_TICKS * self.predictor.period_s
-        P[self._drifts, self._drifts] += 2.0 * aged_s / _DRIFT_MEMORY_s * self.predictor.sigma[self._drifts] ** 2
+        P[self._drifts, self._drifts] += 2.0 * aged_s / DRIFT_MEMORY_s * self.predictor.sigma[self._drifts] ** 2
         self.covariance = P
 
     def _alarm(self, score: float, batches: int) -> None:

@@ -5,6 +5,8 @@ in one batch (:mod:`onboard.offline.estimate_again.likelihood_log`). Payload and
 half, with velocity and tilt at its first tick re-estimated.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.special import ndtri
 
@@ -16,6 +18,7 @@ from onboard.flight.identification import build_planar, exiddm_prior, samples_pe
 from onboard.flight.roles import roles_of
 from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
@@ -61,9 +64,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ConfigError: no [planar] in the vehicle file, or the file does not fit the URDF or the devices.
         ChannelError: a log of another vehicle.
     """
-    asked = vehicle.file.planar
-    if asked is None:
-        raise config.ConfigError(f"{vehicle.path}: no section [planar], which names table and pucks")
+    at_start = table_prior(vehicle)
     _, model = build_planar(vehicle)
     payload = str(model.spec.payload_link)
     recorder = _Recorder(payload, len(model.joints))
@@ -74,26 +75,41 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
         samples_per_tick(vehicle),
         roles_of(vehicle).imu.frame,
     )
-    links, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
-    pucks = {puck.frame: DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
-    at_start = AirBearingPrior(
-        asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, imu_prior
-    )
+    links, _, payload_sigma = exiddm_prior(vehicle, model)
     refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
     ticks = longest_held(recorder.kept, (), held=True, period_s=period_s)
     let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
 
     def build(some: Ticks, first: bool) -> Exiddm:
-        prior = at_start if first and let_go else at_start._replace(velocity_m_s=_UNDERWAY_m_s)
+        prior = at_start if first and let_go else underway(at_start)
         return air_bearing_exiddm(model, frame, some.flight(period_s, samples), payload_sigma, links, prior)
 
     def judge(found: PayloadFit, wider: float) -> Judged:
-        return _drags(found, pucks, wider)
+        return _drags(found, at_start.pucks, wider)
 
     return identified(Kept(log, payload, ticks, period_s, refused, {}), build, judge)
 
 
-def _drags(found: PayloadFit, pucks: dict[str, DragPrior], wider: float) -> Judged:
+def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:
+    """What is known of a run besides payload and links where it begins as the base is let go.
+
+    Raises:
+        ConfigError: no [planar] in the vehicle file.
+    """
+    asked = vehicle.file.planar
+    if asked is None:
+        raise config.ConfigError(f"{vehicle.label}: no section [planar], which names table and pucks")
+    pucks = {puck.frame: DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
+    imu_prior = ImuPrior(**vehicle.file.estimation.imu_prior.model_dump(exclude={"position_m"}))
+    return AirBearingPrior(asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, imu_prior)
+
+
+def underway(at_start: AirBearingPrior) -> AirBearingPrior:
+    """The same where it begins later: the velocity is hardly known."""
+    return at_start._replace(velocity_m_s=_UNDERWAY_m_s)
+
+
+def _drags(found: PayloadFit, pucks: Mapping[str, DragPrior], wider: float) -> Judged:
     """Drag of each puck; supported if its sigma is at most a fifth of the prior's."""
     drag = drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])

@@ -1,0 +1,126 @@
+"""What a rehearsal is planned to be, as numbers that the flight app's own model can take: no truth that is drawn.
+
+The joints' motion is the program's. What is drawn about a nominal value has that value here: the payload its middle
+mass (geometric) and, unless told, the shape of a cube; the release its rms; the capture the middle of its window.
+MuJoCo is not needed, so that a flight computer without it can plan too.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hil_sim.arrays import BoolArray, FloatArray, IndexArray
+from hil_sim.plants import urdf_drawing
+from hil_sim.plants.base_sway import sway
+from hil_sim.plants.body import Body
+from hil_sim.plants.joint_swings import JointSwings
+from hil_sim.scenario.tables import Scenario, ScenarioError
+from hil_sim.scenario.vehicle_tables import PayloadTable, VehicleScenario
+
+_RMS = 3.0**-0.5  # of a number drawn between -1 and 1
+
+
+class BaseReadings(NamedTuple):
+    """Motion of a prescribed base in its own axes, (n, 3) each."""
+
+    rate_rad_s: FloatArray
+    acceleration_rad_s2: FloatArray
+    specific_force_m_s2: FloatArray  # at its origin
+
+
+class Planned(NamedTuple):
+    """A rehearsal before it is flown, on a grid of mission time."""
+
+    time_s: FloatArray  # (n,)
+    joints: tuple[str, ...]  # of the columns
+    q: FloatArray  # (n, joints) rad or m
+    dq: FloatArray
+    ddq: FloatArray
+    phase: IndexArray  # (n,)
+    held: BoolArray  # (n,) the payload is
+    base: BaseReadings | None  # of a prescribed base
+    rate_rad_s: FloatArray  # (3,) of a free or planar base at the start
+    velocity_m_s: FloatArray  # (3,)
+    payload: Body | None  # in its link's frame; None: nothing is held
+    drawn_shape: bool  # the payload has the shape of its link in the URDF, where that has one
+    drag: tuple[float, float]  # of each puck: N s/m, N
+
+
+def default_plan(scenario: Scenario, period_s: float) -> Planned:
+    """The rehearsal of a vehicle where no world is made: its motion is drawn as a world draws one.
+
+    Args:
+        scenario: of a vehicle of one's own.
+        period_s: of the grid.
+
+    Raises:
+        ScenarioError: a packaged mission, or a drawing that cannot be moved.
+    """
+    if not isinstance(scenario, VehicleScenario):
+        raise ScenarioError(f"{scenario.scenario.name} is a packaged mission; its motion is in its scenario file")
+    joints = tuple(urdf_drawing.read(scenario.vehicle.urdf, scenario.vehicle.label).joints.values())
+    program = JointSwings(scenario, joints, np.random.default_rng(1))
+    return planned(scenario, program, tuple(joint.name for joint in joints), period_s)
+
+
+def planned(scenario: VehicleScenario, program: JointSwings, joints: Sequence[str], period_s: float) -> Planned:
+    """A rehearsal as planned.
+
+    Args:
+        scenario: of a vehicle of one's own.
+        program: its motion.
+        joints: names of the program's columns.
+        period_s: of the grid.
+    """
+    time_s: FloatArray = period_s * np.arange(int(program.duration_s / period_s), dtype=np.float64)
+    ends = np.array([span.end_s for span in program.spans])
+    codes = np.array([span.code for span in program.spans])
+    phase = codes[np.minimum(np.searchsorted(ends, time_s, side="right"), len(codes) - 1)]
+    release = scenario.release
+    prescribed = scenario.vehicle.base == "prescribed"
+    pucks = 0.5 * scenario.table.viscous_N_s_m, 0.5 * scenario.table.coulomb_N
+    body, drawn_shape = _payload(scenario.payload)
+    return Planned(
+        *(time_s, tuple(joints), *program.at(time_s), phase, _held(scenario, time_s)),
+        _readings(scenario, time_s) if prescribed else None,
+        _RMS * release.rate_rad_s * np.ones(3) + np.asarray(release.spin_rad_s),
+        _RMS * release.velocity_m_s * np.ones(3),
+        *(body, drawn_shape, pucks),
+    )
+
+
+def _held(scenario: VehicleScenario, time_s: FloatArray) -> BoolArray:
+    if scenario.payload is None:
+        return np.zeros(len(time_s), bool)
+    from_s, until_s, caught, gone = -np.inf, np.inf, scenario.capture, scenario.ejection
+    if caught is not None:
+        from_s = (
+            0.5 * (caught.earliest_s + caught.latest_s) if caught.phase is None else scenario.start_of(caught.phase)
+        )
+    if gone is not None:
+        until_s = scenario.start_of(gone.phase) if gone.phase is not None else float(gone.at_s or 0.0)
+    return np.asarray((time_s >= from_s) & (time_s < until_s))
+
+
+def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
+    if table is None:
+        return None, False
+    mass = float(np.sqrt(np.prod(table.mass_kg)))
+    size = np.full(3, (mass / table.density_kg_m3) ** (1.0 / 3.0))
+    if table.size_mm is not None:
+        size = 1e-3 * np.asarray(table.size_mm)
+    centre = np.array([0.0, 0.0, 0.5 * size[2]])
+    if table.centre_of_mass_mm is not None:
+        centre = 1e-3 * np.asarray(table.centre_of_mass_mm)
+    turn = Rotation.from_euler("xyz", table.roll_pitch_yaw_deg or (0.0, 0.0, 0.0), degrees=True).as_matrix()
+    body = Body.box(mass, size.tolist(), centre.tolist()).turned(turn)
+    return body, table.size_mm is None and table.centre_of_mass_mm is None
+
+
+def _readings(scenario: VehicleScenario, time_s: FloatArray) -> BaseReadings:
+    path = sway(scenario.base_motion, time_s, np.random.default_rng(1))
+    felt = path.acceleration[:, :3] - np.asarray(scenario.physics.gravity_m_s2)
+    turned = Rotation.from_quat(np.roll(path.pose[:, 3:], -1, axis=1)).inv().apply(felt)
+    return BaseReadings(path.velocity[:, 3:], path.acceleration[:, 3:], np.asarray(turned, np.float64))

@@ -1,0 +1,203 @@
+"""A planned motion, and what is expected of a vehicle that flies it."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from onboard import config
+from onboard.dynamics.inertia import RigidBody, elements
+from onboard.dynamics.kinematics import link_motions, turned
+from onboard.dynamics.payload import body_of
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.smoothing import Response, SmoothingWindow
+from onboard.flight.identification import build_model
+from onboard.flight.roles import roles_of
+from onboard.flight.signals import kernel_of
+from onboard.identification.quantities import BODY, Findings, QuantityEstimate
+from onboard.identification.verdict import Level, standing
+from onboard.regressor.rows import BaseMotion
+
+LEVEL = 0.95  # of the intervals shown
+UNDETERMINED = "not determined"
+_FEW_ANGLE = 0.03  # of the largest rms rate: about such an axis a link hardly turns
+
+
+class Plan(NamedTuple):
+    """A motion on even ticks, the joints in the order of the model."""
+
+    time_s: FloatArray  # (n,)
+    q: FloatArray  # (n, joints)
+    dq: FloatArray
+    ddq: FloatArray
+    phase: NDArray[np.intp]  # (n,)
+    held: BoolArray  # (n,) the payload is
+    base: BaseMotion | None  # of a prescribed base
+    rate_rad_s: FloatArray  # (3,) of a free or planar base at the start
+    velocity_m_s: FloatArray  # (3,)
+    payload: RigidBody | None  # assumed, in its link's frame
+    drag: tuple[float, float] = (0.0, 0.0)  # of each puck: N s/m, N
+
+    def used(self, vehicle: config.Vehicle) -> BoolArray:
+        """Ticks in the phases that are identified, (n,)."""
+        phases = vehicle.file.estimation.phases
+        if phases is None:
+            return np.ones(len(self.time_s), np.bool_)
+        return np.isin(self.phase, phases.identify)
+
+
+def plan_of(vehicle: config.Vehicle, planned: Any) -> Plan:
+    """A plan in the terms of a vehicle's model.
+
+    Args:
+        vehicle: its file.
+        planned: by the simulator: the fields of a plan, its columns named by ``joints``, its payload as a body, and
+            ``drawn_shape``: whether that has the shape of its link in the URDF, where there is one.
+
+    Raises:
+        ConfigError: the plan's joints are not the URDF's.
+    """
+    model = build_model(vehicle)
+    names = [joint.name for joint in model.joints]
+    if sorted(names) != sorted(planned.joints):
+        raise config.ConfigError(f"the motion is of {', '.join(planned.joints)}, the vehicle has {', '.join(names)}")
+    order = [planned.joints.index(name) for name in names]
+    payload = None
+    if planned.payload is not None:
+        shape = RigidBody(planned.payload.mass_kg, planned.payload.centre_of_mass_m, planned.payload.inertia_kg_m2)
+        payload = _payload(model, shape, drawn_shape=planned.drawn_shape)
+    return Plan(
+        planned.time_s,
+        planned.q[:, order],
+        planned.dq[:, order],
+        planned.ddq[:, order],
+        planned.phase,
+        planned.held,
+        None if planned.base is None else BaseMotion(*planned.base),
+        planned.rate_rad_s,
+        planned.velocity_m_s,
+        payload,
+        planned.drag,
+    )
+
+
+class Expected(NamedTuple):
+    """A quantity before the flight."""
+
+    name: str
+    unit: str
+    value: float  # assumed
+    sigma: float  # expected, 1 sigma
+    level: Level  # weak: the motion does not determine it, or not to half of itself
+    why: str = ""
+
+
+class Foreseen(NamedTuple):
+    """What a motion determines.
+
+    Attributes:
+        quantities: those that are answered as numbers with units.
+        parameters: base parameters of rows, and drag.
+        payload: assumed; None where nothing is held.
+        span_s: time of the motion that is used, payload held.
+        words: why something is weak, as far as the motion shows it.
+    """
+
+    quantities: tuple[Expected, ...]
+    parameters: tuple[Expected, ...]
+    payload: RigidBody | None
+    span_s: float
+    words: tuple[str, ...]
+
+
+def expected(one: QuantityEstimate, value: float, sigma: float) -> Expected:
+    """A quantity by the rules of the flight: weak where it is not supported, or not known to half of itself.
+
+    Args:
+        one: as the estimator answers it along the plan.
+        value: assumed, in place of its mean.
+        sigma: expected, also of one that is not supported.
+    """
+    half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
+    said = standing(one._replace(mean=value, sigma=sigma, low=value - half, high=value + half), Findings())
+    why = said.why if one.supported else UNDETERMINED
+    return Expected(one.name, one.unit, value, sigma, said.level, why if said.level is Level.WEAK else "")
+
+
+def body_values(model: VehicleModel, body: RigidBody | None) -> dict[str, float]:
+    """The ten numbers of a payload by the names of the answers; none without one."""
+    if body is None:
+        return {}
+    names = [f"{kind}_{model.spec.payload_link}" for kind in BODY]
+    values = [body.mass_kg, *body.centre_of_mass_m.tolist(), *elements(body.inertia_kg_m2).tolist()]
+    return dict(zip(names, values, strict=True))
+
+
+def steady_noise(vehicle: config.Vehicle, channel: str, derivatives: int) -> FloatArray:
+    """Noise of a channel smoothed at its nominal rate, and of its derivatives, (derivatives + 1, columns)."""
+    signal = roles_of(vehicle).signals[channel]
+    width_s = vehicle.file.estimation.smoothing_ms * 1e-3
+    reach = int(width_s / signal.period_s) + 2
+    times_s = signal.period_s * np.arange(-reach, reach + 1, dtype=np.float64)
+    window = SmoothingWindow(times_s, [0.0], width_s, 3.5 * signal.period_s, kernel_of(vehicle))
+    noise = np.array(signal.noise)
+    return np.stack([window.apply(np.zeros(len(times_s)), k).noise_gain[0] * noise for k in range(derivatives + 1)])
+
+
+def joint_noise(vehicle: config.Vehicle, model: VehicleModel, dq: FloatArray) -> FloatArray:
+    """Noise of smoothed angles, rates and accelerations of the joints, cyclic errors included, (3, n, joints).
+
+    Args:
+        vehicle: its file.
+        model: of it.
+        dq: rates, (n, joints).
+    """
+    roles, width_s = roles_of(vehicle), vehicle.file.estimation.smoothing_ms * 1e-3
+    response = Response(width_s, kernel_of(vehicle))
+    by_name = {joint.joint: joint for joint in roles.joints}
+    out = np.zeros((3, *dq.shape))
+    for column, joint in enumerate(model.joints):
+        role = by_name[joint.name]
+        lowest = int(role.is_rate)
+        sigma = steady_noise(vehicle, role.channel, 2 - lowest)[:, 0]
+        for order in range(lowest, 3):
+            out[order, :, column] = sigma[order - lowest]
+            for periods, rms in roles.signals[role.channel].ripple:
+                passed = rms * response.gain(periods * dq[:, column], order - lowest)
+                out[order, :, column] = np.hypot(out[order, :, column], passed)
+    return out
+
+
+def _payload(model: VehicleModel, shape: RigidBody, *, drawn_shape: bool) -> RigidBody:
+    """The payload that is assumed: as its link is drawn, at another density; ``shape`` where it is not drawn."""
+    drawn = model.chi[model.payload_columns()]
+    if not (drawn_shape and drawn.size and drawn[0] > 0.0):
+        return shape
+    _, centre_m, inertia = body_of(drawn)
+    return RigidBody(shape.mass_kg, centre_m, inertia * shape.mass_kg / float(drawn[0]))
+
+
+def axes_words(model: VehicleModel, plan: Plan, base_rate: FloatArray, used: BoolArray) -> tuple[str, ...]:
+    """About which axes of its link the payload hardly turns, in words.
+
+    Args:
+        model: with a payload link.
+        plan: the motion.
+        base_rate: of the base, its axes, (n, 3).
+        used: (n,).
+    """
+    payload = model.spec.payload_link
+    if payload is None or not used.any():
+        return ()
+    link = link_motions(model, plan.q, plan.dq, plan.ddq)[model.links.index(payload)]
+    rate = turned(np.swapaxes(link.R, 1, 2), base_rate + link.w)[used]  # link axes
+    rms = np.sqrt(np.mean(rate**2, axis=0))
+    if rms.max() == 0.0:
+        return (f"{payload} does not turn at all",)
+    still = [axis for axis, size in zip("xyz", rms, strict=True) if size < _FEW_ANGLE * rms.max()]
+    if not still:
+        return ()
+    said = f"{payload} hardly turns about {' and '.join(still)} of its link: what only such a motion shows stays weak"
+    return (said,)

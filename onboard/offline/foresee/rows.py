@@ -1,0 +1,169 @@
+"""Bound of base parameters by rows: the identifier that flies takes in the rows of the planned motion.
+
+Rows ``y = Y chi`` are made by the vehicle's own regressor at nominal parameters, with white noise of the stated sigmas
+on every signal, and go to a fresh identifier. What it then reports as sigma has noise, regressor noise, prior and
+considered calibrations in it; the draw of the noise moves the values, which are not used, and hardly the sigmas.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard import config
+from onboard.devices.roles import TorqueKeys
+from onboard.dynamics.free_flight import predict_base_from_rate
+from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.vehicle import BaseKind, VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.gates import GateReason, reasons
+from onboard.estimation.smoothing import correlation_inflation
+from onboard.flight.identification import build_identifier
+from onboard.flight.roles import roles_of
+from onboard.flight.signals import kernel_of
+from onboard.identification.rows.identifier import Identifier
+from onboard.identification.verdict import Level
+from onboard.offline.foresee.plan import (
+    UNDETERMINED,
+    Expected,
+    Foreseen,
+    Plan,
+    axes_words,
+    body_values,
+    expected,
+    joint_noise,
+    steady_noise,
+)
+from onboard.regressor.friction import CoulombFriction
+from onboard.regressor.rows import BaseMotion, standing
+from onboard.regressor.signals import SignalNoise, Signals
+
+_SEED = 1
+
+
+def foresee_rows(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
+    """Expected intervals of base parameters and quantities of a vehicle whose method is rows.
+
+    Args:
+        vehicle: its file.
+        plan: the motion, at the estimator's ticks.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+        SignalError: a motion with which the rows cannot be made.
+    """
+    identifier, model = build_identifier(vehicle)
+    row_model = identifier.model
+    chi = row_model.chi.copy()
+    if plan.payload is not None:
+        chi[model.payload_columns()] = standard_of(plan.payload)
+    motion = _base_motion(model, plan, chi)
+    signals = _signals(vehicle, identifier, plan, motion, chi)
+    excluded = reasons(~plan.used(vehicle), GateReason.PHASE)
+    identifier.update(signals, plan.held, excluded)
+    found = identifier.estimate()
+    beta = identifier.base.value(chi)
+    at = {quantity.name: float(quantity.weights @ beta) for quantity in identifier.quantities}
+    at |= body_values(model, plan.payload)
+    quantities = [expected(one, at[one.name], one.sigma) for one in found.quantities]
+    hidden = set(vehicle.file.estimation.nuisance)
+    parameters = [
+        Expected(name, "", value, sigma, Level.GOOD if fine else Level.WEAK, "" if fine else UNDETERMINED)
+        for name, value, sigma, fine in zip(
+            found.names, beta.tolist(), found.sigma.tolist(), found.supported.tolist(), strict=True
+        )
+        if name not in hidden
+    ]
+    used = excluded == 0
+    words = axes_words(model, plan, motion.rate_rad_s, used & plan.held)
+    period_s = 1.0 / vehicle.file.estimation.row_rate_hz
+    return Foreseen(tuple(quantities), tuple(parameters), plan.payload, float(used.sum() * period_s), words)
+
+
+def _base_motion(model: VehicleModel, plan: Plan, chi: FloatArray) -> BaseMotion:
+    """What the base does: as planned, nothing, or what the joints make of a free one."""
+    if plan.base is not None:
+        return plan.base
+    n = len(plan.time_s)
+    if model.spec.base is not BaseKind.FREE:
+        return standing(model, n)
+    period_s, rate = float(plan.time_s[1] - plan.time_s[0]), plan.rate_rad_s
+    parts, edges = [], [0, *(np.flatnonzero(np.diff(plan.held)) + 1), n]
+    for first, last in pairwise(edges):
+        part = slice(first, last)
+        own = chi[: model.chi.size].copy()
+        if not plan.held[first]:
+            own[model.payload_columns()] = 0.0
+        links = link_motions(model, plan.q[part], plan.dq[part], plan.ddq[part])
+        base = predict_base_from_rate(links, period_s, own, rate, ())
+        parts.append(BaseMotion(base.rate, base.acceleration, base.specific_force))
+        rate = base.rate[-1]
+    return BaseMotion(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _signals(
+    vehicle: config.Vehicle, identifier: Identifier, plan: Plan, motion: BaseMotion, chi: FloatArray
+) -> Signals:
+    """Smoothed signals of the motion as the estimator makes them of noisy instruments."""
+    settings, roles, rng = vehicle.file.estimation, roles_of(vehicle), np.random.default_rng(_SEED)
+    row_model, n = identifier.model, len(plan.time_s)
+    inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle))
+    joints = [joint.name for joint in row_model.vehicle.joints]
+    friction = CoulombFriction(row_model.motors, joints).follow(plan.q, plan.dq) if row_model.motors else None
+    flowing = None if friction is None else np.nan_to_num(friction)
+    zero = np.zeros((n, len(row_model.rows)))
+    Y = row_model.regressor(plan.q, plan.dq, plan.ddq, motion, plan.held, predicted=zero, friction=flowing)
+    true = Y @ chi
+    sigma, refused = _of_rows(vehicle, identifier, plan, friction)
+    sigma *= inflation
+    period_s = 1.0 / settings.row_rate_hz
+    noise = joint_noise(vehicle, row_model.vehicle, plan.dq)
+    of_base = np.zeros((3, 3))
+    if roles.imus:
+        of_base = np.stack(_imu_noise(vehicle))
+    spread = [np.broadcast_to(part, (n, 3)) for part in of_base]
+    shaken = [signal + part * rng.standard_normal(signal.shape) for signal, part in zip(motion, spread, strict=True)]
+    q, dq, ddq = (
+        signal + part * rng.standard_normal(signal.shape)
+        for signal, part in zip((plan.q, plan.dq, plan.ddq), noise, strict=True)
+    )
+    return Signals(
+        *(plan.time_s, q, dq, ddq, BaseMotion(*shaken)),
+        *(true + sigma * rng.standard_normal(true.shape), sigma, np.gradient(true, period_s, axis=0)),
+        SignalNoise(noise[0], noise[1], noise[2], spread[0], spread[1], spread[2], inflation),
+        flowing,
+        refused if refused.any() else None,
+    )
+
+
+def _imu_noise(vehicle: config.Vehicle) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of the base's rate, angular acceleration and specific force, smoothed, IMU axes, (3,) each."""
+    found = np.concatenate([steady_noise(vehicle, channel, 1) for channel in roles_of(vehicle).imu.channels], axis=1)
+    return found[0, :3], found[1, :3], found[0, 3:]
+
+
+def _of_rows(
+    vehicle: config.Vehicle, identifier: Identifier, plan: Plan, friction: FloatArray | None
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Sigma of each row before inflation, and which rows are refused, (n, rows) each."""
+    settings, cells = vehicle.file.estimation, {cell.name: cell for cell in roles_of(vehicle).cells}
+    vehicle_model = identifier.model.vehicle
+    names = [joint.name for joint in vehicle_model.joints]
+    sigma = np.zeros((len(plan.time_s), len(identifier.row_names)))
+    refused = np.zeros(sigma.shape, np.int64)
+    for column, row in enumerate(identifier.row_names):
+        if row not in cells:
+            force = row.startswith("base_force")
+            sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
+            continue
+        keys = cells[row].keys
+        if isinstance(keys, TorqueKeys):
+            sigma[:, column] = keys.sigma_N_m
+            still = np.abs(plan.dq[:, names.index(keys.joint)]) < keys.still_rad_s
+            if friction is not None:
+                still |= np.isnan(friction).any(axis=1)
+            refused[:, column] |= reasons(still, GateReason.STILL)
+        else:
+            sigma[:, column] = steady_noise(vehicle, cells[row].channel, 0)[0, 0]
+    return sigma, refused
