@@ -12,11 +12,12 @@ cd "$root"
 said=$(mktemp -d)
 trap 'rm -rf "$said"' EXIT
 code=0 began=$(date +%s)
+longest=2400    # seconds: a part that hangs beyond each test's own limit is ended, and has failed
 part() {    # name, and arguments of pytest; its last line is kept
     name=$1
     shift
     printf '\n-- %s\n' "$name"
-    { "$heft_venv/bin/python" -m pytest "$@" || echo $? >"$said/code"; } | tee "$said/$name"
+    { timeout --kill-after=60 "$longest" "$heft_venv/bin/python" -m pytest "$@" || echo $? >"$said/code"; } | tee "$said/$name"
     tail -n 1 "$said/$name" >>"$said/last"
     [ ! -f "$said/code" ] || code=$(cat "$said/code")
 }

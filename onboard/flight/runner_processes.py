@@ -173,4 +173,6 @@ class Worker:
         self.died |= self.exit_code != 0
         if (spare := self._take_spare()) is not None:
             spare.pipe.close()
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(spare.pid, signal.SIGKILL)  # it holds nothing yet
             exit_code(spare.pid, wait=True)

@@ -1,7 +1,12 @@
-"""Bodies of processes that the tests have forked: a fork server imports them by name."""
+"""Bodies of processes that the tests have forked: a fork server imports them by name.
+
+A test never forks its own process: a child that leaves the test by an exception would go on as a second pytest.
+"""
 
 import os
+import signal
 import sys
+import time
 from multiprocessing.connection import Connection
 
 HEAVY = ("pinocchio", "scipy", "mujoco", "matplotlib", "pandas", "onboard.dynamics", "onboard.regressor")
@@ -19,3 +24,23 @@ def tell(*arguments: object) -> None:
     pipe.send((len(given), os.getpid(), os.getppid(), heavy()))
     pipe.recv()
     sys.exit(3)
+
+
+def answer(pipe: Connection) -> None:
+    """Say that it is at work, and end when told to."""
+    pipe.send(True)
+    pipe.recv()
+
+
+def work_long(pipe: Connection) -> None:
+    """Say that it is at work, then work and say nothing."""
+    pipe.send(True)
+    end_s = time.monotonic() + 60
+    while time.monotonic() < end_s:
+        sum(range(1000))
+
+
+def stand(pipe: Connection) -> None:
+    """Say that it is at work, then stop."""
+    pipe.send(True)
+    os.kill(os.getpid(), signal.SIGSTOP)

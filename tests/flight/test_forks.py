@@ -17,13 +17,6 @@ from tests.flight import forked
 
 
 @pytest.fixture(scope="module")
-def light() -> Iterator[ForkServer]:
-    server = ForkServer()
-    yield server
-    server.close()
-
-
-@pytest.fixture(scope="module")
 def prepared(light: ForkServer) -> Iterator[PreparedServer]:
     server = PreparedServer(light, workers.prepare_estimation, config.load(config.packaged("workshop")))
     yield server

@@ -3,14 +3,14 @@
 import os
 import socket
 import time
-from multiprocessing import Pipe
 from pathlib import Path
 
 import pytest
 
-from onboard.flight.runner_forks import Forked
+from onboard.flight.runner_forks import ForkServer
 from onboard.flight.runner_notify import Notifier
 from onboard.flight.runner_processes import HUNG_S, Worker
+from tests.flight import forked
 
 
 def received(manager: socket.socket) -> list[str]:
@@ -52,18 +52,8 @@ def test_without_a_manager_nothing_is_sent_and_a_strangers_watchdog_is_not_fed(t
         assert received(manager) == []
 
 
-def test_a_worker_that_has_been_silent_or_is_dead_does_not_answer() -> None:
-    def forked() -> Forked:
-        ours, theirs = Pipe()
-        if pid := os.fork():
-            theirs.close()
-            return Forked(pid, ours)
-        theirs.recv()
-        theirs.send(True)
-        theirs.recv()
-        os._exit(0)
-
-    worker = Worker("test", forked)
+def test_a_worker_that_has_been_silent_or_is_dead_does_not_answer(light: ForkServer) -> None:
+    worker = Worker("test", lambda: light.fork(forked.answer))
     assert not worker.answers(time.monotonic())
     worker.start()
     worker.wait_ready()

@@ -1,12 +1,7 @@
 """A computer that is too busy: long pauses are worked off in steps, slow is not hung, nothing is lost in silence."""
 
-import os
-import signal
 import time
-from collections.abc import Callable
 from functools import partial
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +11,14 @@ from drivers.records import Rows
 from onboard import config
 from onboard.flight import runner_processes
 from onboard.flight.estimation import LONGEST_STEP_NS, DurableEstimation
-from onboard.flight.runner_forks import Forked
+from onboard.flight.runner_forks import ForkServer
 from onboard.flight.runner_processes import Worker
 from onboard.flight.shedding import Shedding
 from onboard.offline.estimate_again.replay import replay
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader
+from tests.flight import forked
 from tests.flight.missions import Result
 from tests.flight.test_takeover import STEP_NS, Stretch, record
 
@@ -62,36 +58,16 @@ def test_a_pause_of_seconds_is_worked_off_in_steps_and_replays_to_the_bit(
     assert replayed.identical, replayed.summary
 
 
-def forked(body: Callable[[Connection], None]) -> Forked:
-    pipe, end = Pipe()
-    if pid := os.fork():
-        end.close()
-        return Forked(pid, pipe)
-    end.recv()
-    body(end)
-    os._exit(0)
-
-
-def _works_long(pipe: Connection) -> None:
-    pipe.send(True)
-    end_s = time.monotonic() + 60
-    while time.monotonic() < end_s:  # says nothing, and works
-        sum(range(1000))
-
-
-def _stands(pipe: Connection) -> None:
-    pipe.send(True)
-    os.kill(os.getpid(), signal.SIGSTOP)
-
-
 @pytest.mark.realtime
 @pytest.mark.timeout(120)
-def test_a_worker_that_works_is_slow_and_one_that_stands_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_works_is_slow_and_one_that_stands_hangs(
+    light: ForkServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(runner_processes, "HUNG_S", 1.5)
     monkeypatch.setattr(runner_processes, "LOOK_S", 1.0)
     monkeypatch.setattr(runner_processes, "LONGEST_SILENCE_S", 5.0)
-    for body, expected in ((_works_long, ["slow", "slow"]), (_stands, [])):
-        worker = Worker("test", partial(forked, body))
+    for body, expected in ((forked.work_long, ["slow", "slow"]), (forked.stand, [])):
+        worker = Worker("test", partial(light.fork, body))
         worker.start()
         worker.wait_ready()
         happened: list[str] = []
