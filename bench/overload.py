@@ -7,29 +7,18 @@ The estimator's need is measured for ten seconds of the flight; from then on its
 """
 
 import argparse
-import json
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
-from bench.restarts import processes, start
-from onboard import config
+from bench.real_flight import cpu_s, flying, processes
 from onboard.offline.estimate_again.replay import replay
 from onboard.recording.reader import LogReader
 
 PERIOD_S = 0.25
 MEASURED_S = 10.0
-
-
-def cpu_s(pid: int) -> float:
-    """CPU time that a process has had."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def starve(supervisor: int, share: float, seconds: float) -> tuple[float, float, int]:
@@ -64,24 +53,13 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=0.25)
     parser.add_argument("--seconds", type=float, default=22.0)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
-        log = Path(place) / "overload.mcap"
-        serve = [sys.executable, "-m", "hil_sim.serve", options.vehicle, "--seed", "3", "--directory", place]
-        devices = stack.enter_context(subprocess.Popen(serve, stdout=subprocess.PIPE, text=True))
-        stack.callback(devices.terminate)
-        assert devices.stdout is not None
-        served = json.loads(devices.stdout.readline())
-        urls = [f"--url={bus}={served[bus]}" for bus in config.named(options.vehicle).buses if bus in served]
-        flight = start(options.vehicle, log, urls, 0)
-        stack.callback(flight.wait)
-        stack.callback(flight.kill)
-        while not (log.exists() and "heft-estimate" in processes(flight.pid)):
-            time.sleep(0.1)
-        time.sleep(2.0)
-        need, got, restarts = starve(flight.pid, options.share, options.seconds)
-        flight.send_signal(signal.SIGTERM)
-        flight.wait(120)
-        print(f"needs {need:.0%} of a core, got {got:.1%}; restarts {restarts}; exit {flight.returncode}")
+    with tempfile.TemporaryDirectory() as place:
+        with flying(options.vehicle, Path(place), name="overload") as flight:
+            log = flight.log
+            time.sleep(2.0)
+            need, got, restarts = starve(flight.process.pid, options.share, options.seconds)
+            code = flight.end()
+        print(f"needs {need:.0%} of a core, got {got:.1%}; restarts {restarts}; exit {code}")
         read = LogReader(log)
         ticks, events, answers = read.read("tick"), read.read("event_estimation"), read.read("quantity")
         for code in (

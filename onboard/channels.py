@@ -41,6 +41,65 @@ QUANTITY = np.dtype(
 )
 
 
+HEALTH = np.dtype(  # a second of a real flight; NaN and -1: unknown
+    [
+        *_HEAD,
+        ("status_word", "<u4"),  # onboard.flight.health_status.Status, of the last second
+        ("status_latched", "<u4"),  # all bits since the start
+        ("rows", "<u8"),  # of all devices, since the start
+        ("rows_hz", "<f4"),
+        ("slowest_percent", "<f4"),  # of its nominal rate, the slowest stream in the last second
+        ("gaps", "<u4"),  # gap records since the start
+        ("missing", "<u8"),  # rows in them
+        ("not_recorded", "<u8"),  # rows that the recorder lost
+        ("recorder_backlog_percent", "<f4"),  # of its ring: rows not yet in the log, the fullest ring
+        ("estimator_lag_s", "<f4"),  # since the last sample that it took in, however long a sample takes to arrive
+        ("row_age_s", "<f4"),  # of the newest row of the regression, the lag of the vehicle file included
+        ("estimator_skipped_s", "<f4"),  # of the devices' rows left out, since the start
+        ("acquisition_missed", "<u4"),  # ticks that came while the step before still ran, since the worker's start
+        ("estimation_missed", "<u4"),
+        ("recording_missed", "<u4"),
+        ("restarts", "<u4"),  # of workers, since the start
+        ("clocks_acquiring", "u1"),
+        ("clocks_locked", "u1"),
+        ("clocks_flywheel", "u1"),
+        ("clocks_invalid", "u1"),
+        ("supervisor_cpu_percent", "<f4"),  # of one core
+        ("acquisition_cpu_percent", "<f4"),
+        ("estimation_cpu_percent", "<f4"),
+        ("recording_cpu_percent", "<f4"),
+        ("others_cpu_percent", "<f4"),  # fork servers, spare workers, the live server
+        ("supervisor_pss_mb", "<f4"),  # one process a second is looked at
+        ("acquisition_pss_mb", "<f4"),
+        ("estimation_pss_mb", "<f4"),
+        ("recording_pss_mb", "<f4"),
+        ("others_pss_mb", "<f4"),
+        ("computer_idle_percent", "<f4"),  # of all cores
+        ("memory_free_mb", "<f4"),
+        ("disk_free_mb", "<f4"),
+        ("temperature_deg_c", "<f4"),  # the hottest zone
+        ("throttled", "<i4"),  # bits of the Raspberry Pi's get_throttled
+    ],
+    align=True,
+)
+
+HEALTH_STREAM = np.dtype(  # a device's channel in the second before a HEALTH record
+    [
+        *_HEAD,
+        ("rate_hz", "<f4"),
+        ("nominal_hz", "<f4"),  # 0: it has none
+        ("rows", "<u8"),  # since the start
+        ("gaps", "<u4"),
+        ("missing", "<u8"),
+        ("unrecorded", "<i4"),  # rows in the ring that were not in the log; -1: unknown
+        ("capacity", "<u4"),  # rows of the ring
+        ("clock_state", "u1"),  # onboard.timebase.clock.ClockState; 255: no clock of its own
+        ("channel", "S31"),
+    ],
+    align=True,
+)
+
+
 def is_quantity(dtype: np.dtype[np.void]) -> bool:
     """Whether rows are QUANTITY, of this version or of one before it."""
     return {"value", "sigma", "low", "high", "supported", "unit", "name"} <= set(dtype.names or ())

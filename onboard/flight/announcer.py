@@ -66,8 +66,8 @@ class Announcer:
             for channel in list(device.channels(name))[:1]
         }
 
-    def step(self, now_s: float) -> None:
-        """Announce events since the last step."""
+    def step(self, now_s: float, health: str = "") -> None:
+        """Announce events since the last step; ``health``: the status word in words."""
         for name in ("event_supervisor", "event", "event_estimation", RECORDER_SAID):
             self._events(self._read(name))
         gaps = self._read("gap")
@@ -80,7 +80,7 @@ class Announcer:
             for row in quantities[newest & (quantities["unit"] != b"")]:  # base parameters are no answers
                 self._answer(row)
         if self._status_s is not None and now_s - self._looked_s >= self._status_s:
-            self._say_status(now_s)
+            self._say_status(now_s, health)
 
     def end(self, now_s: float) -> None:
         """Announce the remaining events and the final estimates."""
@@ -114,7 +114,7 @@ class Announcer:
         if new:
             LOGGER.info("%s %s", name, self.answers[name], extra={"source": "answer", "code": "answer"})
 
-    def _say_status(self, now_s: float) -> None:
+    def _say_status(self, now_s: float, health: str) -> None:
         passed_s, self._looked_s = now_s - self._looked_s, now_s
         published = self.rows()
         came = {name: count - self._published.get(name, 0) for name, count in published.items()}
@@ -133,6 +133,7 @@ class Announcer:
         if self._estimated_ns is not None:
             parts.append(f"estimate {max(0.0, now_s - 1e-9 * self._estimated_ns):.1f} s old")
         parts += [f"{name} {answer}" for name, answer in list(self.answers.items())[:1]]
+        parts.append(health)
         self.status = ", ".join(part for part in parts if part)
         LOGGER.info("%s", self.status, extra={"source": "status", "code": "status"})
 

@@ -22,6 +22,7 @@ from onboard.flight import manifest, rings, workers
 from onboard.flight.announcer import LOGGER, Announcer, missing_all_flight
 from onboard.flight.flight_log import MIB, Started, preamble, storage
 from onboard.flight.harvest import Harvest, harvest
+from onboard.flight.health import CHANNELS, HealthMonitor, WorkerState, rates_hz
 from onboard.flight.publisher import Publisher
 from onboard.flight.runner_forks import ForkError, ForkServer, PreparedServer
 from onboard.flight.runner_notify import Notifier
@@ -173,6 +174,11 @@ class _Crew:
         self.acquisition.start()
         self.acquisition.wait_ready()
 
+    def states(self) -> list[WorkerState]:
+        """How they stand."""
+        now_s = time.monotonic()
+        return [WorkerState(one.name, one.pid, one.answers(now_s), one.restarts, one.beat) for one in self.everyone]
+
     def wait(self) -> None:
         """Until one of them has said something or died, but not long."""
         connection.wait([one.pipe for one in self.everyone if one.pipe is not None], WATCH_PERIOD_S)
@@ -187,8 +193,8 @@ def _fly(
     listeners: "_Listeners",
 ) -> Flight:
     """Fly with rings in ``directory``."""
-    channels = {**rings.device_channels(vehicle), "event_supervisor": EVENT}
-    supervisor = Publisher(rings.create(directory, vehicle, channels), "_supervisor")
+    channels = {**rings.device_channels(vehicle), **CHANNELS, "event_supervisor": EVENT}
+    supervisor = Publisher(rings.create(directory, vehicle, channels, rates_hz(vehicle)), "_supervisor")
     everyone = crew.everyone
     asked_to_stop = _StopSignals()
     restarted: list[str] = []
@@ -201,6 +207,7 @@ def _fly(
         tell(Severity.ERROR if one.problem else Severity.WARNING, "harvest", one.log.name, text)
     notifier, told = Notifier(), ""
     announcer = Announcer(vehicle, directory, time.monotonic(), listeners.status_s)
+    health = HealthMonitor(vehicle, directory, os.getpid(), time.monotonic_ns())
     end = EndOfMission(vehicle, directory)
     try:
         crew.start(listeners.ready)
@@ -216,7 +223,8 @@ def _fly(
             restarted += [worker.name for worker in everyone if _watch(worker, tell)]
             for name in crew.servers.look():
                 tell(Severity.WARNING, "fork_server_restarted", name, "it had died; the workers went on")
-            announcer.step(time.monotonic())
+            supervisor.publish(health.step(time.monotonic_ns(), crew.states()))
+            announcer.step(time.monotonic(), health.said)
             notifier.feed(time.monotonic(), answering=all(one.answers(time.monotonic()) for one in everyone))
             if announcer.status != told:
                 notifier.status(told := announcer.status)

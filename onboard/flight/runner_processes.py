@@ -9,6 +9,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from onboard.flight.health import Beat
 from onboard.flight.runner_forks import Forked, exit_code
 
 START_TIMEOUT_S = 60.0
@@ -55,6 +56,7 @@ class Worker:
         self._slow_until_s = math.inf
         self._cpu_s: float | None = None  # of the process, some seconds into its silence
         self.started_in_s = math.nan  # from its start to its being at work
+        self.beat, self.restarts = Beat(), 0  # what it said last
         self._heard_s = -math.inf
 
     @property
@@ -107,10 +109,10 @@ class Worker:
             if self.is_dead or time.monotonic() > deadline:
                 raise FlightError(f"the {self.name} worker did not start; its message stands above")
         try:
-            self._pipe.recv()
+            said = self._pipe.recv()
         except EOFError as error:
             raise FlightError(f"the {self.name} worker did not start; its message stands above") from error
-        self._hear(time.monotonic())
+        self._hear(said, time.monotonic())
 
     def watch(self) -> str:
         """Kill it if it hangs, start it again if it is dead and due; what there is to say of that."""
@@ -127,6 +129,7 @@ class Worker:
         if now_s < self._due_s:
             return ""
         self.start()
+        self.restarts += 1
         return "restarted"
 
     def _listen(self, now_s: float) -> str:
@@ -135,8 +138,7 @@ class Worker:
         was_at_work = not math.isnan(self.started_in_s)
         with contextlib.suppress(EOFError, OSError):  # it is just dying
             while self._pipe.poll():
-                self._pipe.recv()
-                self._hear(now_s)
+                self._hear(self._pipe.recv(), now_s)
         if not (was_at_work or math.isnan(self.started_in_s)):
             return "back"
         if self._cpu_s is None and now_s > self._silent_until_s - LOOK_S:
@@ -150,8 +152,10 @@ class Worker:
         os.kill(self.pid, signal.SIGKILL)
         return "hung"
 
-    def _hear(self, now_s: float) -> None:
+    def _hear(self, said: object, now_s: float) -> None:
         self._heard_s = now_s
+        if isinstance(said, Beat):
+            self.beat = said
         self._silent_until_s, self._slow_until_s = now_s + HUNG_S, now_s + LONGEST_SILENCE_S
         self._cpu_s = None
         if math.isnan(self.started_in_s):

@@ -12,7 +12,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,6 +24,8 @@ from onboard import config
 from onboard.flight import directories, manifest, rings
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.announcer import RECORDER_SAID
+from onboard.flight.health import Beat
+from onboard.flight.health_status import Status
 from onboard.flight.publisher import Publisher
 from onboard.flight.runner_forks import name_process, serve
 from onboard.ring import RingWriter
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from onboard.flight.devices import OpenDevices
     from onboard.flight.estimator import Estimator
     from onboard.flight.state import Places
+    from onboard.recording.recorder import Recorder
 
 RECEIVE_TIMEOUT_S = 0.05
 REALTIME_PRIORITY = 50
@@ -64,13 +67,13 @@ class Supervised:
         """Say that the worker is at work."""
         self._pipe.send(True)
 
-    def beat(self) -> None:
-        """Say, once in a while, that it has come round again."""
+    def beat(self, say: Callable[[], Beat]) -> None:
+        """Say, once in a while, that it has come round again, and how it stands."""
         now_s = time.monotonic()
         if now_s - self._beat_s > BEAT_S and not self.stop.is_set():
             self._beat_s = now_s
             with contextlib.suppress(OSError):  # the supervisor is gone: the other thread sees it
-                self._pipe.send(True)
+                self._pipe.send(say())
 
     def _wait(self) -> None:
         try:
@@ -104,9 +107,10 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
         acquisition.report([event(time.monotonic_ns(), Severity.INFO, "not_realtime", "acquisition", text)])
     gc.collect()
     gc.freeze()
+    missed = dict.fromkeys(vehicle.buses, 0)
     threads = [
         threading.Thread(
-            target=_run_bus, args=(vehicle, acquisition, opened, bus, supervised.stop), name=bus, daemon=True
+            target=_run_bus, args=(vehicle, acquisition, opened, _Bus(bus, supervised.stop, missed)), daemon=True
         )
         for bus in vehicle.buses
         if vehicle.devices_on(bus)
@@ -115,20 +119,27 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
         thread.start()
     supervised.ready()
     while not supervised.stop.wait(BEAT_S):  # with no bus at all there is still a flight to log
-        supervised.beat()
+        supervised.beat(lambda: Beat(sum(missed.values())))
     for thread in threads:
         thread.join()
     acquisition.finish(time.monotonic_ns())
     opened.close()
 
 
-def _run_bus(
-    vehicle: config.Vehicle, acquisition: Acquisition, opened: "OpenDevices", bus: str, stop: threading.Event
-) -> None:
+class _Bus(NamedTuple):
+    """One bus: its name, what ends it, and where its thread counts by name the polls that came too late."""
+
+    name: str
+    stop: threading.Event
+    missed: dict[str, int]
+
+
+def _run_bus(vehicle: config.Vehicle, acquisition: Acquisition, opened: "OpenDevices", its: _Bus) -> None:
     """One bus for a whole flight; where it could not be opened it is tried again, and joins when it is there."""
     from onboard.flight.devices import open_bus
     from onboard.flight.expected import expected
 
+    bus, stop, _ = its
     since_ns, pause_s, tries = time.monotonic_ns(), FIRST_PAUSE_S, 1
     acquisition.expect(expected(vehicle, bus), since_ns)
     while bus not in opened.by_bus:
@@ -139,11 +150,12 @@ def _run_bus(
             now_ns = time.monotonic_ns()
             text = f"{vehicle.url(bus)}: open after {1e-9 * (now_ns - since_ns):.1f} s, at try {tries}"
             acquisition.report([event(now_ns, Severity.WARNING, "bus_opened", bus, text)])
-    _pump_bus(acquisition, opened, bus, stop)
+    _pump_bus(acquisition, opened, its)
 
 
-def _pump_bus(acquisition: Acquisition, opened: "OpenDevices", bus: str, stop: threading.Event) -> None:
+def _pump_bus(acquisition: Acquisition, opened: "OpenDevices", its: _Bus) -> None:
     """All devices of one bus: they share a port, so one thread drives them, and closes it."""
+    bus, stop, missed = its
     running = [device for device in opened.by_bus[bus] if acquisition.start_device(device, time.monotonic_ns())]
     due_ns = {device.name: 0 for device in running}
     while running and not stop.is_set():
@@ -151,7 +163,10 @@ def _pump_bus(acquisition: Acquisition, opened: "OpenDevices", bus: str, stop: t
             now_ns = time.monotonic_ns()
             if now_ns >= due_ns[device.name]:
                 acquisition.pump(device, now_ns, RECEIVE_TIMEOUT_S if device.period_ns == 0 else 0.0)
-                due_ns[device.name] = max(due_ns[device.name] + device.period_ns, now_ns)
+                next_ns = due_ns[device.name] + device.period_ns
+                if device.period_ns and due_ns[device.name] and next_ns <= now_ns:
+                    missed[bus] += 1 + (now_ns - next_ns) // device.period_ns
+                due_ns[device.name] = max(next_ns, now_ns)
         wait_ns = min(due_ns.values()) - time.monotonic_ns()
         if wait_ns > 0:
             time.sleep(wait_ns * 1e-9)
@@ -166,7 +181,7 @@ def run_for(opened: "OpenDevices", seconds: float) -> list[Batch]:
     stop = threading.Event()
     acquisition = Acquisition(opened.devices, _Keeper(said))
     threads = [
-        threading.Thread(target=_pump_bus, args=(acquisition, opened, bus, stop), name=bus, daemon=True)
+        threading.Thread(target=_pump_bus, args=(acquisition, opened, _Bus(bus, stop, {bus: 0})), daemon=True)
         for bus in opened.by_bus
     ]
     for thread in threads:
@@ -230,12 +245,11 @@ def estimate(
     with directories.belong(directory):
         worker = DurableEstimation(vehicle, directory, time.monotonic_ns(), (estimator, places))
         supervised.ready()
-        period_ns = int(vehicle.file.estimation.step_ms * 1e6)
-        next_ns = time.monotonic_ns()
+        pace = _Pace(int(vehicle.file.estimation.step_ms * 1e6))
         while not supervised.stop.is_set():
             worker.step(time.monotonic_ns())
-            supervised.beat()
-            next_ns = _sleep_until(next_ns + period_ns)
+            supervised.beat(lambda: Beat(pace.missed))
+            pace.sleep()
         worker.finish(time.monotonic_ns())
 
 
@@ -251,11 +265,11 @@ def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
         recorder.step(time.monotonic_ns())
         supervised.ready()
         period_ns = step_ns(flight.storage)
-        next_ns = time.monotonic_ns()
+        pace = _Pace(period_ns)
         while not supervised.stop.is_set():
+            supervised.beat(lambda: _recorder_beat(recorder, pace.missed))
             recorder.step(time.monotonic_ns())
-            supervised.beat()
-            next_ns = _sleep_until(next_ns + period_ns)
+            pace.sleep()
         end_ns = time.monotonic_ns() + int(ORPHAN_S * 1e9) * supervised.orphaned
         while time.monotonic_ns() < end_ns:
             recorder.step(time.monotonic_ns())
@@ -267,9 +281,33 @@ def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
             time.sleep(period_ns * 1e-9)
 
 
-def _sleep_until(due_ns: int) -> int:
-    """Sleep; returns when it was to end, or now if that is past."""
-    now_ns = time.monotonic_ns()
-    if due_ns > now_ns:
-        time.sleep((due_ns - now_ns) * 1e-9)
-    return max(due_ns, now_ns)
+def _recorder_beat(recorder: "Recorder", missed: int) -> Beat:
+    status = (Status.DISK_REFUSES if recorder.failing else Status(0)) | (
+        Status(0) if recorder.has_room else Status.DISK_LOW
+    )
+    return Beat(missed, status, recorder.backlog(), recorder.lost, recorder.disk_free)
+
+
+class _Pace:
+    """Sleeps from tick to tick.
+
+    Args:
+        period_ns: between two ticks.
+
+    Attributes:
+        missed: ticks that were over when the step before them ended. A step begins then, and later ticks count from it.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self.missed = 0
+        self._period_ns, self._next_ns = period_ns, time.monotonic_ns()
+
+    def sleep(self) -> None:
+        """Until the next tick; returns at once if that is over."""
+        self._next_ns += self._period_ns
+        now_ns = time.monotonic_ns()
+        if now_ns <= self._next_ns:
+            time.sleep((self._next_ns - now_ns) * 1e-9)
+        else:
+            self.missed += 1 + (now_ns - self._next_ns) // self._period_ns
+            self._next_ns = now_ns

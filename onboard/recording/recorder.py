@@ -93,6 +93,7 @@ class Recorder:
         self._sources = [RingSource(ring, recorded.get(ring.name)) for ring in rings]
         own = (GAP_CHANNEL, EVENT_CHANNEL)
         self._sequence = {name: recorded[name].sequence + 1 if name in recorded else 0 for name in own}
+        self.lost = 0  # rows, since the start
         self._failing_since_ns: int | None = None
         self._refusal = REFUSED
         self._room = True
@@ -101,6 +102,25 @@ class Recorder:
             writer.register(source.name, source.ring.dtype, units=(units or {}).get(source.name))
         writer.register(GAP_CHANNEL, records.GAP)
         writer.register(EVENT_CHANNEL, records.EVENT)
+
+    @property
+    def failing(self) -> bool:
+        """Whether the disk refuses, so that nothing is recorded."""
+        return self._writer.failing
+
+    @property
+    def has_room(self) -> bool:
+        """Whether the disk has room for all channels, not only for events and gaps."""
+        return self._room
+
+    @property
+    def disk_free(self) -> int:
+        """Bytes, as last asked; -1 where that is not known."""
+        return -1 if self._space is None else self._space.free
+
+    def backlog(self) -> dict[str, int]:
+        """Rows in each ring that are not in the log."""
+        return {source.name: source.ring.backlog for source in self._sources}
 
     def step(self, now_ns: int) -> StepReport:
         """Record the rows in the rings."""
@@ -160,6 +180,7 @@ class Recorder:
                     self._tell_missing(now_ns, source)
         if tell:
             self._tell_ns = now_ns
+        self.lost += lost
         return StepReport(taken, lost, self._writer.failing)
 
     def _give_up_the_rest(self, now_ns: int) -> None:

@@ -66,6 +66,7 @@ class SpaceGuard:
         self._ballast = log.with_name(f"{log.name}{BALLAST_SUFFIX}")
         self._descriptor: int | None = None  # of the ballast: locked while it is held
         self._kept: set[Path] = set()  # files not to be removed
+        self.free = -1  # bytes, as last looked
         for stale in flights.glob(f"*{BALLAST_SUFFIX}"):
             if not is_locked(stale):
                 stale.unlink()
@@ -80,7 +81,7 @@ class SpaceGuard:
             OSError: the file system cannot be queried.
         """
         removed = self._remove_oldest() if self._min_free else ()
-        free = self._free(self._flights)
+        free = self.free = self._free(self._flights)
         if refused or free < MARGIN:
             self.close()
         elif self._descriptor is None and free >= self._reserve + 2 * MARGIN:

@@ -77,7 +77,7 @@ def test_a_line_a_second_says_what_is_slow_missing_and_found(
         if tenth == 5:
             devices.publish([gap(1, "joint_1", 3, 14, 5, "bus")])
         quantity.push(answer(5.0, supported=tenth > 12))
-        announcer.step(tenth * 0.1)
+        announcer.step(tenth * 0.1, f"status {tenth}")
     lines = [r.getMessage() for r in said.records if r.source == "status"]  # type: ignore[attr-defined]
     assert len(lines) == 2
     assert lines[0].startswith("1 s, 1040 rows/s, ")
@@ -85,6 +85,7 @@ def test_a_line_a_second_says_what_is_slow_missing_and_found(
     assert "imu_base" not in lines[0]
     assert "12 rows missing in 1 gaps" in lines[0]
     assert "mass of payload" not in lines[0]
+    assert lines[0].endswith(", status 10")
     assert "mass of payload 5 kg (4.9 to 5.1)" in lines[1]
     quantity.push(answer(5.0, supported=False))
     announcer.step(2.05)

@@ -17,6 +17,7 @@ import pytest
 from drivers.records import SampleStatus
 from onboard import cli, config
 from onboard.flight import directories, manifest
+from onboard.flight.health_status import Status
 from onboard.offline.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
@@ -104,6 +105,11 @@ def test_each_worker_killed_in_turn_is_started_again_and_the_log_replays(tmp_pat
     imu = read.read("imu_base")
     assert np.count_nonzero(imu["status"] & SampleStatus.AFTER_RESET) == 1
     assert not read.read("tick")["fresh"].any()
+    health = read.read("health")
+    assert health["restarts"][-1] == 5
+    assert health["status_latched"][-1] & Status.WORKER_DOWN
+    assert np.abs(np.diff(health["host_ns"]) * 1e-9 - 1.0).max() < 0.5
+    assert np.nanmax(health["acquisition_cpu_percent"]) > 1.0
     assert cli.main(["replay", str(log)]) == cli.OK
     assert not list(directories.root().iterdir())
 

@@ -25,7 +25,7 @@ from tests.flight.missions import Result
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SECTIONS = [
     "Answers", "Timeline", "Encoder and load cell", "Accelerations and rates", "Torque and acceleration",
-    "Sweep by sweep", "Convergence", "Clocks", "Channels", "Events", "Provenance",
+    "Sweep by sweep", "Convergence", "Clocks", "Channels", "Health", "Events", "Provenance",
 ]  # fmt: skip
 
 

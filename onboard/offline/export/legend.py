@@ -5,6 +5,7 @@ from enum import IntEnum, IntFlag
 
 from drivers.records import SampleStatus, Severity
 from onboard.estimation.gates import GateReason
+from onboard.flight.health_status import MEANINGS
 from onboard.offline.tables.columns import Times
 from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.meaning import Meaning
@@ -68,6 +69,7 @@ def codes() -> list[str]:
         ("gate, bits (0: the row was used)", _codes(_GATES.items())),
         ("state of a clock", _codes(_CLOCKS.items())),
         ("severity of an event", _codes(_SEVERITY.items())),
+        ("status_word and status_latched of health, bits", _codes(MEANINGS.items())),
     ):
         lines += ["", title, *said]
     return lines

@@ -22,6 +22,7 @@ from onboard.offline.tables import truth as true
 from onboard.offline.tables.phases import Phase, phases_of
 from onboard.offline.tables.thin import Envelope, Thinned, Trace
 from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.offline.views.health import HealthSummary, is_health
 from onboard.offline.views.info import LogInfo, info
 from onboard.recording.reader import LogReader
 from onboard.recording.texts import printable
@@ -72,6 +73,7 @@ class FlightData:
     rows_used: int = 0
     events: list[Rows] = field(default_factory=list)
     gaps: list[Rows] = field(default_factory=list)
+    health: HealthSummary = field(default_factory=HealthSummary)
     changes: list[tuple[int, str]] = field(default_factory=list)  # changes of payload: host time, capture or ejection
 
     @property
@@ -175,6 +177,8 @@ class _Reader:
                 loud = batch.rows[batch.rows["severity"] >= Severity.WARNING]
                 if sum(map(len, self._flight.events)) < _EVENTS_KEPT and len(loud):
                     self._flight.events.append(loud)
+            case "health":
+                self._flight.health.add(batch.rows)
             case "clock":
                 _by_name(self._clocks, batch.rows, "channel")
             case "quantity":
@@ -261,6 +265,7 @@ def _kind(name: str, dtype: np.dtype[np.void]) -> str:
         "event": dtype == EVENT,
         "clock": {"period_ns", "sigma_ns", "residual_rms_ns", "state", "channel", "marks", "rejected"} <= fields,
         "quantity": channels.is_quantity(dtype),
+        "health": is_health(dtype),
         "row": name == "row" and {"vehicle_ns", "measured", "gate", "joint_rad_s2"} <= fields,
         "estimate": name == "estimate" and {"vehicle_ns", "triangle"} <= fields,
     }

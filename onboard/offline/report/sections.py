@@ -16,6 +16,7 @@ from onboard.offline.report.base_rate import base_rate
 from onboard.offline.report.base_rate import draw as draw_base_rate
 from onboard.offline.report.compared import Compared, compared, truths_of
 from onboard.offline.report.flight_data import FlightData
+from onboard.offline.report.health import health
 from onboard.offline.report.html import Cell
 from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
@@ -59,6 +60,7 @@ def _sections(flight: FlightData) -> Iterator[tuple[str, str]]:
     )
     yield "Clocks", _clocks(flight, draw)
     yield "Channels", _channels(flight)
+    yield "Health", health(flight.health)
     yield "Events", _events(flight)
     yield "Provenance", _provenance(flight)
 

@@ -46,6 +46,8 @@ _UNIT_OF_SUFFIX = {  # of the last words of a field's name
     "w": "W",
     "pa": "Pa",
     "ppm": "ppm",
+    "percent": "%",
+    "mb": "MB",
     "raw": "count",
     "tick": "count",
 }

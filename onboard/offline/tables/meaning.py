@@ -6,12 +6,19 @@ import numpy as np
 
 from drivers.records import PULSE
 from onboard import config
+from onboard.channels import HEALTH, HEALTH_STREAM
 from onboard.devices.roles import Roles, SmoothedChannel
 from onboard.flight.roles import roles_of
 from onboard.offline.tables.vehicle_time import clocked
 from onboard.recording.reader import LogReader
 
 _NO_CLOCK = "not known without the vehicle file, which names its clock"
+
+
+_OF_HEALTH = {
+    HEALTH: "how streams, workers and the flight computer stood, once a second",
+    HEALTH_STREAM: "each device channel in the second before a record of health",
+}
 
 
 class Meaning(NamedTuple):
@@ -82,7 +89,7 @@ def _of_rows(dtype: np.dtype[np.void]) -> Meaning:
         return Meaning("what each step of the estimator consumed", scratch=frozenset(fields))
     if "tick" in fields:
         return Meaning()
-    return Meaning(time="when it was reported")
+    return Meaning(_OF_HEALTH.get(dtype, ""), time="when it was reported")
 
 
 def _measures(roles: Roles) -> dict[str, str]:

@@ -15,6 +15,7 @@ from onboard.flight.clocks import known_delays
 from onboard.offline.tables.progress import follow
 from onboard.offline.tables.thin import Thinned
 from onboard.offline.tables.vehicle_file import attached_vehicle
+from onboard.offline.views.health import HealthSummary, is_health
 from onboard.offline.views.standing import is_withdrawn, shown, standing_of
 from onboard.recording.reader import LogReader
 from onboard.recording.texts import printable
@@ -26,7 +27,7 @@ _POINTS = 4000  # points per clock kept for a plot
 
 @dataclass
 class LogOverview:
-    """CLOCK rows by clock (thinned for a long flight), counts of rows, last estimates, delays removed."""
+    """CLOCK rows by clock (thinned for a long flight), counts of rows, last estimates, delays removed, health."""
 
     clocks: dict[str, np.ndarray] = field(default_factory=dict)
     rows: int = 0
@@ -34,6 +35,7 @@ class LogOverview:
     refused: dict[str, int] = field(default_factory=dict)
     answers: dict[str, np.void] = field(default_factory=dict)
     delays: tuple[Delay, ...] = ()
+    health: HealthSummary = field(default_factory=HealthSummary)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; None for quantities that the data do not determine."""
@@ -42,6 +44,7 @@ class LogOverview:
             "delays": [delay._asdict() for delay in self.delays],
             "rows": {"total": self.rows, "used": self.used, "refused": self.refused},
             "answers": {name: _answer_json(row) for name, row in self.answers.items()},
+            "health": self.health.as_json(),
         }
 
 
@@ -61,6 +64,8 @@ def summary(log: LogReader, progress: Progress | None = None) -> LogOverview:
                 clocks.setdefault(printable(name), Thinned(_POINTS)).add(rows[rows["channel"] == name])
         elif channel == "row" and "gate" in fields[channel]:
             count_gates(found, rows["gate"])
+        elif is_health(log.channels[channel]):
+            found.health.add(rows)
         elif channels.is_quantity(log.channels[channel]):
             found.answers.update((printable(row["name"]), row) for row in rows[-256:])
     found.clocks = {name: kept for name, thinned in clocks.items() if (kept := thinned.rows) is not None}
@@ -104,8 +109,8 @@ def _answer_json(row: np.void) -> dict[str, Any]:
 
 def render(found: LogOverview) -> RenderableType:
     """``found`` as tables, without those that are empty."""
-    parts = [part for part in (_clocks(found), _delay_lines(found), _gates(found), _answers(found)) if part is not None]
-    return Group(*parts)
+    parts = (_clocks(found), _delay_lines(found), _gates(found), _answers(found))
+    return Group(*(part for part in parts if part is not None), *(Text(line) for line in found.health.lines()))
 
 
 def _table(*headings: str) -> Table:

@@ -17,7 +17,9 @@ from rich.text import Text
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
 from onboard import channels
 from onboard.estimation.gates import GateReason
+from onboard.flight.health_status import standing
 from onboard.identification.verdict import Level
+from onboard.offline.views.health import PROCESSES, is_health
 from onboard.offline.views.standing import is_withdrawn, shown, standing_of
 from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
@@ -101,6 +103,7 @@ class Board:
         self._used = self._total = 0
         self._events: deque[tuple[int, int, str]] = deque(maxlen=_EVENTS)
         self._phase = ""
+        self._health: np.void | None = None
 
     def add(self, batch: Batch) -> None:
         """Add rows."""
@@ -121,6 +124,8 @@ class Board:
         elif channels.is_quantity(rows.dtype):
             for row in rows:
                 self.answers.setdefault(printable(row["name"]), _Answer(row, _TREND_NS)).add(row)
+        elif is_health(rows.dtype):
+            self._health = rows[-1]
         elif {"period_ns", "state", "channel"} <= fields:
             self._clocks.update((printable(row["channel"]), row) for row in rows)
         elif name == "row" and "gate" in fields:
@@ -140,7 +145,7 @@ class Board:
         """The board as a renderable."""
         side = Table.grid(padding=(0, 3))
         side.add_row(self.channel_table(), Group(self._clock_table(), Text(), self._gate_lines()))
-        parts: list[RenderableType] = [self._head(), Text(), side]
+        parts: list[RenderableType] = [self._head(), *self._health_lines(), Text(), side]
         if self.answers:
             parts += [Text(), self._answer_table()]
         parts += [Text(), *self._event_lines()] if self._events else []
@@ -152,6 +157,18 @@ class Board:
         if self.lost:
             head.append(f"   this viewer was too slow for {self.lost:,} rows", "yellow")
         return head
+
+    def _health_lines(self) -> list[RenderableType]:
+        row = self._health
+        if row is None:
+            return []
+        word, latched = int(row["status_word"]), int(row["status_latched"])
+        cpu, pss = (np.nansum([row[f"{name}_{what}"] for name in PROCESSES]) for what in ("cpu_percent", "pss_mb"))
+        temperature = row["temperature_deg_c"]
+        told = f"CPU {cpu:.0f} % of a core, {pss:.0f} MB, computer {row['computer_idle_percent']:.0f} % idle, "
+        told += "temperature unknown" if np.isnan(temperature) else f"{temperature:.0f} deg C"
+        style = "yellow" if word else "green" if not latched else ""
+        return [Text(standing(word, latched), style), Text(told, "dim")]
 
     def channel_table(self) -> Table:
         """Rates, counts and what is missing, a line a channel."""

@@ -1,0 +1,184 @@
+"""What a flight in real time costs and how late its answers are.
+
+    python -m bench.flight [--vehicle dymaflex] [--minutes 1] [--load 0] [--nice 0] [--quick] [--json FILE]
+
+Prints CPU time and memory (PSS) of each process, the latency from sample to estimate, what is lost, and the answers.
+Latency: a row of the regression is due ``lag_ms`` after its instant of vehicle time, and steps that make rows come
+every ``step_ms``; the two are the stated lag. How much later than that the row stands in its ring is printed, seen by a
+process that looks every 2 ms. ``--load N``: N processes that only compute, beside it. ``--minutes`` lengthens the
+mission's longest motion. ``--quick``: 20 s, and no bar is judged.
+
+Bars (exit code 1 where one is missed): p99 beyond the stated lag 20 ms without load, 1 s with it; no row lost by the
+recorder, none missing without a gap record; the answers hold the truth in their 95 % intervals; without load PSS of all
+200 MB, and of a core supervisor 1 %, recorder 3 %.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.real_flight import WORKERS, RealFlight, all_processes, busy, cpu_s, flying, longer, pss_mb
+from onboard import config
+from onboard.offline.views.info import info
+from onboard.recording.reader import LogReader
+from onboard.ring import RingReader
+
+LOOK_S = 0.002
+WARM_UP_S = 4.0
+PRIORITY = 30
+QUICK_S = 20.0
+LATEST_MS, LATEST_AT_LOAD_MS = 20.0, 1000.0
+PSS_MB = 200.0
+CPU_PERCENT = {"supervisor": 1.0, "recording": 3.0}
+
+
+def watch(flight: RealFlight, seconds: float, lag_ms: float) -> tuple[np.ndarray, dict[str, Any]]:
+    """Latency of each row beyond ``lag_ms`` [ms], and CPU and PSS by process, in so many seconds."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError:
+        print("the bench has no real-time priority: latencies contain its own")
+    reader = RingReader(flight.rings / "row.ring")
+    reader.position = reader.published
+    before = {pid: cpu_s(pid) for pid in all_processes(flight.process.pid)}
+    began_s = time.monotonic()
+    late: list[np.ndarray] = []
+    while time.monotonic() - began_s < seconds and flight.process.poll() is None:
+        if reader.backlog:
+            now_ns = time.monotonic_ns()
+            late.append(1e-6 * (now_ns - reader.read()[0]["vehicle_ns"]) - lag_ms)
+        time.sleep(LOOK_S)
+    passed_s = time.monotonic() - began_s
+    used: dict[str, list[float]] = {}
+    for pid, name in all_processes(flight.process.pid).items():
+        cpu, pss = used.setdefault(WORKERS.get(name, name), [0.0, 0.0])
+        used[WORKERS.get(name, name)] = [
+            cpu + 100 * (cpu_s(pid) - before.get(pid, 0.0)) / passed_s,
+            pss + pss_mb(pid),
+        ]
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    said = {name: {"cpu_percent": cpu, "pss_mb": pss} for name, (cpu, pss) in used.items()}
+    return np.concatenate([np.empty(0), *late]), said
+
+
+def answers(log: Path, truth: dict[str, Any]) -> list[dict[str, Any]]:
+    """The last answers of a log that have a unit, and what is true of the payload's mass."""
+    rows = LogReader(log).read("quantity")
+    rows = rows[(rows["supported"] == 1) & (rows["unit"] != b"")]
+    last = {row["name"].decode(): row for row in rows}
+    known = {name: float(value) for name, value in truth.get("quantities", {}).items()}
+    return [
+        {
+            "name": name,
+            **{field: float(row[field]) for field in ("value", "low", "high")},
+            "unit": row["unit"].decode(),
+            "truth": known.get(name),
+        }
+        for name, row in last.items()
+    ]
+
+
+def main() -> int:
+    """Fly, print, judge."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--vehicle", default="dymaflex", help="a packaged one with a scenario of its name")
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--load", type=int, default=0)
+    parser.add_argument("--nice", type=int, default=0)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    seconds = QUICK_S if options.quick else 60.0 * options.minutes
+    settings = config.named(options.vehicle).file.estimation
+    stated_ms = settings.lag_ms + settings.step_ms
+    with tempfile.TemporaryDirectory() as directory:
+        place = Path(directory)
+        over = longer(options.vehicle, seconds + WARM_UP_S + 20.0, place)
+        with busy(options.load), flying(options.vehicle, place, name="bench", over=over, nice=options.nice) as flight:
+            time.sleep(WARM_UP_S)
+            late_ms, used = watch(flight, seconds, stated_ms)
+            load = os.getloadavg()[0]
+            code = flight.end()
+            flight.devices.terminate()
+            assert flight.devices.stdout is not None
+            said = json.loads(flight.devices.stdout.readline())
+        about = info(flight.log)
+        log = LogReader(flight.log)
+        result = {
+            "vehicle": options.vehicle,
+            "seconds": seconds,
+            "load_average": load,
+            "exit_code": code,
+            "rows": len(late_ms),
+            "late_ms": {f"p{share}": float(np.percentile(late_ms, share)) for share in (50, 99, 100)}
+            if len(late_ms)
+            else {},
+            "processes": used,
+            "pss_mb": sum(one["pss_mb"] for one in used.values()),
+            "recorder_gaps": len(log.read("recorder_gap")),
+            "unexplained": about.unexplained,
+            "missing": sum(one.missing for one in about.channels),
+            "restarts": int(log.read("health")["restarts"][-1]),
+            "answers": answers(flight.log, said["truth"]),
+        }
+    show(result, stated_ms)
+    if options.json:
+        options.json.write_text(json.dumps(result), encoding="utf-8")
+    missed = [] if options.quick else judge(result, at_load=bool(options.load))
+    for text in missed:
+        print(f"MISSED {text}")
+    return int(bool(missed))
+
+
+def show(result: dict[str, Any], stated_ms: float) -> None:
+    """Print it."""
+    print(
+        f"{result['vehicle']}, {result['seconds']:.0f} s, load average {result['load_average']:.1f}, "
+        f"exit code {result['exit_code']}"
+    )
+    for name, one in sorted(result["processes"].items()):
+        print(f"  {name:16}{one['cpu_percent']:6.1f} % of a core{one['pss_mb']:8.1f} MB")
+    print(f"  all{sum(one['cpu_percent'] for one in result['processes'].values()):19.1f} %{result['pss_mb']:18.1f} MB")
+    late = ", ".join(f"{name} {value:.1f}" for name, value in result["late_ms"].items()).replace("p100", "max")
+    print(f"sample to estimate, beyond lag_ms + step_ms = {stated_ms:g} ms [ms]: {late} ({result['rows']} rows)")
+    print(
+        f"rows missing {result['missing']}, in no gap record {result['unexplained']}, gaps of the recorder "
+        f"{result['recorder_gaps']}, restarts {result['restarts']}"
+    )
+    for one in result["answers"]:
+        truth = "" if one["truth"] is None else f", truth {one['truth']:.6g}"
+        print(f"  {one['name']} {one['value']:.6g} {one['unit']} ({one['low']:.6g} to {one['high']:.6g}){truth}")
+
+
+def judge(result: dict[str, Any], *, at_load: bool) -> list[str]:
+    """The bars that were missed."""
+    bar_ms = LATEST_AT_LOAD_MS if at_load else LATEST_MS
+    late_ms = result["late_ms"].get("p99", float("inf"))
+    missed = [f"p99 {late_ms:.1f} ms, bar {bar_ms:g}"] if late_ms > bar_ms else []
+    missed += [
+        f"{result[key]} {key.replace('_', ' ')}" for key in ("recorder_gaps", "unexplained", "exit_code") if result[key]
+    ]
+    wrong = [
+        one["name"]
+        for one in result["answers"]
+        if one["truth"] is not None and not one["low"] <= one["truth"] <= one["high"]
+    ]
+    missed += [f"wrong: {', '.join(wrong)}"] if wrong else []
+    missed += [] if result["answers"] else ["no answer"]
+    if not at_load:
+        missed += [f"PSS {result['pss_mb']:.0f} MB, bar {PSS_MB:g}"] if result["pss_mb"] > PSS_MB else []
+        for name, bar in CPU_PERCENT.items():
+            used = result["processes"].get(name, {}).get("cpu_percent", float("inf"))
+            missed += [f"{name} {used:.1f} % of a core, bar {bar:g}"] if used > bar else []
+    return missed
+
+
+if __name__ == "__main__":
+    sys.exit(main())
