@@ -10,6 +10,7 @@ import errno
 import json
 import os
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -149,19 +150,13 @@ class SegmentedLog:
             FileExistsError: the log is another flight's.
             OSError: a segment cannot be read, or the next not created.
         """
+        begin = partial(
+            cls, log, preamble, limits=limits, sync_interval_ns=sync_interval_ns, open_sink=open_sink, told=told
+        )
         if progress is not None and (recorded := _recorded_since(log, progress)) is not None:
             number = progress.number + 1
             segment_path(log, number).unlink(missing_ok=True)  # opened ahead
-            resumed = cls(
-                log,
-                preamble,
-                limits=limits,
-                sync_interval_ns=sync_interval_ns,
-                open_sink=open_sink,
-                number=number,
-                recorded=recorded,
-                told=told,
-            )
+            resumed = begin(number=number, recorded=recorded)
             before = range(max(0, number - _UNSEALED_AT_MOST), number)
             resumed._unsealed = [path for one in before if (path := segment_path(log, one)).exists()]
             return resumed
@@ -179,17 +174,7 @@ class SegmentedLog:
         number = number_of(found[-1]) + 1 if found else 0
         if (torn := segment_path(log, number)).exists() and torn.stat().st_size <= HEADER_BYTES:
             torn.unlink()  # opened in advance, before its metadata was written
-        recorded = _recorded(found)
-        return cls(
-            log,
-            preamble,
-            limits=limits,
-            sync_interval_ns=sync_interval_ns,
-            open_sink=open_sink,
-            number=number,
-            recorded=recorded,
-            told=told,
-        )
+        return begin(number=number, recorded=_recorded(found))
 
     @property
     def path(self) -> Path:
