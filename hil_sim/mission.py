@@ -30,6 +30,7 @@ from hil_sim.scenario.vehicle_tables import VehicleScenario
 from hil_sim.sensing.sensors import DriftingClock
 from hil_sim.twins import Sensor, Twins, emulators, sensor
 
+_AHEAD_S = 1.0  # in virtual time
 _VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
 
 
@@ -47,6 +48,7 @@ class Mission:
         faults: the scenario's ``[[fault]]`` tables, and those given.
         start_ns: ``CLOCK_MONOTONIC`` ns of mission time 0 (power-up of all devices); set by ``attach``.
         now_ns: up to when the mission has been advanced.
+        ahead_s: how far the plant is computed beyond that at a time; 0 on the real clock, so that no device is late.
 
     Raises:
         ScenarioError: a device that is none, a ``[[fault]]`` table that is no fault, or a place in the plant that is
@@ -70,6 +72,7 @@ class Mission:
         self._require_in_time()
         self.start_ns = _VIRTUAL_START_NS
         self.now_ns = self.start_ns
+        self.ahead_s = 0.0
         self._twins: Twins | None = None
         self._plan: FaultPlan | None = None
         self._buses: list[Bus] = []
@@ -138,7 +141,7 @@ class Mission:
         """
         if self._twins is None:
             raise RuntimeError("no buses yet; call Mission.attach first")
-        self.plant.advance(1e-9 * (now_ns - self.start_ns))
+        self.plant.advance(1e-9 * (now_ns - self.start_ns), self.ahead_s)
         self.now_ns = now_ns
         for bus in self._buses:
             bus.advance(now_ns)
@@ -226,6 +229,7 @@ def open_in_process(
         FaultError: a fault that its device cannot have, or of a device that is not there.
     """
     mission = Mission(scenario_of(scenario) if isinstance(scenario, str) else scenario, seed, faults)
+    mission.ahead_s = _AHEAD_S
     with ExitStack() as stack:
         directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
         tables = mission.scenario.bus

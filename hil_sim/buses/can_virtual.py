@@ -25,6 +25,13 @@ class PulledBus(VirtualBus):
             raise can.CanInitializationError(f"no adapter {channel}", error_code=errno.ENODEV)
         super().__init__(channel, **options)
 
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """See ``can.BusABC``; without its clock and filters where nothing is waited for and nothing filtered."""
+        if timeout != 0 or self._filters is not None:
+            return super().recv(timeout)
+        self._check_if_open()
+        return self.queue.get_nowait() if self.queue.queue else None
+
     def shutdown(self) -> None:
         """See ``can.BusABC``; also of one that was pulled."""
         if self.queue not in self.channel:
@@ -67,6 +74,8 @@ class VirtualCan:
     def take(self) -> list[tuple[int, bytes | int]]:
         """Frames with 11-bit identifiers sent by others on the channel; see ``CanLink``."""
         frames: list[tuple[int, bytes | int]] = []
+        if not self._bus.queue.queue:
+            return frames
         while (message := self._bus.recv(0)) is not None:
             if not (message.is_extended_id or message.is_error_frame):
                 content = message.dlc if message.is_remote_frame else bytes(message.data)
@@ -74,11 +83,20 @@ class VirtualCan:
         return frames
 
     def give(self, frames: Sequence[WireFrame]) -> None:
-        """Send frames with their stamps."""
-        for end_ns, identifier, data in frames:
-            self._bus.send(
-                can.Message(timestamp=end_ns * 1e-9, arbitration_id=identifier, is_extended_id=False, data=data)
-            )
+        """Send frames with their stamps: what ``VirtualBus.send`` does, but for its deep copy of each message."""
+        own = self._bus.queue
+        for queue in self._bus.channel:
+            if queue is not own:
+                for end_ns, identifier, data in frames:
+                    queue.put_nowait(
+                        can.Message(
+                            timestamp=end_ns * 1e-9,
+                            arbitration_id=identifier,
+                            is_extended_id=False,
+                            data=data,
+                            channel=self._channel,
+                        )
+                    )
 
     def give_error(self, end_ns: int, classes: int) -> None:
         """Send an error frame."""

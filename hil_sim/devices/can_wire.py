@@ -11,6 +11,7 @@ frames and retransmission are not modelled, nor 29-bit identifiers.
 import heapq
 from collections import Counter
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from hil_sim.faults import NEVER
@@ -59,6 +60,7 @@ def crc15(bits: int, n_bytes: int) -> int:
     return crc
 
 
+@lru_cache(maxsize=4096)  # SYNCs, and values that rest
 def frame_bits(identifier: int, data: bytes, asked: int | None = None) -> int:
     """Length of a frame with an 11-bit identifier, start-of-frame to end-of-frame, stuff bits included.
 
@@ -182,17 +184,22 @@ class CanWire:
 
     def advance(self, now_ns: int) -> list[WireFrame]:
         """Let everything happen that is due at ``now_ns``; returns what the flight computer's controller received."""
+        nodes = self._nodes
+        node_ns: int | None = None  # when the first of them acts; None: one of them has acted or received since
         while True:
             wire_ns = self._wire_due_ns()
-            node_ns = min((node.due_ns for node in self._nodes), default=NEVER)
-            if min(wire_ns, node_ns) > now_ns:
+            if node_ns is None:
+                node_ns = min([node.due_ns for node in nodes], default=NEVER)
+            if wire_ns > now_ns and node_ns > now_ns:
                 break
             if node_ns <= wire_ns:
-                for node in self._nodes:
+                for node in nodes:
                     if node.due_ns <= node_ns:
                         node.act(node_ns)
+                node_ns = None
             elif self._on_wire is not None:
                 self._end()
+                node_ns = None
             else:
                 self._begin(wire_ns)
         received, self._received = self._received, []
@@ -229,16 +236,18 @@ class CanWire:
     def _end(self) -> None:
         if self._on_wire is None:
             return
-        end_ns, frame = self._on_wire
+        end_ns, (identifier, _, data, sender, asked) = self._on_wire
         self._on_wire = None
-        for index, node in enumerate(self._nodes):
-            if frame.asked is not None:
+        if asked is None:
+            for index, node in enumerate(self._nodes):
+                if index != sender:
+                    node.receive(identifier, data, end_ns)
+        else:
+            for node in self._nodes:
                 if isinstance(node, AnswersRemoteFrames):
-                    node.remote(frame.identifier, end_ns)
-            elif index != frame.sender:
-                node.receive(frame.identifier, frame.data, end_ns)
-        if frame.sender != _HOST:
-            self._received.append(WireFrame(end_ns, frame.identifier, frame.data))
+                    node.remote(identifier, end_ns)
+        if sender != _HOST:
+            self._received.append(WireFrame(end_ns, identifier, data))
 
 
 class Babbler:

@@ -33,6 +33,7 @@ STOPPED = 0x04
 OPERATIONAL = 0x05
 PRE_OPERATIONAL = 0x7F
 OFF = -1
+_DEAF = (OFF, BOOTING)
 
 
 class CanopenNode:
@@ -81,7 +82,7 @@ class CanopenNode:
         self._toggle = 0
         self._abandoned = False  # by who guarded it
         self._timers: dict[str, tuple[int, Callable[[int], None]]] = {}
-        self._due_ns = NEVER
+        self.due_ns = NEVER  # when it next does something of its own accord
         self._supply = deque(
             event
             for cycle in faults.power_cycles()
@@ -101,18 +102,13 @@ class CanopenNode:
         factor = self.dictionary.add(0x100D, 0, Entry(DataType.U8, Access.RW))
         self._guard = time_ms, factor
 
-    @property
-    def due_ns(self) -> int:
-        """When it next does something of its own accord."""
-        return self._due_ns
-
     def connect(self, transmit: TransmitFrame) -> None:
         """Give it the wire."""
         self._transmit = transmit
 
     def act(self, now_ns: int) -> None:
         """Do what is due, in order."""
-        while self._due_ns <= now_ns:
+        while self.due_ns <= now_ns:
             name = min(self._timers, key=lambda key: self._timers[key][0])
             due_ns, action = self._timers.pop(name)
             self._refresh()
@@ -120,7 +116,7 @@ class CanopenNode:
 
     def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
         """A frame has ended on the wire."""
-        if self.state in (OFF, BOOTING) or self._is_silent(now_ns):
+        if self.state in _DEAF or (self._faults and self._faults.is_away(now_ns)):
             return
         if identifier == self._sync_cob_id.value:
             if self.state == OPERATIONAL:
@@ -337,11 +333,13 @@ class CanopenNode:
             ready_ns += 0 if slow is None else round(slow.value * 1e9)
             if self._faults.active(FaultKind.GARBAGE, ready_ns) is not None:
                 data = garbled(data, self._rng)
-        if self._transmit is not None and not self._is_silent(ready_ns):
+            if self._faults.is_away(ready_ns):
+                return
+        if self._transmit is not None:
             self._transmit(identifier, data, ready_ns)
 
     def _refresh(self) -> None:
-        self._due_ns = min((timer[0] for timer in self._timers.values()), default=NEVER)
+        self.due_ns = min((timer[0] for timer in self._timers.values()), default=NEVER)
 
     def _add_communication_objects(self, device_type: int) -> None:
         add, u8, u16, u32 = self.dictionary.add, DataType.U8, DataType.U16, DataType.U32

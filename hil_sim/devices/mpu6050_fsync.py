@@ -25,6 +25,9 @@ class FsyncLatch:
         """
         if column is None:
             return
+        if not self._pulses:
+            counts[:, column] &= ~1
+            return
         before_s = np.concatenate(([last_s], times_s[:-1]))  # (n,)
         marks = np.zeros(len(times_s), np.int16)
         for rise_s, fall_s in self._pulses:
@@ -35,4 +38,5 @@ class FsyncLatch:
 
     def forget(self, last_s: float) -> None:
         """Pulses over before ``last_s``, the time of the newest sample, mark nothing more."""
-        self._pulses = [pulse for pulse in self._pulses if pulse[1] > last_s]
+        if self._pulses:
+            self._pulses = [pulse for pulse in self._pulses if pulse[1] > last_s]

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
 
@@ -73,11 +73,15 @@ class Entry:
     check: Write | None = None
     changed: Write | None = None
     mappable: bool = False
+    _number: struct.Struct = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self._number = struct.Struct(self.data_type.value)
 
     @property
     def size(self) -> int:
         """Bytes on the wire."""
-        return struct.calcsize(self.data_type)
+        return self._number.size
 
     def now(self, now_ns: int) -> int:
         """Value at ``now_ns``."""
@@ -85,7 +89,7 @@ class Entry:
 
     def pack(self, now_ns: int) -> bytes:
         """Value at ``now_ns`` as it goes over the wire."""
-        return struct.pack(self.data_type, self.now(now_ns))
+        return self._number.pack(self.value if self.read is None else self.read(now_ns))
 
 
 class ObjectDictionary:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hil_sim.faults.plan import NEVER, DeviceFaults
 from hil_sim.faults.vocabulary import INPUT_KINDS, FaultKind
-from hil_sim.sensing.analog import ImuAnalog, ScalarAnalog
+from hil_sim.sensing.analog import ImuAnalog, KnownAhead, ScalarAnalog
 
 _INERTIAL = np.array([0, 1, 2, 4, 5, 6])  # columns of ImuAnalog.counts without the temperature
 
@@ -54,6 +54,11 @@ class FaultyImu:
         kinds = (FaultKind.SATURATED, *INPUT_KINDS)
         self._windows = [w for w in faults.windows if w.kind in kinds]
         self._last: NDArray[np.int16] | None = None
+
+    @property
+    def known_s(self) -> float:
+        """As of ``KnownAhead``; 0 where no future is known."""
+        return self._analog.known_s if isinstance(self._analog, KnownAhead) else 0.0
 
     def counts(
         self, times_s: NDArray[np.float64], accel_lsb_per_g: float, gyro_lsb_per_dps: float, dlpf_cfg: int

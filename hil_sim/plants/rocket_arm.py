@@ -136,6 +136,11 @@ class RocketArmPlant(world.Plant):
         self._state = np.zeros((1, mujoco.mj_stateSize(self._model, _STATE)))
         mujoco.mj_getState(self._model, self._data, self._state[0], _STATE)
         self._rollout = rollout.Rollout(nthread=0)
+        self._sensors = np.zeros((1, self.chunk, self._model.nsensordata))
+        self._states = np.zeros((1, self.chunk, self._state.shape[1]))
+        self._steps = np.arange(self.chunk)
+        # rows at which something pushes the arm; elsewhere the sums below are zeros
+        self._loaded = self._push.any(axis=1) | (self.base.dynamic_pressure_pa != 0.0)
 
     def inertial(self, at: str) -> world.Inertial:
         """See ``world.Plant``."""
@@ -204,21 +209,31 @@ class RocketArmPlant(world.Plant):
         state[0, :12] = state[0, 0], 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, state[0, 8], 0.0, 0.0, 0.0
         state[0, 12:15] = self.base.angular_rate_half_rad_s[first]
         q, dq = state[0, 8], state[0, 15]
-        q_ahead = q + dq * self.step_s * np.arange(n)  # extrapolated angle for forces that depend on it
+        q_ahead = q + dq * self.step_s * self._steps[:n]  # extrapolated angle for forces that depend on it
         R = self._attitudes(rows)  # (n, 3, 3) plate to world
         control = np.zeros((n, mujoco.mj_stateSize(self._model, _CONTROL)))
         control[:, 0] = self._servo_command[rows]
         control[:, 1:4] = _BASE_MASS_kg * np.einsum("nij,nj->ni", R, self.base.origin_accel_m_s2[rows])
         control[:, 4:7] = _BASE_MASS_kg * self.base.angular_accel_rad_s2[rows]
         control[:, 7] = self._scenario.joint.ripple_Nm * np.sin(self._scenario.joint.ripple_cycles_per_rev * q_ahead)
-        arm = 8 + 6 * 2  # xfrc_applied of bodies world, plate, then the arm
-        force, moment = self._arm_load(rows, q_ahead)
-        control[:, arm : arm + 3] = np.einsum("nij,nj->ni", R, force)
-        control[:, arm + 3 : arm + 6] = np.einsum("nij,nj->ni", R, moment)
-        states, sensors = self._rollout.rollout(
-            self._model, self._data, state, control[None], control_spec=int(_CONTROL), skip_checks=False
+        if self._loaded[rows].any():
+            arm = 8 + 6 * 2  # xfrc_applied of bodies world, plate, then the arm
+            force, moment = self._arm_load(rows, q_ahead)
+            control[:, arm : arm + 3] = np.einsum("nij,nj->ni", R, force)
+            control[:, arm + 3 : arm + 6] = np.einsum("nij,nj->ni", R, moment)
+        sensors, states = self._sensors[:, :n], self._states[:, :n]
+        self._rollout.rollout(
+            [self._model],
+            [self._data],
+            state,
+            control[None],
+            control_spec=int(_CONTROL),
+            skip_checks=True,
+            nstep=n,
+            state=states,
+            sensordata=sensors,
         )
-        self._state = states[:, -1].copy()
+        state[0] = states[0, -1]
         h = self.history
         h.specific_force_imu_m_s2[rows] = sensors[0, :, 0:3]
         h.rate_half_imu_rad_s[rows] = sensors[0, :, 3:6]

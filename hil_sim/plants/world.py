@@ -75,9 +75,18 @@ class Plant(ABC):
     def _run_chunk(self) -> None:
         """Compute the next chunk of rows."""
 
-    def advance(self, time_s: float) -> None:
-        """Compute until ``time_s`` (mission time) can be interpolated; at the end of the mission the last row stays."""
+    def advance(self, time_s: float, ahead_s: float = 0.0) -> None:
+        """Compute until ``time_s`` (mission time) can be interpolated; at the end of the mission the last row stays.
+
+        Args:
+            time_s: when the devices are.
+            ahead_s: how much more is computed when something must be: nothing that a device does moves a plant, and
+                sensors are quicker with many rows at once.
+        """
         wanted = min(self.rows, int(max(0.0, time_s) / self.step_s) + 4)
+        if self.count >= wanted:
+            return
+        wanted = min(self.rows, wanted + int(ahead_s / self.step_s))
         while self.count < wanted:
             self._run_chunk()
 

@@ -5,7 +5,7 @@ The twins in ``hil_sim.devices`` model registers, frames and timing; the sensor 
 ``now_ns`` it was last advanced to.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,15 @@ class ImuAnalog(Protocol):
             Shape (n, 7): specific force x, y, z; temperature word; angular rate x, y, z. Sensor axes, quantised and
             saturated.
         """
+
+
+@runtime_checkable
+class KnownAhead(Protocol):
+    """An input whose future is known."""
+
+    @property
+    def known_s(self) -> float:
+        """Mission time before which it can be asked, whatever time it is."""
 
 
 class ScalarAnalog(Protocol):

@@ -75,9 +75,10 @@ def interpolate(values: FloatArray, position: FloatArray) -> FloatArray:
 def interpolate_one(values: FloatArray, position: float) -> float:
     """``interpolate`` of one column (n,) at one place; ten times faster than through arrays of one element."""
     i = min(max(math.floor(position), 1), len(values) - 3)
-    weights = _lagrange(min(max(position - i, -1.0), 2.0))
-    points: list[float] = values[i - 1 : i + 3].tolist()
-    return sum(w * v for w, v in zip(weights, points, strict=True))
+    w0, w1, w2, w3 = _lagrange(min(max(position - i, -1.0), 2.0))
+    v0, v1, v2, v3 = values[i - 1 : i + 3].tolist()
+    one: float = w0 * v0 + w1 * v1 + w2 * v2 + w3 * v3
+    return one
 
 
 def _lagrange(u: Place) -> tuple[Place, Place, Place, Place]:
@@ -163,6 +164,11 @@ class ImuSensor:
         self._raw = np.zeros((plant.rows, 6))  # g, deg/s: before the filter
         self._raw_count = 0
 
+    @property
+    def known_s(self) -> float:
+        """Up to when the plant is computed."""
+        return (self._plant.count - 4) * self._plant.step_s
+
     def counts(self, times_s: FloatArray, accel_lsb_per_g: float, gyro_lsb_per_dps: float, dlpf_cfg: int) -> Counts:
         """Words the chip latches at ``times_s`` (n,): int16 (n, 7) = accel x y z, TEMP_OUT, gyro x y z.
 
@@ -193,22 +199,32 @@ class ImuSensor:
         return t.temperature_start_degC + t.temperature_rise_K * settled
 
     def _sense(self) -> None:
-        """Extend the unfiltered channels to the plant's rows, in the plant's chunks for bit-identical results."""
-        for first in range(self._raw_count, self._plant.count, self._plant.chunk):
-            self._sense_rows(first, min(first + self._plant.chunk, self._plant.count))
+        """Extend the unfiltered channels to the plant's rows: products in its chunks, for bit-identical results."""
+        done, count, chunk = self._raw_count, self._plant.count, self._plant.chunk
+        if done == count:
+            return
+        whole = count - (count - done) % chunk
+        for first, last in ((done, whole), (whole, count)):
+            if last > first:
+                self._sense_rows(first, last, min(chunk, last - first))
 
-    def _sense_rows(self, done: int, count: int) -> None:
+    def _sense_rows(self, done: int, count: int, chunk: int) -> None:
+        """Rows ``done..count``, a whole number of chunks."""
         rows = slice(done, count)
         force_g = self._truth.specific_force_m_s2[rows] / STANDARD_GRAVITY
         rate_deg_s = np.rad2deg(self._truth.rate_rad_s[rows])
+
+        def turned(values: FloatArray, matrix: FloatArray) -> FloatArray:
+            return (values.reshape(-1, chunk, 3) @ matrix.T).reshape(-1, 3)
+
         rise = (
             self.temperature_deg_c(self._plant.step_s * np.arange(done, count, dtype=np.float64))
             - self._table.temperature_start_degC
         )
         raw = self._raw[rows]
-        raw[:, 0:3] = force_g @ self.accel.matrix.T + self.accel.bias + rise[:, None] * self.accel.per_kelvin
-        raw[:, 3:6] = rate_deg_s @ self.gyro.matrix.T + self.gyro.bias + rise[:, None] * self.gyro.per_kelvin
-        raw[:, 3:6] += force_g @ self.gyro_per_g.T
+        raw[:, 0:3] = turned(force_g, self.accel.matrix) + self.accel.bias + rise[:, None] * self.accel.per_kelvin
+        raw[:, 3:6] = turned(rate_deg_s, self.gyro.matrix) + self.gyro.bias + rise[:, None] * self.gyro.per_kelvin
+        raw[:, 3:6] += turned(force_g, self.gyro_per_g)
         raw += self._noise[rows]
         self._raw_count = count
 
@@ -303,26 +319,27 @@ class LoadCellSensor:
         passed = float(np.linalg.norm(signal.lfilter(response.b, response.a, impulse)))
         self._noise = table.noise_rms_N / passed * rng.standard_normal(plant.rows)
         self._stream = _Stream(response, plant.rows, 1)
+        self._filtered_N = self._stream.values[:, 0]
+        self._full_scale_s = tuple(table.full_scale_readings_s)
+        self._full_scale_window_s = 1e-3 * table.full_scale_window_ms
         keep = np.exp(-h / table.creep_time_s)
         self._creep = (np.array([1.0 - keep]), np.array([1.0, -keep]))
         self._creep_state = np.zeros(1)
 
     def value(self, time_s: float) -> float:
         """Force at ``time_s`` [N], filtered and clipped at the capacity; the recorded full-scale samples included."""
-        window = 1e-3 * self._table.full_scale_window_ms
-        if any(0.0 <= time_s - start < window for start in self._table.full_scale_readings_s):
-            return self._table.capacity_N
+        for start_s in self._full_scale_s:
+            if 0.0 <= time_s - start_s < self._full_scale_window_s:
+                return self.capacity_N
         self._plant.require(time_s)
-        self._sense()
+        if self._stream.count < self._plant.count:
+            self._sense()
         position = (time_s - self._stream.response.pure_delay_s) / self._plant.step_s
-        force = interpolate_one(self._stream.values[:, 0], position)
-        return min(max(force, -self._table.capacity_N), self._table.capacity_N)
+        force = interpolate_one(self._filtered_N, position)
+        return min(max(force, -self.capacity_N), self.capacity_N)
 
     def _sense(self) -> None:
-        done, count = self._stream.count, self._plant.count
-        if done == count:
-            return
-        rows = slice(done, count)
+        rows = slice(self._stream.count, self._plant.count)
         force = self._load[rows] @ self._axis
         if self.lever_m is not None:
             force = force / self.lever_m
