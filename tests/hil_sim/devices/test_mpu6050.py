@@ -189,6 +189,68 @@ def test_nothing_is_asked_of_the_physics_beyond_the_present():
     assert len(bench.analog.times_s) >= 299
 
 
+class ScaledImu(StairImu):
+    """Words that tell every setting; what it will say is known."""
+
+    known_s = 10.0
+
+    def counts(self, times_s, accel_lsb_per_g, gyro_lsb_per_dps, dlpf_cfg):
+        words = super().counts(times_s, accel_lsb_per_g, gyro_lsb_per_dps, dlpf_cfg)
+        words[:, :3] += np.int16(accel_lsb_per_g / 1024)
+        words[:, 4:] += np.int16(gyro_lsb_per_dps + 1000 * dlpf_cfg)
+        return words
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(
+                [
+                    ("CONFIG", 0x02),
+                    ("CONFIG", 0x0B),
+                    ("CONFIG", 0x00),
+                    ("GYRO_CONFIG", 0x18),
+                    ("GYRO_CONFIG", 0xE0),
+                    ("ACCEL_CONFIG", 0x10),
+                    ("SMPLRT_DIV", 3),
+                    ("SMPLRT_DIV", 0),
+                    ("PWR_MGMT_2", 0x07),
+                    ("PWR_MGMT_2", 0x00),
+                    ("PWR_MGMT_1", 0x01),
+                    ("PWR_MGMT_1", 0x40),
+                    ("PWR_MGMT_1", 0x80),
+                ]
+            ),
+            st.floats(0.3, 60.0),
+        ),
+        max_size=12,
+    )
+)
+def test_words_converted_ahead_are_those_of_a_chip_that_knows_no_future(writes):
+    said = []
+    for known_s in (0.0, 10.0):
+        analog = ScaledImu()
+        analog.known_s = known_s
+        bench = Bench(analog, rate_error=-0.004).wake()
+        bench.start_fifo()
+        words = []
+        for (name, value), ms in writes:
+            bench.chip.fsync(bench.now_ns + 700_000, 300_000)
+            for _ in range(4):
+                bench.wait(ms / 4)
+                words.append(bench.read("FIFO_R_W", 1024) + bench.read("ACCEL_XOUT_H", 14))
+            bench.write(name, value)
+        said.append(words)
+    assert said[0] == said[1]
+
+
+def test_words_are_converted_ahead_where_the_future_is_known():
+    bench = Bench(ScaledImu()).wake()
+    for _ in range(50):
+        bench.wait(10).read("INT_STATUS")
+    assert len(bench.analog.calls) < 5
+
+
 def test_the_internal_oscillator_is_another_one():
     bench = Bench(rc_clock=RateClock(-0.04))
     bench.write("CONFIG", 0x02)
