@@ -12,7 +12,6 @@ stored without effect.
 """
 
 import errno
-import math
 import os
 from collections import deque
 
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim.devices import mpu6050_map as reg
+from hil_sim.devices.mpu6050_ahead import Grid, SamplesAhead
 from hil_sim.devices.mpu6050_fifo import TwinFifo
 from hil_sim.devices.mpu6050_fsync import FsyncLatch
 from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
@@ -31,7 +31,6 @@ _SLOW_TICK_NS = 1_000_000
 _HIGHEST_REGISTER = 0x7F
 _LAZY_NS = 50_000_000
 _SECOND_NS = 1_000_000_000
-_AHEAD_SAMPLES = 1024
 _CONVERTING = (reg.CONFIG, reg.ACCEL_CONFIG, reg.GYRO_CONFIG, reg.PWR_MGMT_1, reg.PWR_MGMT_2)
 
 
@@ -100,7 +99,7 @@ class Mpu6050Twin:
         self._fsync = FsyncLatch()
         self._fifo = TwinFifo()
         self._made = 0  # samples
-        self._ahead: tuple[tuple[int, ...], NDArray[np.float64], NDArray[np.int16]] | None = None
+        self._ahead = SamplesAhead(self._analog, self._convert)
         self._grid = 0  # counts the restarts of the sample grid
         self._shown = 0  # samples from the first to the last read out of the data registers as new
         self._last_shown: tuple[int, int, float] | None = None  # its grid, its number, its mission time
@@ -281,7 +280,10 @@ class Mpu6050Twin:
             return
         n = (chip_ns - self._next_chip_ns) // self._period_ns + 1
         latest_s = (until_ns - self._start_ns) * 1e-9
-        times_s, counts = self._sampled(int(n), latest_s)  # (n,), (n, 7)
+        settings = self._grid, *(self._reg[address] for address in _CONVERTING)
+        is_same = not (self._faults or reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2]))
+        grid = Grid(self._next_chip_ns, self._period_ns, self._clock, settings if is_same else ())
+        times_s, counts = self._ahead.next(int(n), grid, latest_s)  # (n,), (n, 7)
         self._next_chip_ns += n * self._period_ns
         self._made += int(n)
         self._fsync.latch(counts, times_s, self._last_s, reg.SYNC_COLUMN[self._reg[reg.CONFIG] >> 3 & 7])
@@ -291,40 +293,6 @@ class Mpu6050Twin:
         self._reg[reg.ACCEL_XOUT_H : reg.GYRO_ZOUT_L + 1] = self._last.astype(">i2").tobytes()
         self._reg[reg.INT_STATUS] |= reg.INT_DATA_RDY
         self._fill_fifo(counts, times_s)
-
-    def _sampled(self, n: int, latest_s: float) -> tuple[NDArray[np.float64], NDArray[np.int16]]:
-        """The next ``n`` samples: mission times (n,), and words (n, 7) that are the caller's.
-
-        Healthy samples are made ahead, as far as the input is known: one conversion of many costs hardly more than one
-        of ten. A write to the registers that they depend on makes the rest again.
-        """
-        settings = self._grid, self._next_chip_ns, *(self._reg[address] for address in _CONVERTING)
-        if not self._faults and self._ahead is not None and self._ahead[0] == settings:
-            _, times_s, counts = self._ahead
-            if len(times_s) >= n and times_s[n - 1] <= latest_s:
-                following = self._grid, self._next_chip_ns + n * self._period_ns, *settings[2:]
-                self._ahead = following, times_s[n:], counts[n:]
-                return times_s[:n], counts[:n].copy()
-        self._ahead = None
-        ticks_ns = self._next_chip_ns + self._period_ns * np.arange(n, dtype=np.float64)  # (n,)
-        times_s = np.minimum(self._clock.times_s(ticks_ns), latest_s)  # (n,)
-        counts = self._convert(ticks_ns, times_s, latest_s)
-        if not self._faults:
-            self._make_ahead(settings, n)
-        return times_s, counts
-
-    def _make_ahead(self, settings: tuple[int, ...], n: int) -> None:
-        """Samples beyond the next ``n``, as far as the input is known."""
-        held = reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2])
-        if held:  # they repeat the sample before
-            return
-        first_ns = self._next_chip_ns + n * self._period_ns
-        ticks_ns = first_ns + self._period_ns * np.arange(_AHEAD_SAMPLES, dtype=np.float64)
-        times_s = self._clock.times_s(ticks_ns)
-        known = int(np.searchsorted(times_s, self._analog.known_s))
-        if known >= n:
-            ticks_ns, times_s = ticks_ns[:known], times_s[:known]
-            self._ahead = (self._grid, first_ns, *settings[2:]), times_s, self._convert(ticks_ns, times_s, math.inf)
 
     def _convert(
         self, ticks_ns: NDArray[np.float64], times_s: NDArray[np.float64], latest_s: float
@@ -355,8 +323,7 @@ class Mpu6050Twin:
         enabled = self._reg[reg.FIFO_EN]
         if not (self._reg[reg.USER_CTRL] & 0x40 and enabled & 0xF8):
             return
-        columns = [0, 1, 2] if enabled & 0x08 else []
-        columns += [3] if enabled & 0x80 else []
+        columns = [0, 1, 2] * (enabled >> 3 & 1) + [3] * (enabled >> 7)
         columns += [4 + axis for axis in range(3) if enabled & 0x40 >> axis]
         data, times = counts[:, columns].astype(">i2").tobytes(), (float(times_s[0]), float(times_s[-1]))
         if self._fifo.fill(data, len(counts), *times, self._period_s()):

@@ -222,17 +222,9 @@ class RocketArmPlant(world.Plant):
             control[:, arm : arm + 3] = np.einsum("nij,nj->ni", R, force)
             control[:, arm + 3 : arm + 6] = np.einsum("nij,nj->ni", R, moment)
         sensors, states = self._sensors[:, :n], self._states[:, :n]
-        self._rollout.rollout(
-            [self._model],
-            [self._data],
-            state,
-            control[None],
-            control_spec=int(_CONTROL),
-            skip_checks=True,
-            nstep=n,
-            state=states,
-            sensordata=sensors,
-        )
+        options: dict[str, Any] = {"skip_checks": True, "nstep": n, "state": states, "sensordata": sensors}
+        bodies = [self._model], [self._data], state, control[None]
+        self._rollout.rollout(*bodies, control_spec=int(_CONTROL), **options)
         state[0] = states[0, -1]
         h = self.history
         h.specific_force_imu_m_s2[rows] = sensors[0, :, 0:3]
