@@ -4,6 +4,7 @@ A quantity is supported while the data determine it and its level is not *do not
 events ``withdrawn`` and ``answers_again``.
 """
 
+import re
 from collections.abc import Collection
 
 import numpy as np
@@ -101,6 +102,10 @@ _CHANGES = {
 }
 
 
+PAYLOAD_CHANGES = ("change", "capture", "ejection", "contact", "instrument")
+_AGO = re.compile(r"(-?\d+\.\d\d) s ago")
+
+
 def change_event(now_ns: int, change: Change) -> Batch:
     """A change of the payload or of the selected hypothesis, as an event."""
     if change.kind in _HYPOTHESES:
@@ -111,3 +116,13 @@ def change_event(now_ns: int, change: Change) -> Batch:
         text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times their expected size"
     severity = Severity.WARNING if change.kind == "instrument" else Severity.INFO
     return event(now_ns, severity, change.kind, "estimation", text)
+
+
+def change_of(row: np.void) -> Change | None:
+    """The change that an EVENT of :func:`change_event` tells, to the 10 ms of its text; None for any other event."""
+    kind, text = row["code"].decode("ascii", "replace"), row["text"].decode("utf-8", "replace")
+    ago_s = [float(number) for number in _AGO.findall(text)]
+    if row["source"] != b"estimation" or kind not in PAYLOAD_CHANGES or not ago_s:
+        return None
+    at_s, since_s = (1e-9 * float(row["host_ns"]) - ago for ago in (ago_s[0], ago_s[-1]))
+    return Change(kind, at_s, since_s, np.nan)

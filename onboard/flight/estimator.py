@@ -132,6 +132,10 @@ class Estimator:
         """Names of the parameters, in the order of ESTIMATE's ``mean``."""
         return self.online.parameter_names
 
+    def phase_at(self, at_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The phase at each time, (n,); -1 where it is not known."""
+        return self._phases.at(at_ns)
+
     def go_on_from(self, sequences: Mapping[str, int]) -> None:
         """Number the rows of each output from here on: another estimator's came before."""
         self._sequence = dict(sequences)

@@ -28,8 +28,10 @@ from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.imu_errors import BIASES, DRIFTS, SIZE, ImuPrior, imu_blocks, imu_reading, tick_mean
 from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, Block, GeometryPrior, Layout, UncertainLinks
+from onboard.identification.exiddm.ticks import Ticks
 
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
+FIRST_TICKS = 10  # for the initial rate
 _POSTURE_TICKS = 10  # over which the arm's posture is constant in the effect of its noise
 
 
@@ -215,3 +217,22 @@ class ImuPredictor:
     def _chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""
         return self._links.chi(state[PAYLOAD], self._basis @ state[self._in_links])
+
+
+def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray) -> FloatArray:
+    """Rate of the base at the first tick, (3,), by least squares on the first gyro readings, with all else of a state.
+
+    Args:
+        predictor: of the IMU.
+        ticks: in succession, :data:`FIRST_TICKS` + 2 of them at least.
+        state: (p,).
+    """
+    state, some = state.copy(), ticks.part(slice(0, FIRST_TICKS + 2))
+    seen = np.isfinite(some.measured[1:-1, :3]).all(axis=1)
+    if not seen.any():
+        return np.zeros(3)
+    state[RATE] = predictor.rate_in_base(some.measured[1:-1, :3][seen].mean(axis=0))
+    predicted = predictor.predict(some.q, some.dq, some.ddq, state)
+    gap = some.measured[1:-1, :3] - predicted.values[:, :3]
+    J = predicted.jacobian[seen, :3, RATE].reshape(-1, 3)
+    return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)

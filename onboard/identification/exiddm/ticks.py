@@ -1,5 +1,6 @@
 """Consecutive ticks of a flight: joints, and means of the base IMU with the noise of each."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,11 @@ class Ticks(NamedTuple):
     def and_then(self, more: "Ticks") -> "Ticks":
         """These ticks followed by ``more``."""
         return Ticks(*(np.concatenate(pair) for pair in zip(self, more, strict=True)))
+
+    @staticmethod
+    def joined(parts: "Sequence[Ticks]") -> "Ticks":
+        """One part after the other, of one at least."""
+        return Ticks(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     @staticmethod
     def none(joints: int) -> "Ticks":

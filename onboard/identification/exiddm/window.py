@@ -21,12 +21,18 @@ from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import Fit, fit
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, guesses
 from onboard.identification.exiddm.imu_errors import whitened
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
+from onboard.identification.exiddm.imu_prediction import (
+    FIRST_TICKS,
+    PAYLOAD,
+    RATE,
+    ImuPredictor,
+    Prediction,
+    first_rate,
+)
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40
-_FIRST_TICKS = 10  # for the initial rate
 _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _FEW = 0.03  # largest share of outliers
@@ -96,7 +102,7 @@ class WindowFit:
         if hypothesis is Hypothesis.NOTHING:
             active = np.concatenate([np.arange(p)[RATE], others])
         use = np.logical_and.reduce(np.isfinite(self._ticks.measured[1:-1]), axis=1)
-        if use[:_FIRST_TICKS].sum() < _FIRST_TICKS // 2:
+        if use[:FIRST_TICKS].sum() < FIRST_TICKS // 2:
             return None
         problem = _Problem(mean, information, active)
         with contextlib.suppress(ConvergenceError, SingularError):
@@ -126,7 +132,7 @@ class WindowFit:
         for payload in self._guesses(hypothesis):
             x = problem.mean.copy()
             x[PAYLOAD] = payload
-            x[RATE] = self._first_rate(x)
+            x[RATE] = first_rate(self._predictor, self._ticks, x)
             with contextlib.suppress(ConvergenceError, SingularError):
                 tried = self._fit(problem, x, use, 1.0)
                 if found is None or tried.residual_sum < found.residual_sum:
@@ -169,16 +175,6 @@ class WindowFit:
         vehicle, signals = self._predictor.vehicle, self._ticks.flight(self._predictor.period_s, 1)
         rough = partial(rough_payload, vehicle, self._imu_frame, signals, ROUGH_WIDTH_s, self._payload_sigma)
         yield from (standard_of(guess) for guess in guesses(rough))
-
-    def _first_rate(self, state: FloatArray) -> FloatArray:
-        """Rate of the base from the first gyro readings, with the payload of ``state``."""
-        state = state.copy()
-        state[RATE] = self._predictor.rate_in_base(np.nanmean(self._ticks.measured[1 : _FIRST_TICKS + 1, :3], axis=0))
-        predicted = self._predict(_FIRST_TICKS + 2, state)
-        gap = self._ticks.measured[1 : _FIRST_TICKS + 1, :3] - predicted.values[:, :3]
-        seen = np.isfinite(gap).all(axis=1)
-        J = predicted.jacobian[seen, :3, RATE].reshape(-1, 3)
-        return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)
 
 
 class _Problem(NamedTuple):

@@ -30,18 +30,19 @@ def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
         )
 
 
-def feed(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
+def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> Iterator[Batch]:
     """Outputs of the estimator, step by step; the last step has no lag, as at the end of a flight.
 
     Args:
         estimator: of the vehicle that the log was flown with.
         log: its rows' ``host_ns`` are the time that passes.
+        step_s: of the log's time, instead of the vehicle's ``step_ms``: longer ones take less time.
 
     Raises:
         ChannelError: the log does not fit the vehicle.
     """
     check_channels(estimator.vehicle, log)
-    step_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6)
+    step_ns = round(estimator.vehicle.file.estimation.step_ms * 1e6 if step_s is None else step_s * 1e9)
     source = Interleaved(log, estimator.inputs)
     if source.start_ns is None:
         return

@@ -1,7 +1,8 @@
-"""Maximum likelihood fit of a log's longest interval with one payload, with its verdict.
+"""Maximum likelihood fit of a log, with its verdict: choice of ticks, estimates, evidence.
 
-Common to all kinds of base: choice of ticks, fit, held-out halves, estimates. The payload of each half of the ticks
-predicts the other half (:func:`onboard.identification.exiddm.batch.held_out`).
+:func:`identified` fits the longest interval with one payload (an air-bearing table); the payload of each half of the
+ticks predicts the other half (:func:`onboard.identification.exiddm.batch.held_out`). A free flight is fitted as a whole
+(:mod:`onboard.offline.estimate_again.exiddm_log`), with the same estimates and evidence.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +22,8 @@ from onboard.identification.change import Change
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.observability import observed_directions
-from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE
+from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
+from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.verdict import Evidence, is_positive, verdict
 from onboard.offline.estimate_again.identified import Answer, Identified
@@ -51,33 +53,43 @@ class Judged(NamedTuple):
     reason: str = ""  # reason for refusing the fit; empty if none
 
 
+class Fitted(NamedTuple):
+    """A fit and how it was checked."""
+
+    payload: BodyEstimate
+    chi: FloatArray  # (10,) standard parameters of the payload
+    chi_covariance: FloatArray  # (10, 10)
+    rows_used: int
+    misfit: float  # of all rows
+    wider: float  # factor of the variances
+    corrections: Mapping[str, float]  # what was fitted besides the payload, in stated sigmas
+    halves: HeldOut | None
+    unchecked: str  # why nothing is held out, where it is not
+    judged: Judged = Judged()
+    findings: Findings = Findings()
+
+
 Build = Callable[[Ticks, bool], Exiddm]  # the estimator of ticks; whether their first is the first of all
 Judge = Callable[[PayloadFit, float], Judged]  # what else a fit says, its variances so much wider
 
 
 def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
-    """Estimates and verdict of a log.
+    """Estimates and verdict of a log's longest interval with one payload.
 
     Args:
         kept: its ticks.
         build: makes the estimator of some of them.
         judge: what the kind of base says of the fit.
     """
-    log, ticks, refused = kept.log, kept.ticks, dict(kept.refused)
-    names = tuple(f"{name}_{kept.payload}" for name in BODY)
-    nothing = dict.fromkeys(names, False)
+    ticks = kept.ticks
     used = 6 * int(np.isfinite(ticks.measured).all(axis=1).sum())
-
-    def no_answer(evidence: Evidence) -> Identified:
-        return Identified(log.path, EXIDDM, (), evidence.rows_used, refused, log.damage, verdict(evidence))
-
     if len(ticks.time_s) * kept.period_s < SHORTEST_S or not used:
-        return no_answer(Evidence(0, {**refused, **kept.idle}, nothing, None))
+        return no_answer(kept, 0)
     try:
         exiddm = build(ticks, True)
         found = exiddm.fit()
     except (EstimationError, ModelError) as error:
-        return no_answer(Evidence(used, refused, nothing, None, failure=f"the fit failed: {error}"))
+        return no_answer(kept, used, f"the fit failed: {error}")
     wider = max(1.0, found.misfit)  # the residual is not below the noise
     judged = judge(found, wider)
     halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
@@ -86,47 +98,73 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
             earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
             halves = held_out(exiddm, earlier, later, found)
         except (EstimationError, ModelError) as error:
-            unchecked = f"not checked on motion that was not used: half of the run determines too little ({error})"
-    link = link_estimate(kept.payload, found.chi, wider * found.chi_covariance)
+            unchecked = half_too_short(error)
+    corrections = _corrections(exiddm, found, kept.payload)
+    numbers = found.payload, found.chi, found.chi_covariance
+    return told(kept, Fitted(*numbers, used, found.misfit, wider, corrections, halves, unchecked, judged))
+
+
+def half_too_short(error: Exception) -> str:
+    """Why nothing was held out."""
+    return f"not checked on motion that was not used: half of the run determines too little ({error})"
+
+
+def no_answer(kept: Kept, used: int, failure: str = "") -> Identified:
+    """A log without an estimate: rows used, and why the fit failed where it did."""
+    log, nothing = kept.log, dict.fromkeys(_names(kept), False)
+    refused = dict(kept.refused) if used else {**kept.refused, **kept.idle}
+    evidence = Evidence(used, refused, nothing, None, failure=failure)
+    return Identified(log.path, EXIDDM, (), used, dict(kept.refused), log.damage, verdict(evidence))
+
+
+def told(kept: Kept, found: Fitted) -> Identified:
+    """Estimates and verdict of a fit."""
+    log, names, judged = kept.log, _names(kept), found.judged
+    link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
     body = found.payload._replace(body=link.body or found.payload.body)
-    answers = (*body_answers(names, *body, wider), *judged.answers)
+    answers = (*body_answers(names, *body, found.wider), *judged.answers)
     if judged.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
     evidence = Evidence(
-        used,
-        refused,
+        found.rows_used,
+        kept.refused,
         {answer.name: answer.supported for answer in answers},
-        halves,
+        found.halves,
         failure=judged.reason,
         away={link.link: link.away},
         misfit=found.misfit,
+        findings=found.findings,
         standings={answer.name: answer.standing for answer in answers if answer.supported},
         sizes=frozenset(answer.name for answer in answers if is_positive(answer.name, answer.unit)),
-        corrections=_corrections(exiddm, found, kept.payload),
-        unchecked=unchecked,
+        corrections=found.corrections,
+        unchecked=found.unchecked,
     )
     return Identified(
         log.path,
         EXIDDM,
         answers,
-        used,
-        refused,
+        found.rows_used,
+        dict(kept.refused),
         log.damage,
         verdict(evidence),
-        held_out=halves,
+        held_out=found.halves,
         misfit=found.misfit,
         observability=observed_directions(body_seen(body), names),
         links=(link,),
     )
 
 
+def _names(kept: Kept) -> tuple[str, ...]:
+    return tuple(f"{name}_{kept.payload}" for name in BODY)
+
+
 def _corrections(exiddm: Exiddm, found: PayloadFit, payload: str) -> dict[str, float]:
     """What was fitted besides the payload, in the sigmas that were stated; nothing of what has none."""
-    stated = np.sqrt(np.diag(exiddm.prior_information))
+    stated = exiddm.layout.sigma
     return {
-        name: float(x * information)
-        for name, x, information in zip(found.names, found.fit.x, stated, strict=True)
-        if information > 0.0 and not name.endswith(f"_{payload}")
+        name: float(x / sigma)
+        for name, x, sigma in zip(found.names, found.fit.x, stated, strict=True)
+        if sigma > 0.0 and not name.endswith(f"_{payload}")
     }
 
 
@@ -139,22 +177,41 @@ def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, 
         held: whether one is held at the start.
         period_s: between ticks.
     """
-    ticks = Ticks(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    whole = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
-    which = np.zeros(len(ticks.time_s), np.int64)  # whose; zero while nothing is held
+    ticks = Ticks.joined(parts)
+    runs = [run for run in runs_of(ticks, changes, held, period_s) if run.payload > 0]
+    longest = max((run.ticks for run in runs), key=lambda run: run.stop - run.start, default=slice(0, 0))
+    return ticks.part(slice(longest.start, min(longest.stop, longest.start + round(LONGEST_S / period_s))))
+
+
+class Run(NamedTuple):
+    """Ticks in succession, joints known at each of them."""
+
+    ticks: slice
+    payload: int  # which one is held: numbered; 0: nothing
+
+
+def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float) -> list[Run]:
+    """Runs of ticks with one payload or nothing held; times in which that is not known are left out.
+
+    Args:
+        ticks: in the order of their times.
+        changes: of the payload, in the same order.
+        held: whether one is held at the start.
+        period_s: between ticks.
+    """
+    unknown = -1
+    which = np.full(len(ticks.time_s), unknown, np.int64)
     number, begin_s = int(held), -np.inf
     for count, change in enumerate([*changes, None], 2):
         end_s = np.inf if change is None else change.since_s
         which[(ticks.time_s > begin_s) & (ticks.time_s < end_s)] = number
         if change is not None:
             begin_s = change.time_s
-            number = {"capture": count, "ejection": 0, "instrument": 0}.get(change.kind, number)
-    which[~whole] = 0
+            number = {"capture": count, "ejection": 0, "instrument": unknown}.get(change.kind, number)
+    which[~np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)] = unknown
     joined = (np.diff(which) == 0) & (np.abs(np.diff(ticks.time_s) / period_s - 1.0) < 0.5)
     edges = [0, *(np.flatnonzero(~joined) + 1), len(which)]
-    runs = [slice(a, b) for a, b in pairwise(edges) if b > a and which[a]]
-    longest = max(runs, key=lambda run: run.stop - run.start, default=slice(0, 0))
-    return ticks.part(slice(longest.start, min(longest.stop, longest.start + round(LONGEST_S / period_s))))
+    return [Run(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
 
 
 def body_answers(names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float) -> tuple[Answer, ...]:

@@ -11,12 +11,15 @@ import pytest
 from drivers.records import IMU, SCALAR
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors
-from onboard import cli, config
+from onboard import channels, cli, config
+from onboard.dynamics.payload import standard_of
 from onboard.identification.change import Change
+from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.estimate_again.likelihood_log import longest_held
+from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import BOX, PAYLOAD, Twin, twin
 
@@ -81,6 +84,44 @@ def test_the_payload_with_its_verdict_and_urdf(
     spec = mujoco.MjSpec.from_string(urdf.read_text())
     spec.compiler.fusestatic = False
     assert spec.compile().body("payload").mass[0] == pytest.approx(answers["m_payload"]["value"], rel=1e-12)
+
+
+def answered(plain: Path, log: Path, mean: np.ndarray) -> Path:
+    """The same log with an onboard answer."""
+    with LogWriter.create(log, durable=False) as writer:
+        for name, rows in LogReader(plain).batches():
+            writer.register(name, rows.dtype)
+            writer.write(name, rows)
+        answer = np.zeros(1, channels.estimate_dtype(10, 11))
+        answer["host_ns"], answer["mean"] = 6_000_000_000, mean
+        writer.register("estimate", answer.dtype)
+        writer.write("estimate", answer)
+    return log
+
+
+def test_it_starts_from_the_onboard_answer_in_the_log(
+    flown: Twin, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = write(tmp_path / "plain.mcap", flown, rng)
+    (wanted,) = identify(VEHICLE, [plain]).logs
+    log = answered(plain, tmp_path / "answered.mcap", 1.1 * standard_of(PAYLOAD))
+    monkeypatch.setattr(RecursiveExiddm, "update", lambda *_: pytest.fail("the recursive estimator ran"))
+    (found,) = identify(VEHICLE, [log]).logs
+    assert found.verdict.level is wanted.verdict.level
+    for one, other in zip(found.answers, wanted.answers, strict=True):
+        assert one.value == pytest.approx(other.value, abs=0.05 * other.sigma)
+        assert one.sigma == pytest.approx(other.sigma, rel=0.02)
+
+
+def test_an_onboard_answer_that_leads_nowhere_is_replaced(
+    flown: Twin, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The log's answer is another vehicle's: 40 kg."""
+    another = 8.0 * standard_of(PAYLOAD) * np.array([1, -1, 1, 1, 1, 1, 1, 1, 1, 1])
+    wrong = answered(write(tmp_path / "plain.mcap", flown, rng), tmp_path / "wrong.mcap", another)
+    (found,) = identify(VEHICLE, [wrong]).logs
+    assert found.verdict.level is Level.GOOD
+    assert found.answers[0].value == pytest.approx(PAYLOAD.mass_kg, abs=3.0 * found.answers[0].sigma)
 
 
 def test_an_arm_that_stands_still_shows_nothing(tmp_path: Path, rng: np.random.Generator) -> None:

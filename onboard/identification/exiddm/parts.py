@@ -1,0 +1,122 @@
+"""Agreement of parts of a flight that was fitted as a whole, from its normal equations (no further prediction).
+
+With r and J of some rows at the estimate x, N = J' J and g = J' r, a change of the parameters by d makes their residual
+sum ``r' r + 2 g' d + d' N d``. Two questions are asked of this:
+
+- *another payload* in a part (score test; Cox and Hinkley, Theoretical Statistics, 1974, section 9.3): if the payload
+  differed by e in these rows only, all other unknowns common, then ``S e = -g_p`` with
+  ``S = N_pp - N_p. P N_.p`` (P: covariance of the fit), and ``g_p' S^-1 g_p`` is chi-squared where it does not differ;
+- *prediction* of one half of the held time from the other, with rates and biases of the predicted half re-estimated.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import SingularError
+from onboard.estimation.maximum_likelihood import Normal, inverse_of
+from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Block, FlightFit, WholeFlight, total_of
+from onboard.identification.rows.held_out import HeldOut, HeldOutFit
+
+_PAYLOAD = slice(0, 10)
+_DETERMINED = 1e-6  # share of a part's information about the payload that is its own, in a direction that counts
+
+
+class Difference(NamedTuple):
+    """How far the payload of a part of the flight is from that of the rest."""
+
+    part: str
+    squares: float  # chi-squared if they are the same
+    freedom: int
+
+    @property
+    def chance(self) -> float:
+        """Probability of so large a difference."""
+        return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
+
+
+def differences(found: FlightFit, phases: Callable[[float], int]) -> list[Difference]:
+    """Score tests of the later half of the held time, of each instrument but the first, and of each phase.
+
+    Args:
+        found: the fit.
+        phases: code of the phase at a time, s.
+    """
+    held = [block for block in found.blocks if block.held]
+    middle_s = _middle(held)
+    made = [_difference(found, "the later half of the motion", (b for b in held if b.middle_s > middle_s))]
+    for name in INSTRUMENTS[1:]:
+        made.append(_difference(found, f"the {name}", (b for b in held if b.instrument == name)))
+    codes = sorted({phases(block.middle_s) for block in held})
+    for code in codes[1:]:
+        made.append(_difference(found, f"phase {code}", (b for b in held if phases(b.middle_s) == code)))
+    return made
+
+
+def halves(flight: WholeFlight, found: FlightFit) -> HeldOut:
+    """Prediction of each half of the held time from the other one and all that was flown free.
+
+    The relative error is that of the residual over that without a payload.
+
+    Raises:
+        SingularError: a half that determines too little.
+    """
+    x, prior = found.fit.x, flight.prior_information
+    bare = [block for block in flight.without_payload(x) if block.held]
+    held, free = ([block for block in found.blocks if block.held == wanted] for wanted in (True, False))
+    middle_s = _middle(held)
+    predicted = []
+    for later in (True, False):
+        own, none = ([b for b in blocks if (b.middle_s > middle_s) == later] for blocks in (held, bare))
+        other = [block for block in held if (block.middle_s > middle_s) != later]
+        if not own or not other:
+            raise SingularError("the payload was not held for long enough to be divided into halves")
+        known = total_of([*other, *free], x.size).plus(Normal(prior, prior @ x, 0.0))
+        away = -inverse_of(known.information) @ known.gradient
+        predicted.append(_prediction(total_of(own, x.size), x, away, flight, total_of(none, x.size).squares, own))
+    of_all, rows = total_of(held, x.size).squares, sum(block.rows for block in held)
+    later_half, earlier_half = predicted
+    return HeldOut(
+        later_half, earlier_half, HeldOutFit(float(np.sqrt(of_all / total_of(bare, x.size).squares)), of_all / rows)
+    )
+
+
+def _prediction(
+    rows: Normal, x: FloatArray, away: FloatArray, flight: WholeFlight, none: float, blocks: Sequence[Block]
+) -> HeldOutFit:
+    """Residual of rows at ``x + away`` with what is specific to a part of the flight re-estimated there."""
+    anew, prior = flight.of_a_part, np.diag(flight.prior_information)
+    tried = x + away
+    tried[anew] = x[anew]
+    start = tried - x
+    gradient = rows.gradient + rows.information @ start
+    own = rows.information[np.ix_(anew, anew)] + np.diag(prior[anew])
+    own[np.diag_indices_from(own)] += np.where(np.diag(own) > 0.0, 0.0, 1.0)  # rates of other segments
+    step = -inverse_of(own) @ (gradient[anew] + prior[anew] * x[anew])
+    start[anew] += step
+    squares = max(0.0, rows.squares + float(2.0 * rows.gradient @ start + start @ rows.information @ start))
+    return HeldOutFit(float(np.sqrt(squares / none)), squares / sum(block.rows for block in blocks))
+
+
+def _difference(found: FlightFit, part: str, blocks: Iterable[Block]) -> Difference:
+    rows = list(blocks)
+    if not rows or len(rows) == len(found.blocks):
+        return Difference(part, 0.0, 0)
+    some = total_of(rows, found.fit.x.size)
+    across = some.information[_PAYLOAD]  # (10, p)
+    own = across[:, _PAYLOAD]
+    S = own - across @ found.fit.covariance @ across.T
+    scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
+    values, vectors = np.linalg.eigh(S / np.outer(scale, scale))
+    told = values > _DETERMINED
+    projected = vectors[:, told].T @ (some.gradient[_PAYLOAD] / scale)
+    squares = float((projected**2 / values[told]).sum()) / max(1.0, found.misfit)
+    return Difference(part, squares, int(told.sum()))
+
+
+def _middle(blocks: Sequence[Block]) -> float:
+    """Time that halves the rows of blocks."""
+    return float(np.median([block.middle_s for block in blocks])) if blocks else 0.0

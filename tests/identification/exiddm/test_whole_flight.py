@@ -1,0 +1,136 @@
+"""A flight fitted as a whole, free and held segments together, with MuJoCo's truth; agreement of its parts."""
+
+import numpy as np
+import pytest
+
+from hil_sim.plants import free_flyer
+from onboard.dynamics.payload import standard_covariance, standard_of
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.errors import SingularError
+from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.parts import differences, halves
+from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight, total_of
+from tests.dynamics.free_flyer_twin import BOX, URDF
+from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
+from tests.identification.exiddm.test_recursive import BIASED, WIDE, recorded, ticks_of
+
+PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
+CAPTURE_s, END_s = 6.0, 14.0
+
+
+@pytest.fixture(scope="module")
+def ticks():
+    """Nothing held, then a capture."""
+    rng = np.random.default_rng(5)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(BOX, CAPTURE_s, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    free_flyer.fly_with_capture(flight, capture, END_s)
+    return ticks_of(recorded(flight.history, rng, BIASED))
+
+
+@pytest.fixture(scope="module")
+def predictor():
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    chi = {name: vehicle.chi[10 * k : 10 * k + 10] for k, name in enumerate(vehicle.links)}
+    links = {name: standard_covariance(chi[name], 0.03, 2e-3, 0.01) for name in ("base", "link_2")}
+    geometry = GeometryPrior(0.003, {joint.name: JointPrior(5e-4, 1e-3, 2e-4, 2e-4) for joint in vehicle.joints})
+    return ImuPredictor(vehicle, "imu_base", 0.01, 5, links, PRIOR, geometry)
+
+
+def segments(ticks):
+    free, held = ticks.time_s < CAPTURE_s - 0.1, ticks.time_s > CAPTURE_s + 0.1
+    return [Segment(ticks.part(slice(*np.flatnonzero(which)[[0, -1]])), own) for which, own in ((free, 0), (held, 1))]
+
+
+def started(flight, predictor, chi):
+    return flight.start(np.concatenate([chi, np.zeros(len(predictor.names) - PAYLOAD.stop)]))
+
+
+@pytest.fixture(scope="module")
+def fitted(ticks, predictor):
+    flight = WholeFlight(predictor, WIDE, segments(ticks))
+    return flight, flight.fit(started(flight, predictor, 1.1 * standard_of(TRUTH)))
+
+
+def test_the_payload_is_the_truth_within_its_sigmas(fitted):
+    _, found = fitted
+    off = found.chi - standard_of(TRUTH)
+    nees = off @ np.linalg.solve(found.chi_covariance, off)
+    assert nees < 25.2  # 99.5 % of chi-squared with 10
+    assert found.misfit == pytest.approx(1.0, abs=0.1)
+    assert set(found.by_instrument) == set(INSTRUMENTS)
+    assert max(found.by_instrument.values()) < 1.15
+    assert found.glitches == 0
+
+
+def test_what_was_flown_free_narrows_the_interval(ticks, predictor, fitted):
+    _, whole = fitted
+    flight = WholeFlight(predictor, WIDE, segments(ticks)[1:])
+    held = flight.fit(started(flight, predictor, whole.chi))
+    ratio = np.sqrt(np.diag(whole.payload.covariance) / np.diag(held.payload.covariance))
+    assert (ratio < 1.0).all()
+    assert ratio[0] < 0.95
+
+
+def test_slopes_are_differences(ticks, predictor):
+    parts = [Segment(one.ticks.part(slice(0, 600)), one.held) for one in segments(ticks)]
+    flight = WholeFlight(predictor, WIDE, parts)
+    x = started(flight, predictor, standard_of(TRUTH))
+    rng = np.random.default_rng(1)
+    x[10:] += 0.3 * np.nan_to_num(flight.sigma[10:]) * rng.standard_normal(len(x) - 10)
+    p = len(x)
+    gradient = total_of(flight.blocks(x), p).gradient
+    assert (gradient[["kink" in name for name in flight.names]] != 0.0).all()
+    for _ in range(4):
+        step = 1e-3 * np.where(np.isfinite(flight.sigma), flight.sigma, 1e-2) * rng.standard_normal(p)
+        step[:10] *= 1e-2
+        up, down = (total_of(flight.blocks(x + sign * step), p).squares for sign in (1.0, -1.0))
+        assert up - down == pytest.approx(4.0 * gradient @ step, rel=2e-3)
+
+
+def test_outliers_are_left_out_and_counted(ticks, predictor, fitted):
+    _, whole = fitted
+    spoilt = segments(ticks)
+    measured = spoilt[1].ticks.measured.copy()
+    measured[[100, 300], 1] += 0.1
+    spoilt[1] = spoilt[1]._replace(ticks=spoilt[1].ticks._replace(measured=measured))
+    again = WholeFlight(predictor, WIDE, spoilt)
+    found = again.fit(whole.fit.x)
+    assert found.glitches == 2
+    assert np.abs(found.chi - whole.chi).max() < 0.2 * np.sqrt(np.diag(whole.chi_covariance)).max()
+
+
+def test_parts_of_a_sound_flight_agree(fitted):
+    flight, found = fitted
+    asked = differences(found, lambda time_s: int(time_s > 10.0))
+    assert [one.part for one in asked] == ["the later half of the motion", "the accelerometer", "phase 1"]
+    assert all(one.freedom >= 6 and one.chance > 1e-3 for one in asked)
+    held_out = halves(flight, found)
+    assert held_out.worst.relative_error < 0.3
+    assert held_out.fit.relative_error <= held_out.worst.relative_error
+
+
+@pytest.mark.parametrize(("columns", "part"), [((0, 1, 2), 0), ((3, 4, 5), 1)])
+def test_a_part_that_tells_another_payload_is_noticed(ticks, predictor, fitted, columns, part):
+    """The gyro reads 10 % more from the middle of the held time on; the accelerometer all the time."""
+    _, whole = fitted
+    spoilt = segments(ticks)
+    measured = spoilt[1].ticks.measured.copy()
+    first = len(measured) // 2 if part == 0 else 0
+    measured[first:, list(columns)] *= 1.1
+    spoilt[1] = spoilt[1]._replace(ticks=spoilt[1].ticks._replace(measured=measured))
+    flight = WholeFlight(predictor, WIDE, spoilt)
+    found = flight.fit(whole.fit.x)
+    assert differences(found, lambda _: 0)[part].chance < 1e-6
+
+
+def test_a_flight_too_short_to_halve(ticks, predictor, fitted):
+    _, whole = fitted
+    held = segments(ticks)[1]
+    flight = WholeFlight(predictor, WIDE, [held._replace(ticks=held.ticks.part(slice(0, 300)))])
+    found = flight.fit(started(flight, predictor, whole.chi))
+    with pytest.raises(SingularError, match="halves"):
+        halves(flight, found)
+    assert differences(found, lambda _: 0)[0].freedom == 0
