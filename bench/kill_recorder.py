@@ -27,6 +27,7 @@ import numpy as np
 from drivers import records
 from drivers.records import Rows
 from onboard.flight import directories, harvest, manifest, workers
+from onboard.flight.realtime import UNCHANGED
 from onboard.flight.rings import SECONDS_KEPT
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble
@@ -99,7 +100,7 @@ class _Killable:
 
     def start(self) -> None:
         self._pipe, end = self._context.Pipe()
-        self._process = self._context.Process(target=workers.record, args=(self._directory, 0, end))
+        self._process = self._context.Process(target=workers.record, args=(self._directory, 0, UNCHANGED, end))
         self._process.start()
         end.close()
 

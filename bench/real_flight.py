@@ -132,7 +132,7 @@ def flying(
     serve += ["--over", str(over)] if over else []
     with ExitStack() as stack:
         devices = stack.enter_context(subprocess.Popen(serve, stdout=subprocess.PIPE, text=True))
-        stack.callback(devices.terminate)
+        stack.callback(_end, devices)
         assert devices.stdout is not None
         served = json.loads(devices.stdout.readline())
         urls = [f"--url={bus}={served[bus]}" for bus in config.named(vehicle).buses if bus in served]
@@ -149,6 +149,13 @@ def flying(
                 raise RuntimeError("the flight did not start; its message stands above")
             time.sleep(0.05)
         yield RealFlight(flight, devices, log, rings)
+
+
+def _end(devices: "subprocess.Popen[str]") -> None:
+    """End the devices, and take what they say last."""
+    devices.terminate()
+    if devices.stdout is not None:
+        devices.stdout.read()
 
 
 def _rings(log: Path) -> Path | None:

@@ -121,6 +121,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         fail(["estimation", "phases", "channel"], f"{what}; there are: {listed or 'none'}")
     if file.free_body and file.vehicle.base != "free":
         fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
+    _check_realtime(vehicle, fail)
     _check_planar(vehicle, fail)
     if file.estimation.method == "exiddm":
         _check_exiddm(vehicle, fail)
@@ -138,6 +139,13 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
             ["vehicle", "urdf"],
             f"no file {vehicle.urdf_path}; put the URDF beside the vehicle file, or give it to heft identify --urdf-in",
         )
+
+
+def _check_realtime(vehicle: Vehicle, fail: Fail) -> None:
+    wanted = vehicle.file.realtime
+    if wanted.recording_priority and wanted.recording_priority >= wanted.acquisition_priority:
+        text = f"recording would delay acquisition (priority {wanted.acquisition_priority}): give it a lower one, or 0"
+        fail(["realtime", "recording_priority"], text)
 
 
 def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:

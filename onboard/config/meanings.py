@@ -23,7 +23,7 @@ from onboard.config.estimation import (
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.planar import Planar, Puck
-from onboard.config.vehicle import BusSection, LinkSection, Recording, VehicleSection
+from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.section import Section
 
 
@@ -78,6 +78,29 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "a flight computer flies again and again without anybody who makes room",
         ),
         "reserve_mib": _M("Kept back for events and gaps when the disk is full."),
+    },
+    Realtime: {
+        "acquisition_priority": _M(
+            "SCHED_FIFO priority of acquisition, 1 to 99; 0: none. Needs LimitRTPRIO.",
+            "the bus drivers' interrupt threads (50) have to come first: below 50",
+        ),
+        "acquisition_cpus": _M(
+            "Numbers of the cores that acquisition may run on; all where empty.",
+            "a core is kept for it (isolcpus, or CPUAffinity of other services)",
+        ),
+        "recording_priority": _M(
+            "The same of recording, below that of acquisition; 0: none.",
+            "other programs keep the computer busy for seconds",
+        ),
+        "recording_cpus": _M("The same of recording.", "acquisition has a core of its own"),
+        "lock_memory": _M(
+            "Memory of acquisition and recording is never swapped out. Needs LimitMEMLOCK=infinity.",
+            "the computer swaps, or memory is short",
+        ),
+        "freeze_gc": _M(
+            "The garbage collectors of the workers leave alone what was there at the start.",
+            "never in flight; to look for leaks",
+        ),
     },
     Estimation: {
         "method": _M(

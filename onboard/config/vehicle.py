@@ -17,6 +17,7 @@ from onboard.devices.registry import DEVICES
 from onboard.devices.roles import STANDARD_GRAVITY_M_S2
 from onboard.section import Positive, Section, Vector3, Vector6
 
+Core = Annotated[int, Field(ge=0, le=1023)]
 UNSTATED_BAUD = 1e9  # bit/s of a line whose URL gives no speed: its transmission time counts as none
 if TYPE_CHECKING:
     AnyDevice = DeviceSection
@@ -75,6 +76,22 @@ class Recording(Section):
     reserve_mib: Annotated[float, Field(ge=0, le=1e5)] = 16
 
 
+class Realtime(Section):
+    """What is asked of the system for acquisition and recording; what it refuses is told, and does not stop a flight.
+
+    ``..._priority``: of SCHED_FIFO, 0 for none. ``..._cpus``: numbers of the cores that it may run on, all where empty.
+        ``lock_memory``: their memory is never swapped out. ``freeze_gc``: workers' garbage collectors leave alone what
+        was there at the start.
+    """
+
+    acquisition_priority: Annotated[int, Field(ge=0, le=99)] = 50
+    acquisition_cpus: list[Core] = Field(default_factory=list, max_length=64)
+    recording_priority: Annotated[int, Field(ge=0, le=99)] = 0
+    recording_cpus: list[Core] = Field(default_factory=list, max_length=64)
+    lock_memory: bool = False
+    freeze_gc: bool = True
+
+
 class VehicleFile(Section):
     """A whole vehicle.toml."""
 
@@ -86,6 +103,7 @@ class VehicleFile(Section):
     free_body: FreeBody | None = None
     planar: Planar | None = None
     recording: Recording = Recording()
+    realtime: Realtime = Realtime()
 
 
 class Vehicle(BaseModel):

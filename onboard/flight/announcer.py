@@ -25,6 +25,7 @@ _LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Sever
 _RECORDS = {"gap": GAP, "quantity": QUANTITY}
 _SLOW_HZ = 2.0  # channels that come less often are not judged in every line
 _NAMED = 3  # channels in a line
+_SAID = {"zeroed", "realtime", "not_realtime"}  # information that is said
 
 
 class AnnouncedAnswer(NamedTuple):
@@ -99,7 +100,7 @@ class Announcer:
             code, source, text = (one.decode(errors="replace") for one in said)
             if code == "phase":
                 self._phase = text
-            if severity >= Severity.WARNING or source == "estimation" or code == "zeroed":
+            if severity >= Severity.WARNING or source == "estimation" or code in _SAID:
                 level = _LEVELS.get(Severity(min(int(severity), Severity.ERROR)), logging.ERROR)
                 LOGGER.log(level, "%s: %s", code, text, extra={"source": source, "code": code})
 

@@ -18,7 +18,7 @@ from typing import NamedTuple, Self
 
 from drivers.records import EVENT, SampleStatus, Severity, event
 from onboard import config
-from onboard.flight import manifest, rings, workers
+from onboard.flight import manifest, realtime, rings, workers
 from onboard.flight.announcer import LOGGER, Announcer, missing_all_flight
 from onboard.flight.flight_log import MIB, Started, preamble, storage
 from onboard.flight.harvest import Harvest, harvest
@@ -156,11 +156,12 @@ class _Crew:
 
     def __init__(self, vehicle: config.Vehicle, directory: Path, servers: _Servers) -> None:
         min_free = round(vehicle.file.recording.min_free_mib * MIB)
+        wanted = realtime.settings(vehicle.file.realtime, "recording")
         light, prepared = servers.light, servers.prepared
         self.servers = servers
         self.acquisition = Worker("acquisition", lambda: light.fork(workers.acquire, vehicle, directory))
         self.estimation = Worker("estimation", lambda: prepared.fork(workers.estimate, vehicle, directory))
-        self.recording = Worker("recording", lambda: light.fork(workers.record, directory, min_free))
+        self.recording = Worker("recording", lambda: light.fork(workers.record, directory, min_free, wanted))
         self.everyone = (self.recording, self.estimation, self.acquisition)
 
     def start(self, ready: Callable[[], None]) -> None:

@@ -7,8 +7,6 @@ A restarted process finds the progress of its predecessor in the rings or in the
 """
 
 import contextlib
-import gc
-import os
 import signal
 import threading
 import time
@@ -21,7 +19,7 @@ import numpy as np
 
 from drivers.records import EVENT, Batch, Severity, event
 from onboard import config
-from onboard.flight import directories, manifest, rings
+from onboard.flight import directories, manifest, realtime, rings
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.announcer import RECORDER_SAID
 from onboard.flight.health import Beat
@@ -37,7 +35,6 @@ if TYPE_CHECKING:
     from onboard.recording.recorder import Recorder
 
 RECEIVE_TIMEOUT_S = 0.05
-REALTIME_PRIORITY = 50
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0  # before a bus that could not be opened is tried again
 BEAT_S = 1.0  # a worker that has said nothing for several of these hangs
 ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
@@ -100,13 +97,9 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
     opened = open_devices(vehicle, time.monotonic_ns)
     acquisition = Acquisition(opened.devices, publisher)
     acquisition.report(opened.problems)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
-    except OSError as error:
-        text = f"no real-time priority ({error.strerror}): grant rtprio to this user, or samples may arrive late"
-        acquisition.report([event(time.monotonic_ns(), Severity.INFO, "not_realtime", "acquisition", text)])
-    gc.collect()
-    gc.freeze()
+    has = realtime.apply(realtime.settings(vehicle.file.realtime, "acquisition"))
+    if said := has.said():
+        acquisition.report([event(time.monotonic_ns(), said[0], said[1], "acquisition", said[2])])
     missed = dict.fromkeys(vehicle.buses, 0)
     threads = [
         threading.Thread(
@@ -119,7 +112,7 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
         thread.start()
     supervised.ready()
     while not supervised.stop.wait(BEAT_S):  # with no bus at all there is still a flight to log
-        supervised.beat(lambda: Beat(sum(missed.values())))
+        supervised.beat(lambda: Beat(sum(missed.values()), has.status))
     for thread in threads:
         thread.join()
     acquisition.finish(time.monotonic_ns())
@@ -244,6 +237,7 @@ def estimate(
     supervised = Supervised(pipe, "estimate")
     with directories.belong(directory):
         worker = DurableEstimation(vehicle, directory, time.monotonic_ns(), (estimator, places))
+        realtime.apply(realtime.settings(vehicle.file.realtime, "estimation"))
         supervised.ready()
         pace = _Pace(int(vehicle.file.estimation.step_ms * 1e6))
         while not supervised.stop.is_set():
@@ -253,8 +247,15 @@ def estimate(
         worker.finish(time.monotonic_ns())
 
 
-def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
-    """Body of the recording process; earlier flights' segments make way while less than ``min_free_bytes`` is free."""
+def record(directory: Path, min_free_bytes: int, wanted: realtime.Settings, pipe: Connection) -> None:
+    """Body of the recording process.
+
+    Args:
+        directory: of the flight.
+        min_free_bytes: earlier flights' segments make way while less is free.
+        wanted: of the system.
+        pipe: to the supervisor.
+    """
     from onboard.flight.flight_log import open_recorder, step_ns
 
     supervised = Supervised(pipe, "record")
@@ -262,12 +263,15 @@ def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
         flight = manifest.Manifest.load(directory)
         said = RingWriter(directory / RECORDER_SAID, EVENT, EVENTS_SAID)
         recorder = open_recorder(flight, min_free_bytes, said.push)
+        has = realtime.apply(wanted)
+        if told := has.said():
+            recorder.say(time.monotonic_ns(), *told)
         recorder.step(time.monotonic_ns())
         supervised.ready()
         period_ns = step_ns(flight.storage)
         pace = _Pace(period_ns)
         while not supervised.stop.is_set():
-            supervised.beat(lambda: _recorder_beat(recorder, pace.missed))
+            supervised.beat(lambda: _recorder_beat(recorder, pace.missed, has.status))
             recorder.step(time.monotonic_ns())
             pace.sleep()
         end_ns = time.monotonic_ns() + int(ORPHAN_S * 1e9) * supervised.orphaned
@@ -281,10 +285,9 @@ def record(directory: Path, min_free_bytes: int, pipe: Connection) -> None:
             time.sleep(period_ns * 1e-9)
 
 
-def _recorder_beat(recorder: "Recorder", missed: int) -> Beat:
-    status = (Status.DISK_REFUSES if recorder.failing else Status(0)) | (
-        Status(0) if recorder.has_room else Status.DISK_LOW
-    )
+def _recorder_beat(recorder: "Recorder", missed: int, status: Status) -> Beat:
+    status |= Status.DISK_REFUSES if recorder.failing else Status(0)
+    status |= Status(0) if recorder.has_room else Status.DISK_LOW
     return Beat(missed, status, recorder.backlog(), recorder.lost, recorder.disk_free)
 
 

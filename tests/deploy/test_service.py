@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 
 from onboard import cli
-from onboard.flight import runner_processes, workers
+from onboard.config.vehicle import Realtime
+from onboard.flight import runner_processes
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 
@@ -28,7 +29,9 @@ def test_it_flies_from_where_the_installer_puts_it() -> None:
 
 
 def test_its_limits_grant_what_acquisition_asks_for() -> None:
-    assert int(unit("heft.service")["Service"]["LimitRTPRIO"]) >= workers.REALTIME_PRIORITY
+    service = unit("heft.service")["Service"]
+    assert int(service["LimitRTPRIO"]) >= Realtime().acquisition_priority
+    assert service["LimitMEMLOCK"] == "infinity"
 
 
 def test_it_waits_until_three_workers_have_stopped() -> None:

@@ -27,7 +27,7 @@ from onboard.config.estimation import (
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.meanings import MEANINGS
 from onboard.config.planar import Planar, Puck
-from onboard.config.vehicle import BusSection, LinkSection, Recording, VehicleSection
+from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.offline.tables.columns import unit_of
 from onboard.section import LARGEST, Section
 from tests.onboard.device_page import _toml, _type
@@ -56,6 +56,7 @@ TABLES: dict[str, type[Section]] = {
     "[planar]": Planar,
     "[[planar.puck]]": Puck,
     "[recording]": Recording,
+    "[realtime]": Realtime,
 }
 HEAD = """# vehicle.toml
 
