@@ -13,7 +13,7 @@ Known limits: the kernel is centred, so a tick needs samples up to half a width 
 dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -63,8 +63,8 @@ class Kernel(NamedTuple):
         return np.array([[1.0, m1, m2], [0.0, 1.0, 2.0 * m1], [0.0, 0.0, 2.0]][derivative])
 
 
-def _unit_kernels() -> tuple[PPoly, Kernel]:
-    """B and (h, h', h'') on the full width -1/2..1/2."""
+def _unit_kernels() -> tuple[PPoly, Kernel, PPoly]:
+    """B, (h, h', h''), and all four of them beside each other, on the full width -1/2..1/2."""
     knots = np.linspace(-0.5, 0.5, ORDER + 1)
     element = BSpline.basis_element(knots)
     whole = PPoly.from_spline((element.t, element.c, element.k))
@@ -77,10 +77,13 @@ def _unit_kernels() -> tuple[PPoly, Kernel]:
         coefficients = low.c.copy()
         coefficients[-high.c.shape[0] :] -= 0.5 * _MU2 * high.c
         kernels.append(PPoly(coefficients, knots, extrapolate=False))
-    return base, Kernel((kernels[0], kernels[1], kernels[2]))
+    together = np.zeros((ORDER, ORDER, 4))
+    for column, part in enumerate((base, *kernels)):
+        together[-part.c.shape[0] :, :, column] = part.c
+    return base, Kernel((kernels[0], kernels[1], kernels[2])), PPoly(together, knots, extrapolate=False)
 
 
-_BASE, SPLINE = _unit_kernels()
+_BASE, SPLINE, _SPLINE_TOGETHER = _unit_kernels()
 
 
 class SmoothingWindow:
@@ -112,7 +115,7 @@ class SmoothingWindow:
             raise RowError("sample times and ticks must be finite vectors; drop samples without a time first")
         if not 0.0 < width_s < np.inf:
             raise RowError(f"the smoothing width is {width_s} s; give a positive one")
-        spacing = np.diff(times)
+        spacing = times[1:] - times[:-1]
         if spacing.size and spacing.min() <= 0.0:
             raise RowError("sample times must increase strictly; sort them and drop duplicates first")
         gap = width_s / 5.0 if max_gap_s is None else max_gap_s
@@ -127,7 +130,7 @@ class SmoothingWindow:
         index = low[:, None] + np.arange(max(length, 1))  # (n, l)
         inside = index < high[:, None]
         self._index = np.minimum(index, max(times.size - 1, 0))
-        if not self.valid.any():
+        if not self.valid.any():  # it changes below
             return
         t = times[self._index]
         cell = np.empty_like(times)
@@ -136,7 +139,7 @@ class SmoothingWindow:
         self._u = np.where(inside, (t - at[:, None]) / width_s, 0.0)  # (n, l)
         self._cell = np.where(inside, cell[self._index] / width_s, 0.0)  # (n, l) quadrature weights
         last = t[np.arange(at.size), np.maximum(high - low, 1) - 1]
-        within = np.where(inside[:, 1:], np.diff(t, axis=1), 0.0).max(axis=1, initial=0.0)
+        within = np.where(inside[:, 1:], t[:, 1:] - t[:, :-1], 0.0).max(axis=1, initial=0.0)
         edges = np.maximum(t[:, 0] - (at - 0.5 * width_s), at + 0.5 * width_s - last)
         self.valid &= np.maximum(within, edges) <= gap * (1.0 + 1e-9)
 
@@ -154,34 +157,61 @@ class SmoothingWindow:
         return known
 
     def _made(self, derivative: int) -> FloatArray:
-        raw = np.zeros(self._index.shape)
-        keep = self.valid
-        if not keep.any():
-            return raw
-        u, powers, correctors = self._correction
-        kernel = self.kernel.parts[derivative](u) * self._cell[keep]
+        if not self._some:
+            return np.zeros(self._index.shape)
+        cell, shapes, powers, correctors = self._correction
+        kernel = shapes[derivative] * cell
         if derivative == 1:
             kernel = -kernel  # by parts
         target = self.kernel.of_powers(derivative) - (kernel[:, None] @ powers)[:, 0]  # (n, 3)
-        raw[keep] = kernel + (correctors @ target[..., None])[..., 0]
+        raw = kernel + (correctors @ target[..., None])[..., 0]
+        if not self._whole:
+            made, raw = raw, np.zeros(self._index.shape)
+            raw[self.valid] = made
         return np.asarray(raw / self.width_s**derivative, np.float64)
 
     @cached_property
-    def _correction(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """For the v valid windows: places u (v, l), their powers (v, l, 3), weights per moment error (v, l, 3)."""
-        u = self._u[self.valid]
-        powers = np.stack([np.ones_like(u), u, u * u], axis=-1)
-        about = (u - self.kernel.first_moment) / self.kernel.reach
-        near = _BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else _BASE(about)
-        weighted = powers * (near * self._cell[self.valid])[..., None]
-        return u, powers, weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
+    def _some(self) -> bool:
+        """Whether any tick is valid."""
+        return bool(self.valid.any())
+
+    @cached_property
+    def _whole(self) -> bool:
+        """Whether every tick is valid."""
+        return bool(self.valid.all())
+
+    @cached_property
+    def _correction(self) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray], FloatArray, FloatArray]:
+        """For the v valid windows.
+
+        Returns:
+            Quadrature weights (v, l), the kernel and its derivatives (v, l), powers of the samples' places (v, l, 3),
+            weights per moment error (v, l, 3).
+        """
+        u, cell = (self._u, self._cell) if self._whole else (self._u[self.valid], self._cell[self.valid])
+        powers = np.empty((*u.shape, 3))
+        powers[..., 0], powers[..., 1], powers[..., 2] = 1.0, u, u * u
+        if self.kernel is SPLINE:
+            near, *shapes = np.moveaxis(_SPLINE_TOGETHER(u), -1, 0)
+        else:
+            about = (u - self.kernel.first_moment) / self.kernel.reach
+            near = _BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else _BASE(about)
+            shapes = [part(u) for part in self.kernel.parts]
+        weighted = powers * (near * cell)[..., None]
+        correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
+        return cell, (shapes[0], shapes[1], shapes[2]), powers, correctors
 
     def apply(self, values: ArrayLike, derivative: int = 0) -> Smoothed:
-        """The ``derivative``-th derivative of the smoothed ``values`` at every tick.
+        """The ``derivative``-th derivative of the smoothed ``values`` at every tick: :meth:`derivatives`."""
+        [smoothed] = self.derivatives(values, (derivative,))
+        return smoothed
+
+    def derivatives(self, values: ArrayLike, orders: Sequence[int]) -> list[Smoothed]:
+        """Derivatives of the smoothed ``values`` at every tick.
 
         Args:
             values: (k,) or (k, c), at the window's sample times.
-            derivative: 0, 1 or 2.
+            orders: each 0, 1 or 2.
 
         Raises:
             RowError: a wrong length, or a value that is not finite.
@@ -192,15 +222,19 @@ class SmoothingWindow:
             raise RowError(f"{columns.shape[0]} values for {self.samples} sample times; give one value a time")
         if not np.isfinite(columns).all():
             raise RowError("values must be finite; drop invalid samples first, the hole counts as a gap")
-        if not self.valid.any():
+        if not self._some:
             nothing = np.full((self.valid.size, columns.shape[1]), np.nan)
-            return Smoothed(nothing, self.valid, np.full(self.valid.size, np.nan))
-        weights = self.weights(derivative)
-        out = (weights[:, None] @ columns[self._index])[:, 0]
-        gain = np.sqrt((weights * weights).sum(axis=1))
-        out[~self.valid] = np.nan
-        gain[~self.valid] = np.nan
-        return Smoothed(out, self.valid, gain)
+            return [Smoothed(nothing, self.valid, np.full(self.valid.size, np.nan)) for _ in orders]
+        under, made = columns[self._index], []  # (n, l, c)
+        for order in orders:
+            weights = self.weights(order)
+            out = (weights[:, None] @ under)[:, 0]
+            gain = np.sqrt((weights * weights).sum(axis=1))
+            if not self._whole:
+                out[~self.valid] = np.nan
+                gain[~self.valid] = np.nan
+            made.append(Smoothed(out, self.valid, gain))
+        return made
 
 
 def smooth(

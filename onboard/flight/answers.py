@@ -6,8 +6,10 @@ events ``withdrawn`` and ``answers_again``.
 
 import re
 from collections.abc import Collection
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels
@@ -38,18 +40,21 @@ class Answers:
         state["host_ns"], state["vehicle_ns"] = now_ns, vehicle_ns
         state["rows_used"], state["rows_gated"] = estimate.rows_used, sum(estimate.refused.values())
         state["mean"] = estimate.mean
-        state["triangle"] = triangle[np.triu_indices(len(triangle))]
+        state["triangle"] = triangle[_upper(len(triangle))]
         answers = np.zeros(len(estimate.names) + len(estimate.quantities), channels.QUANTITY)
         answers["host_ns"], answers["vehicle_ns"] = now_ns, vehicle_ns
         p = len(estimate.names)
         for field in ("low", "high", "sigma", "supported"):
             answers[field][:p] = getattr(estimate, field)
         answers["value"][:p] = estimate.mean
-        answers["supported"][:p] &= ~np.isin(estimate.names, self._nuisance)
+        answers["supported"][:p] &= np.array([name not in self._nuisance for name in estimate.names], np.bool_)
         answers["name"][:p] = [name.encode() for name in estimate.names]
         of_all = _of_all(findings)
-        for row in answers[:p]:
-            _put(row, of_all if row["supported"] else Standing(Level.WEAK, "not determined by the data so far"))
+        known = answers["supported"][:p] != 0
+        for found, mine in ((of_all, known), (Standing(Level.WEAK, "not determined by the data so far"), ~known)):
+            answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), found.why.encode()[:WHY]
+        if of_all.level is Level.DO_NOT_USE:
+            answers["supported"][:p] = 0
         for row, quantity in zip(answers[p:], estimate.quantities, strict=True):
             row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
             row["drawn"] = quantity.drawn if quantity.supported else 0.0
@@ -72,6 +77,12 @@ class Answers:
             text = ", ".join(name.decode() for name in back)
             said.append(event(now_ns, Severity.INFO, "answers_again", "estimation", text))
         return said
+
+
+@lru_cache
+def _upper(size: int) -> tuple[NDArray[np.intp], ...]:
+    """Places of the upper triangle of a square matrix."""
+    return np.triu_indices(size)
 
 
 def _of_all(findings: Findings) -> Standing:

@@ -4,7 +4,7 @@ Samples are stored with their device ticks; their times are computed from the ti
 clock solution shifts all samples of a window consistently.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -180,21 +180,21 @@ class SignalSmoother:
                 one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s, kernel=self._kernel
             )
             columns = values if mine.all() else values[:, mine]
-            for order in range(derivatives + 1):
-                smoothed = window.apply(columns, order)
+            for order, smoothed in enumerate(window.derivatives(columns, range(derivatives + 1))):
                 out[order][:, mine] = smoothed.values
                 sigma[order][:, mine] = smoothed.noise_gain[:, None] * noise[mine]
             gaps |= reasons(~window.valid, GateReason.GAP)
         # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
-        change = np.concatenate([out[1:], _rate_of_change(out[-1], at_s)[None]])
-        of_change = np.concatenate([sigma[1:], sigma[-1:] * (np.pi / self.width_s)])
+        change, of_change = np.empty_like(out), np.empty_like(sigma)
+        change[:-1], change[-1] = out[1:], _rate_of_change(out[-1], at_s)
+        of_change[:-1], of_change[-1] = sigma[1:], sigma[-1] * (np.pi / self.width_s)
         moved = one.timing_s * np.sqrt(np.maximum(change * change - of_change * of_change, 0.0))
         sigma = np.hypot(sigma, moved)
         found, column = {}, 0
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])
             refused, column = gaps, part.stop
-            for reason in GateReason(int(np.bitwise_or.reduce(recent.wrong))):
+            for reason in _reasons_in(recent.wrong):
                 held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
                 refused = refused | reasons(held, reason)
             for periods, rms in self._signals[name].ripple if derivatives else ():
@@ -211,8 +211,7 @@ class SignalSmoother:
             return _nothing(columns, n, 0, recent)
         values, sigma = np.full((2, n, columns), np.nan)
         unusable = {
-            reason: np.append(0, np.cumsum(recent.wrong & int(reason) != 0))
-            for reason in GateReason(int(np.bitwise_or.reduce(recent.wrong)))
+            reason: np.append(0, np.cumsum(recent.wrong & int(reason) != 0)) for reason in _reasons_in(recent.wrong)
         }
         at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
         refused = np.zeros(n, np.int64)
@@ -253,6 +252,12 @@ class _Recent(NamedTuple):
         return self[3:] == other[3:] and np.array_equal(self.times_s, other.times_s)
 
 
+def _reasons_in(wrong: NDArray[np.int64]) -> Iterable[GateReason]:
+    """Those that any of some samples has."""
+    every = int(np.bitwise_or.reduce(wrong))
+    return GateReason(every) if every else ()
+
+
 def _nothing(columns: int, ticks: int, derivatives: int, reason: GateReason) -> ChannelAtTicks:
     nothing = (np.full((ticks, columns), np.nan),) * (derivatives + 1)
     return ChannelAtTicks(nothing, nothing, np.full(ticks, int(reason)))
@@ -272,7 +277,7 @@ def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
     """Of ``values`` (n, columns) from tick to tick; 0 where there is no neighbour to tell it."""
     rate = np.zeros_like(values)
     if len(at_s) > 1:
-        steps = np.diff(values, axis=0) / (at_s[1] - at_s[0])
+        steps = (values[1:] - values[:-1]) / (at_s[1] - at_s[0])
         rate[0], rate[-1] = steps[0], steps[-1]
         rate[1:-1] = 0.5 * (steps[1:] + steps[:-1])
     return np.nan_to_num(rate)

@@ -229,6 +229,7 @@ class RowModel:
         self.chi = np.concatenate([vehicle.chi, np.zeros(len(names) - vehicle.chi.size)])
         self.chi.setflags(write=False)
         self._columns = WrenchColumns(vehicle, self.rows)
+        self._drawn = self._columns.fold(vehicle.chi[:, None])
         self._turning = [(k, joint.q_index) for k, joint in enumerate(vehicle.joints) if joint.q_size == 2]
 
     def fold(self, mix: FloatArray) -> RowFold:
@@ -329,9 +330,9 @@ class RowModel:
 
     def _fill_zero_force(self, columns: FloatArray, q: FloatArray, held: NDArray[np.bool_]) -> None:
         """Minus the rows' response, at the URDF's parameters, to a unit specific force along each base axis."""
-        drawn = self._columns.fold(self.vehicle.chi[:, None])
-        still = np.zeros((len(q), self.vehicle.model.nv))
+        n, still = len(q), np.zeros((3 * len(q), self.vehicle.model.nv))
+        unit = still.copy()
         for axis in range(3):
-            unit = still.copy()
-            unit[:, axis] = 1.0
-            columns[:, :, axis] = -self._columns.make(drawn, held, q, still, unit)[:, :, 0]
+            unit[axis * n : (axis + 1) * n, axis] = 1.0
+        made = self._columns.make(self._drawn, np.tile(held, 3), np.tile(q, (3, 1)), still, unit)[:, :, 0]
+        columns[:] = -made.reshape(3, n, -1).transpose(1, 2, 0)

@@ -78,7 +78,7 @@ def columns(
     signals: Signals,
     at: NDArray[np.intp],
     use: BoolArray,
-    expected: Callable[[Signals], FloatArray],
+    expected: Callable[[Sequence[Signals]], FloatArray],
 ) -> FloatArray | None:
     """``d y / d c``, (r, k), at the ticks ``at`` (t,), of the rows in use (t, rows); differences for joints and IMU.
 
@@ -88,7 +88,7 @@ def columns(
         signals: all of them.
         at: ticks.
         use: which rows.
-        expected: what the rows at these ticks should read, (t, rows), of the estimate and these signals.
+        expected: what the rows at these ticks should read, (s, t, rows), of the estimate and each of s signals.
 
     Raises:
         SignalError: a delay, and no rate of the measured rows.
@@ -97,7 +97,7 @@ def columns(
         return None
     names = [row.name for row in model.rows]
     C = np.zeros((*use.shape, len(considered)))
-    before: FloatArray | None = None
+    misread: dict[int, tuple[Signals, float]] = {}  # by cause, with the size of the error
     for k, cause in enumerate(considered):
         if cause.effect == "scale":
             C[:, names.index(cause.row), k] = signals.measured[at, names.index(cause.row)]
@@ -106,9 +106,12 @@ def columns(
                 raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
             C[:, names.index(cause.row), k] = -signals.measured_rate[at, names.index(cause.row)]
         elif cause.sigma > 0.0:
-            before = expected(signals) if before is None else before
             step = _STEP_S if cause.effect.endswith("delay") else _STEP
-            C[..., k] = (before - expected(_misread(signals, cause, model, step))) / step
+            misread[k] = _misread(signals, cause, model, step), step
+    if misread:
+        before, *after = expected([signals, *(wrong for wrong, _ in misread.values())])
+        for (k, (_, step)), wrongly in zip(misread.items(), after, strict=True):
+            C[..., k] = (before - wrongly) / step
     return C[use]
 
 

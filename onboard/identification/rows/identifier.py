@@ -110,6 +110,10 @@ class Identifier:
         self.prior_sigma = prior_sigma
         self._prior_covariance = base.covariance(prior_sigma)
         self._payload = grasped_payload(model, base, self._prior_covariance)
+        self._weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])  # of all that is reported, (r, p)
+        self._prior_spread = np.sqrt(
+            np.einsum("ri,ij,rj->r", self._weights, self._prior_covariance, self._weights)
+        )  # its sigmas by the prior
         self._instruments: Instruments | None = None
         if instruments_lag_s is None:
             self._recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
@@ -185,18 +189,18 @@ class Identifier:
         found = np.repeat(np.asarray(excluded, np.int64)[:, None], m, axis=1)
         found |= 0 if signals.refused is None else signals.refused
         moving = [signals.q, signals.dq, signals.ddq, *signals.motion]
-        whole = np.logical_and.reduce([np.isfinite(v).reshape(n, -1).all(axis=1) for v in moving])
+        whole = _finite(moving)
         found[~whole] |= GateReason.GAP
         if signals.noise is not None:
             self._inflation = signals.noise.inflation
-            doubts = [np.isfinite(v).reshape(n, -1).all(axis=1) for v in signals.noise[:-1]]
-            whole &= np.logical_and.reduce(doubts)
+            whole &= _finite(signals.noise[:-1])
             found[~whole] |= GateReason.GAP
         found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
         for first in range(0, n, _BATCH_TICKS):
             self._batch(signals, attached, found, slice(first, first + _BATCH_TICKS))
-        for reason in self.refused:
-            self.refused[reason] += int(np.count_nonzero(found & int(reason)))
+        if found.any():
+            for reason in self.refused:
+                self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found
 
     def _batch(self, signals: Signals, attached: BoolArray, found: ReasonArray, part: slice) -> None:
@@ -276,13 +280,16 @@ class Identifier:
         trial.update(rows, y, sigma, np.zeros((len(y), len(self.considered))))
         return trial.solve().mean
 
-    def _expected(self, signals: Signals, at: NDArray[np.intp], attached: BoolArray, mean: FloatArray) -> FloatArray:
-        """What the rows of some ticks should read by an estimate, (t, rows)."""
-        motion = BaseMotion(*(v[at] for v in signals.motion))
-        none = np.zeros((at.size, len(self.model.rows)))
-        joints = signals.q[at], signals.dq[at], signals.ddq[at]
-        Y = self.model.regressor(*joints, motion, attached[at], predicted=none, fold=self._fold)
-        return np.asarray(Y @ [*mean, 1.0], np.float64)
+    def _expected(
+        self, each: Sequence[Signals], at: NDArray[np.intp], attached: BoolArray, mean: FloatArray
+    ) -> FloatArray:
+        """What the rows of some ticks should read by an estimate, (s, t, rows), for each of s signals."""
+        parts = zip(*((one.q, one.dq, one.ddq, *one.motion) for one in each), strict=True)
+        q, dq, ddq, *motion = (np.concatenate([one[at] for one in part]) for part in parts)  # (s t, ...) each
+        none = np.zeros((len(q), len(self.model.rows)))
+        held = np.tile(attached[at], len(each))
+        Y = self.model.regressor(q, dq, ddq, BaseMotion(*motion), held, predicted=none, fold=self._fold)
+        return np.asarray(Y @ [*mean, 1.0], np.float64).reshape(len(each), at.size, -1)
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
@@ -334,11 +341,9 @@ class Identifier:
             level: of the intervals.
         """
         jackknife = self.block_jackknife(level)
-        p = len(self.base.names)
-        weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])
+        p, weights = len(self.base.names), self._weights
         interval = jackknife.combination(weights)
-        before = np.einsum("ri,ij,rj->r", weights, self._prior_covariance, weights)
-        shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / np.sqrt(before)
+        shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / self._prior_spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         causes = jackknife.causes(weights)
         quantities = []
@@ -370,6 +375,11 @@ class Identifier:
             self.rows_used,
             dict(self.refused),
         )
+
+
+def _finite(parts: Sequence[FloatArray]) -> BoolArray:
+    """Where all columns of ``parts``, (n, columns) each, are finite, (n,)."""
+    return np.asarray(np.isfinite(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)).all(axis=1))
 
 
 def _normal(level: float) -> float:
