@@ -64,6 +64,7 @@ def capture(shape: free_flyer.Body, mass_kg: float, seed: int) -> Captured:
     last = int(np.searchsorted(ticks.time_s, at_s + AFTER_s))
     for first in range(0, last, BATCH_TICKS):
         online.update(ticks.part(slice(first, min(first + BATCH_TICKS, last))))
+    online.finish()
     alarms = [change for change in online.changes if change.kind == "change"]
     after = [change.time_s - at_s for change in alarms if change.time_s > at_s]
     found = online.estimate()
@@ -85,6 +86,7 @@ def quiet(shape: free_flyer.Body, mass_kg: float, seed: int) -> tuple[int, float
         signals = _signals(flight, rng)
         online, ticks = _online(signals, held), ticks_of(signals)
         online.update(ticks)
+        online.finish()
         alarms += sum(change.kind == "change" for change in online.changes)
         hours += len(ticks.time_s) * signals.period_s / 3600.0
     return alarms, hours

@@ -96,6 +96,7 @@ def flown(box: free_flyer.Body, lies: Lies, seed: int) -> Covered:
     ticks = ticks_of(signals)
     for first in range(0, len(ticks.time_s), BATCH_TICKS):
         online.exiddm.update(ticks.part(slice(first, first + BATCH_TICKS)))
+    online.finish()
     return _judged(box, online)
 
 

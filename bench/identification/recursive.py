@@ -106,11 +106,13 @@ def fly(body: free_flyer.Body, real: bool, seed: int) -> Flown:
     peer_tick_s = np.nan
     for first in range(0, len(ticks.time_s), BATCH_TICKS):
         if first == UNSCENTED_FROM and not real:
+            online.finish()
             told, peer_tick_s = unscented(online, ticks.part(slice(first - 2, None)))
             peer = case.judged(body, told, least, np.nan, none)
         begun = time.perf_counter()
         online.update(ticks.part(slice(first, first + BATCH_TICKS)))
         times.append(time.perf_counter() - begun)
+    online.finish()
     answer = online.estimate()
     if answer is None:
         answer = BodyEstimate(none, np.full((10, 10), np.nan))

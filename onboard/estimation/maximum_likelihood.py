@@ -72,6 +72,95 @@ def inverse_of(information: FloatArray) -> FloatArray:
     return covariance
 
 
+class Descent:
+    """Levenberg-Marquardt iteration on ``|r(x)|^2 + (x - x0)' L (x - x0)``, one prediction at a time.
+
+    Whoever runs it predicts at ``at`` and hands the result to :meth:`take` until there is ``found``. Its attributes are
+    values, so that it can be written to a checkpoint between two predictions.
+
+    Args:
+        start: where to begin, (p,).
+        prior_mean: x0, (p,).
+        prior_information: L, (p, p), positive semi-definite.
+        iterations: at most.
+        tolerance: predicted decrease of the whitened sum of squares below which the iteration stops.
+
+    Attributes:
+        at: (p,) where the next prediction is wanted.
+        found: the minimum; None before it is reached.
+    """
+
+    def __init__(
+        self,
+        start: FloatArray,
+        prior_mean: FloatArray,
+        prior_information: FloatArray,
+        iterations: int = 50,
+        tolerance: float = 1e-4,
+    ) -> None:
+        self.at: FloatArray = np.asarray(start, np.float64).copy()
+        self.found: Fit | None = None
+        self._mean, self._prior = prior_mean, prior_information
+        self._iterations, self._tolerance = iterations, tolerance
+        self._x, self._now = self.at, Normal(prior_information, np.zeros_like(self.at), np.inf)
+        self._iteration, self._damping, self._promised = 0, 1e-3, np.inf
+
+    def take(self, predicted: Normal) -> None:
+        """Takes the normal equations of the whitened residuals, predicted less measured, at ``at``.
+
+        Raises:
+            ConvergenceError: no minimum within the iterations, or a derivative that is not finite.
+            SingularError: as :func:`inverse_of`.
+            RowError: a residual at the start that is not finite.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflowing step has infinite cost and is refused
+            away = self.at - self._mean
+            toward = self._prior @ away
+            tried = predicted.plus(Normal(self._prior, toward, float(away @ toward)))
+        if not self._iteration:
+            if not np.isfinite(tried.squares):
+                raise RowError("the prediction from the starting values is not finite; check signals and sigmas")
+            self._next(tried)
+        elif self._now.squares - tried.squares >= 0.1 * self._promised:
+            self._damping = max(self._damping * 0.1, 1e-12)
+            if self._promised < self._tolerance:
+                self._end(self.at, tried, tried.squares)
+            else:
+                self._next(tried)
+        elif self._promised < self._tolerance:
+            self._end(self._x, self._now, self._now.squares)
+        else:
+            self._damping *= 10.0
+            self._step()
+
+    def _next(self, now: Normal) -> None:
+        """The next iteration, from ``at``."""
+        self._x, self._now = self.at, now
+        if self._iteration == self._iterations:
+            text = f"not converged after {self._iterations} iterations; the motion may not determine the parameters"
+            raise ConvergenceError(text)
+        self._iteration += 1
+        self._step()
+
+    def _step(self) -> None:
+        scale = np.sqrt(np.diag(self._now.information))
+        if not (scale > 0.0).all():
+            raise SingularError(f"nothing measured depends on parameter {np.flatnonzero(~(scale > 0.0))}; leave it out")
+        with np.errstate(invalid="ignore"):
+            scaled, downhill = self._now.information / np.outer(scale, scale), -self._now.gradient / scale
+            step = np.linalg.solve(scaled + self._damping * np.eye(scale.size), downhill)
+            # decrease under the linear model
+            self._promised = float(2.0 * downhill @ step - step @ scaled @ step)
+        if not np.isfinite(self._promised):
+            raise ConvergenceError("the derivative of the prediction is not finite; check the signals")
+        self.at = self._x + step / scale
+        if self._promised < self._tolerance and self._damping < _LIGHT:
+            self._end(self.at, self._now, self._now.squares - self._promised)
+
+    def _end(self, x: FloatArray, now: Normal, residual_sum: float) -> None:
+        self.found = Fit(x, inverse_of(now.information), residual_sum, self._iteration)
+
+
 def fit(
     predict: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
     start: FloatArray,
@@ -92,7 +181,7 @@ def fit_normal(
     iterations: int = 50,
     tolerance: float = 1e-4,
 ) -> Fit:
-    """Minimises ``|r(x)|^2 + (x - x0)' L (x - x0)``.
+    """Minimises ``|r(x)|^2 + (x - x0)' L (x - x0)`` by a :class:`Descent`.
 
     Args:
         evaluate: normal equations of the whitened residuals, predicted less measured, at x.
@@ -107,36 +196,9 @@ def fit_normal(
         SingularError: as :func:`inverse_of`.
         RowError: a residual at the start that is not finite.
     """
-    x = np.asarray(start, np.float64).copy()
-
-    def complete(at: FloatArray) -> Normal:
-        with np.errstate(over="ignore", invalid="ignore"):  # an overflowing step has infinite cost and is refused
-            away = at - prior_mean
-            toward = prior_information @ away
-            return evaluate(at).plus(Normal(prior_information, toward, float(away @ toward)))
-
-    now = complete(x)
-    if not np.isfinite(now.squares):
-        raise RowError("the prediction from the starting values is not finite; check signals and sigmas")
-    damping = 1e-3
-    for iteration in range(1, iterations + 1):
-        scale = np.sqrt(np.diag(now.information))
-        if not (scale > 0.0).all():
-            raise SingularError(f"nothing measured depends on parameter {np.flatnonzero(~(scale > 0.0))}; leave it out")
-        scaled, downhill = now.information / np.outer(scale, scale), -now.gradient / scale
-        while True:
-            step = np.linalg.solve(scaled + damping * np.eye(x.size), downhill)
-            promised = float(2.0 * downhill @ step - step @ scaled @ step)  # decrease under the linear model
-            if promised < tolerance and damping < _LIGHT:
-                return Fit(x + step / scale, inverse_of(now.information), now.squares - promised, iteration)
-            tried = complete(x + step / scale)
-            if now.squares - tried.squares >= 0.1 * promised:
-                break
-            if promised < tolerance:
-                return Fit(x, inverse_of(now.information), now.squares, iteration)
-            damping *= 10.0
-        x, now = x + step / scale, tried
-        damping = max(damping * 0.1, 1e-12)
-        if promised < tolerance:
-            return Fit(x, inverse_of(now.information), now.squares, iteration)
-    raise ConvergenceError(f"not converged after {iterations} iterations; the motion may not determine the parameters")
+    descent = Descent(start, prior_mean, prior_information, iterations, tolerance)
+    while descent.found is None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            predicted = evaluate(descent.at)
+        descent.take(predicted)
+    return descent.found

@@ -148,7 +148,7 @@ class Estimator:
         Args:
             now_ns: time of the step; rows up to ``now_ns - lag`` are made.
             batches: what has arrived since the last step.
-            lag_ns: another lag than the vehicle's (at the end of a flight nothing more arrives).
+            lag_ns: another lag than the vehicle's: it is the last step, and nothing more arrives.
             skipped_ns: no records of so much time after the last step were taken: no rows are made of it.
         """
         made: list[Batch] = []
@@ -164,7 +164,7 @@ class Estimator:
         self._temperatures.append(batches)
         at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
         if len(at_ns):
-            made += self._rows(now_ns, at_ns)
+            made += self._rows(now_ns, at_ns, final=lag_ns is not None)
         return made
 
     def _due(self, until_ns: int) -> NDArray[np.int64]:
@@ -178,7 +178,7 @@ class Estimator:
         self._left_out_ns = [one for one in self._left_out_ns if one[1] >= self._next_ns]
         return at_ns
 
-    def _rows(self, now_ns: int, at_ns: NDArray[np.int64]) -> list[Batch]:
+    def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:
         made: list[Batch] = []
         joints, (q_sigma, dq_sigma, ddq_sigma), refused = self._at_joints(at_ns)
         q, dq, ddq = joints
@@ -214,6 +214,8 @@ class Estimator:
             )
         made += self._asked(now_ns, at_ns, joints, measured)
         found = self._update(signals, at_ns, refused)
+        if final:
+            self.online.finish()
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
         for change in self.online.news():
             if change.kind == "release_contradicted":

@@ -35,6 +35,9 @@ class OnlineIdentifier(Protocol):
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Process new ticks; returns gate reasons by tick and row, (n, rows)."""
 
+    def finish(self) -> None:
+        """Nothing more arrives: do what updates have left to be done later."""
+
     def estimate(self, level: float = 0.95) -> Estimate:
         """State and quantities with two-sided intervals of this level."""
 

@@ -60,3 +60,8 @@ def test_a_valley_without_an_end_does_not_converge():
 def test_a_start_that_predicts_nothing_is_refused():
     with pytest.raises(RowError, match="not finite"):
         fit(lambda x: (x * np.nan, np.eye(1)), np.ones(1), np.zeros(1), np.zeros((1, 1)))
+
+
+def test_a_derivative_that_is_not_finite_ends_the_iteration():
+    with np.errstate(invalid="ignore"), pytest.raises(ConvergenceError, match="derivative"):
+        fit(lambda x: (x + 1.0, np.full((1, 1), np.inf)), np.ones(1), np.zeros(1), np.zeros((1, 1)))

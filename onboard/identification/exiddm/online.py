@@ -84,11 +84,21 @@ class ExiddmIdentifier:
             self._attached = held
             self.exiddm.update(Ticks(*(x[first:last] for x in ticks)))
             first = last
-        self.rows_used = 6 * self.exiddm.ticks_used
         for reason in self.refused:
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
-        self.refused[GateReason.RESIDUAL] += 6 * (self.exiddm.glitches - glitches)
+        self._count(glitches)
         return found
+
+    def finish(self) -> None:
+        """Solves what is under way, and processes the ticks that wait for it."""
+        glitches = self.exiddm.glitches
+        self.exiddm.finish()
+        self._count(glitches)
+
+    def _count(self, glitches: int) -> None:
+        """Count rows, and outliers since there were so many."""
+        self.rows_used = 6 * self.exiddm.ticks_used
+        self.refused[GateReason.RESIDUAL] += 6 * (self.exiddm.glitches - glitches)
 
     def estimate(self, level: float = 0.95) -> Estimate:
         """The payload's standard parameters, and mass, centre of mass, inertia about it in its link's axes."""

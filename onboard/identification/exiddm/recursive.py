@@ -11,24 +11,25 @@ that fits that window classifies it: nothing held (an ejection, or a contact if 
 contact), a payload where nothing was held (a capture), or another payload without a release (an instrument's change).
 
 The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
+
+The work of a call is bounded: per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve
+is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound.
 """
 
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from onboard.dynamics.payload import BodyEstimate, body_estimate
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
-from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
+from onboard.identification.exiddm.innovation import Innovation, innovation_of
 from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.ticks import Ticks
-from onboard.identification.exiddm.window import Hypothesis, WindowFit
+from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
@@ -37,7 +38,8 @@ DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that w
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
-_EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
+WORK = 80  # ticks predicted (50 us each) per tick taken in
+_STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
 _SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
 
 
@@ -48,14 +50,6 @@ _KINDS = {  # of a change, by what was held before and what explains the window 
     (False, Hypothesis.NOTHING): "contact",
     (False, Hypothesis.NEW): "capture",
 }
-
-
-class _Innovation(NamedTuple):
-    """Whitened innovation of a batch; its covariance is ``S = H P H' + 1 = L L'``."""
-
-    W: FloatArray  # L^-1 H P
-    e: FloatArray  # L^-1 (measured less predicted)
-    L: FloatArray
 
 
 _IMMODERATE = 1e12  # of a prediction in SI units: the joints' signals are nonsense, and its squares may overflow
@@ -106,6 +100,9 @@ class RecursiveExiddm:
         self.held: bool | None = held
         self._before: bool | None = held
         self._suspected: Change | None = None  # not yet classified
+        self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
+        self._due = 0  # ticks that may be predicted in this call; negative after an excess
+        self._solve: WindowSolve | None = None  # under way
         self._pending = Ticks.none(len(predictor.vehicle.joints))
         p = len(predictor.names)
         self.state: FloatArray | None = None
@@ -129,31 +126,67 @@ class RecursiveExiddm:
         self._open(hypotheses, mean, covariance)
 
     def update(self, ticks: Ticks) -> None:
-        """Takes ticks; processes them in whole batches, the newest tick after its successor.
+        """Takes ticks; processes them in whole batches, the newest tick after its successor, within :data:`WORK`.
 
         Over a gap of the joints the momentum is kept with an inflated covariance; after a long gap it is re-estimated.
         """
         known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
-        ticks = ticks.part(known)
-        first = 0
-        while first < len(ticks.time_s):
-            if len(self._pending.time_s):
-                gap_s = ticks.time_s[first] - self._pending.time_s[-1]
-                if abs(gap_s - self.predictor.period_s) > 0.5 * self.predictor.period_s:
-                    self._bridge(ticks.part(slice(first, first + 1)))
-            breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s[first:]) / self.predictor.period_s - 1.0) > 0.5)
-            last = min(first + self._wanted(), first + breaks[0] + 1 if breaks.size else len(ticks.time_s))
-            self._pending = self._pending.and_then(ticks.part(slice(first, last)))
-            if self._wanted() == 0:
-                self._solve_window() if self._hypotheses else self._step()
-            first = last
+        if known.any():
+            self._inbox.append(ticks.part(known))
+        self._due += WORK * len(ticks.time_s)
+        self._work(bounded=True)
 
     def told(self, held: bool, time_s: float) -> None:
-        """Take the announcement of a capture or a release; no effect if already known."""
+        """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known."""
+        self._inbox.append((held, time_s))
+        self._work(bounded=True)
+
+    def finish(self) -> None:
+        """Do all that is left to be done."""
+        self._work(bounded=False)
+
+    @property
+    def solving(self) -> bool:
+        """A window's solve is under way; ticks wait for it."""
+        return self._solve is not None
+
+    def _work(self, *, bounded: bool) -> None:
+        while self._solve is not None or self._inbox:
+            if self._solve is None and not isinstance(self._inbox[0], Ticks):
+                self._announced(*self._inbox[0])
+                self._inbox.popleft()
+            elif bounded and self._due <= 0:
+                return
+            elif self._solve is not None:
+                self._due -= self._solve.advance()
+                if self._solve.over:
+                    solve, self._solve = self._solve, None
+                    self._end_of(solve)
+            else:
+                self._take()
+        self._due = min(self._due, 0)
+
+    def _announced(self, held: bool, time_s: float) -> None:
         if held != self.held:
             self.exchanged, self._suspected = False, None
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
             self._reopen((Hypothesis.NEW if held else Hypothesis.NOTHING,), 0)
+
+    def _take(self) -> None:
+        """Take ticks from the inbox up to the next filter step or window, and do or begin it."""
+        ticks = self._inbox.popleft()
+        assert isinstance(ticks, Ticks)
+        if len(self._pending.time_s):
+            gap_s = ticks.time_s[0] - self._pending.time_s[-1]
+            if abs(gap_s - self.predictor.period_s) > 0.5 * self.predictor.period_s:
+                self._bridge(ticks.part(slice(0, 1)))
+        breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s) / self.predictor.period_s - 1.0) > 0.5)
+        last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
+        self._pending = self._pending.and_then(ticks.part(slice(0, last)))
+        if last < len(ticks.time_s):
+            self._inbox.appendleft(ticks.part(slice(last, None)))
+        if self._wanted() == 0:
+            self._begin_window() if self._hypotheses else self._step()
 
     def estimate(self) -> BodyEstimate | None:
         """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
@@ -195,20 +228,47 @@ class RecursiveExiddm:
     def _window_ticks(self) -> int:
         return round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
 
-    def _solve_window(self) -> None:
+    def _window(self, ticks: Ticks, hypotheses: tuple[Hypothesis, ...]) -> WindowSolve:
+        return WindowSolve(
+            self.predictor, self._imu_frame, self.payload_sigma, ticks, self._prior, hypotheses, self._start
+        )
+
+    def _begin_window(self) -> None:
+        self._begin(self._window(self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses))
+
+    def _begin(self, solve: WindowSolve) -> None:
+        if solve.over:
+            self._end_of(solve)
+        else:
+            self._solve = solve
+
+    def _end_of(self, solve: WindowSolve) -> None:
+        """Take in the result of a window."""
+        if not self._hypotheses:  # steps since the window are replaced, and stay where the window is not explained
+            if solve.found is not None:
+                self.state, self.covariance, self.ticks_used = (
+                    solve.found.state,
+                    solve.found.covariance,
+                    solve.found.used,
+                )
+            assert self.state is not None
+            self._snapshots.append((self.state, self.covariance))
+        elif solve.found is not None:
+            self._explained(solve.found)
+        else:
+            self._not_explained()
+
+    def _not_explained(self) -> None:
+        """The contact may not be over; estimates of the other unknowns are kept."""
+        self.unexplained += self._solves > 0
+        longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
         ticks = self._pending.part(slice(-self._window_ticks(), None))
-        window = WindowFit(self.predictor, self._imu_frame, self.payload_sigma, ticks, *self._prior)
-        for hypothesis in self._hypotheses:
-            solved = window.solve(hypothesis, self._start)
-            if solved is not None and solved.chance > _EXPLAINED:
-                break
-        else:  # the contact may not be over; estimates of the other unknowns are kept
-            self.unexplained += self._solves > 0
-            longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
-            self.state, self.held, self._start, self._solves = None, None, None, 0
-            self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
-            self._pending = ticks.part(slice(-self._window_ticks(), None))
-            return
+        self.state, self.held, self._start, self._solves = None, None, None, 0
+        self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
+        self._pending = ticks.part(slice(-self._window_ticks(), None))
+
+    def _explained(self, solved: Solved) -> None:
+        ticks, hypothesis = self._pending.part(slice(-self._window_ticks(), None)), solved.hypothesis
         if self._suspected is not None:
             self.changes.append(self._suspected._replace(kind=_KINDS[bool(self._before), hypothesis]))
             self._suspected = None
@@ -229,14 +289,6 @@ class RecursiveExiddm:
             self._pending = ticks.part(slice(-2, None))
             self._stepped = ticks if hypothesis is Hypothesis.NEW else None
 
-    def _solve_again(self, ticks: Ticks) -> None:
-        """Replace the steps since the window by a window up to now; they stay where it is not explained."""
-        self._stepped = None
-        window = WindowFit(self.predictor, self._imu_frame, self.payload_sigma, ticks, *self._prior)
-        solved = window.solve(Hypothesis.NEW, self._start)
-        if solved is not None and solved.chance > _EXPLAINED:
-            self.state, self.covariance, self.ticks_used = solved.state, solved.covariance, solved.used
-
     def _determined(self) -> bool:
         assert self.state is not None
         mass_kg = self.state[PAYLOAD.start]
@@ -246,6 +298,7 @@ class RecursiveExiddm:
 
     def _step(self) -> None:
         assert self.state is not None
+        self._due -= _STEP_WORK
         ticks = self._pending
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state)
@@ -259,7 +312,7 @@ class RecursiveExiddm:
         state, covariance = self.state, self.covariance
         seen = use.copy()
         if use.any():
-            innovation = self._innovation(predicted, measured, sigma, use)
+            innovation = innovation_of(predicted, measured, sigma, use, self.covariance)
             verdict = self._detector.check((innovation.e.reshape(-1, 6) ** 2).sum(axis=1))
             if verdict.alarm:
                 self._alarm(verdict.score, verdict.batches)
@@ -270,7 +323,7 @@ class RecursiveExiddm:
                 self.glitches += int(verdict.glitches.sum())
                 use[np.flatnonzero(use)[verdict.glitches]] = False
                 if use.any():
-                    innovation, seen = self._innovation(predicted, measured, sigma, use), use.copy()
+                    innovation, seen = innovation_of(predicted, measured, sigma, use, self.covariance), use.copy()
             if use.any() or verdict.suspect:
                 self._judge(innovation)
                 self.lines.add(innovation.e, seen)
@@ -283,21 +336,12 @@ class RecursiveExiddm:
         if self._stepped is not None:
             self._stepped = self._stepped.and_then(ticks.part(slice(2, None)))
             if len(self._stepped.time_s) >= round(SOLVED_AGAIN_AT_s / self.predictor.period_s):
-                self._solve_again(self._stepped)
+                again, self._stepped = self._stepped, None
+                self._begin(self._window(again, (Hypothesis.NEW,)))
+                return
         self._snapshots.append((self.state, self.covariance))
 
-    def _innovation(
-        self, predicted: Prediction, measured: FloatArray, sigma: FloatArray, use: BoolArray
-    ) -> "_Innovation":
-        r, H = whitened(predicted.values, predicted.jacobian, measured, sigma, use)
-        HP = H @ self.covariance
-        S = HP @ H.T
-        S.flat[:: len(S) + 1] += 1.0
-        factor = np.asarray(np.linalg.cholesky(S), np.float64)
-        solved = solve_triangular(factor, np.column_stack([HP, -r]), lower=True, check_finite=False)
-        return _Innovation(solved[:, :-1], solved[:, -1], factor)
-
-    def _judge(self, innovation: "_Innovation") -> None:
+    def _judge(self, innovation: Innovation) -> None:
         """Add the batch's chi-squared, of each instrument and of both together, to the misfit."""
         self.misfit.add("imu", float(innovation.e @ innovation.e), innovation.e.size)
         rows = np.arange(innovation.e.size).reshape(-1, 6)

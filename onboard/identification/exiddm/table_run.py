@@ -40,6 +40,9 @@ class TableRun:
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found
 
+    def finish(self) -> None:
+        """Nothing is left to be done."""
+
     def estimate(self, level: float = 0.95) -> Estimate:
         """An estimate without quantities."""
         nothing = np.full(len(self.parameter_names), np.nan)

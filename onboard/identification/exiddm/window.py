@@ -3,9 +3,11 @@
 The maximum likelihood of :mod:`onboard.identification.exiddm.batch` on the state of
 :mod:`onboard.identification.exiddm.imu_prediction`, from several guesses, with the current estimate of the other
 unknowns as prior.
+
+A window that nothing explains takes hundreds of predictions, seconds of CPU time. A solve is therefore an object that
+does one prediction at a time and can be written to a checkpoint in between.
 """
 
-import contextlib
 from collections.abc import Iterator
 from enum import Enum
 from functools import partial
@@ -17,8 +19,8 @@ from scipy.special import chdtrc, chdtri
 
 from onboard.dynamics.payload import standard_of
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.errors import ConvergenceError, SingularError
-from onboard.estimation.maximum_likelihood import Fit, fit
+from onboard.estimation.errors import ConvergenceError, RowError, SingularError
+from onboard.estimation.maximum_likelihood import Descent, Fit, Normal
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, guesses
 from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import (
@@ -36,6 +38,7 @@ _ITERATIONS = 40
 _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _FEW = 0.03  # largest share of outliers
+_EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 
 
 class Hypothesis(Enum):
@@ -46,27 +49,40 @@ class Hypothesis(Enum):
     NEW = "a payload of which nothing is known"
 
 
+class _Stage(Enum):
+    """What the iteration that is under way is for."""
+
+    GUESS = "from a guess"
+    SETTLE = "to the minimum"
+    SETTLE_ROUGHLY = "to a nearly flat minimum"
+
+
 class Solved(NamedTuple):
     """Solution of a window under one hypothesis."""
 
+    hypothesis: Hypothesis
     start: FloatArray  # (p,) at its first tick
     state: FloatArray  # (p,) at its last tick but one
     covariance: FloatArray  # (p, p) of that
     used: int  # ticks
     glitches: int
-    chance: float  # of a misfit as large
 
 
-class WindowFit:
-    """A window of ticks with all joints known.
+class WindowSolve:
+    """The solution of a window of ticks with all joints known, under the first hypothesis that explains it.
+
+    Attributes:
+        over: there is nothing more to do.
+        found: the solution; None if no hypothesis explains the window, and while it is not over.
 
     Args:
         predictor: of the IMU.
         imu_frame: the frame it measures in.
         payload_sigma: of a payload of which nothing is known, (10,).
         ticks: the window, in succession.
-        mean: (p,) prior of the state at its first tick, without the rate.
-        covariance: (p, p) of that.
+        prior: of the state at its first tick, without the rate: mean (p,) and covariance (p, p).
+        hypotheses: in the order in which they are tried.
+        start: (p,) the state at the first tick as it was found before; None: guesses are made.
     """
 
     def __init__(
@@ -75,102 +91,162 @@ class WindowFit:
         imu_frame: str,
         payload_sigma: FloatArray,
         ticks: Ticks,
-        mean: FloatArray,
-        covariance: FloatArray,
+        prior: tuple[FloatArray, FloatArray],
+        hypotheses: tuple[Hypothesis, ...],
+        start: FloatArray | None,
     ) -> None:
         self._predictor, self._imu_frame, self._payload_sigma = predictor, imu_frame, payload_sigma
-        self._ticks, self._mean, self._covariance = ticks, mean, covariance
+        self._ticks, self._prior, self._given = ticks, prior, start
         self._sigma = ticks.sigma
+        self.over = False
+        self.found: Solved | None = None
+        self._left = list(hypotheses)
+        self._descent: Descent | None = None
+        self._fit: Fit | None = None  # not yet checked for outliers
+        with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
+            self._begin()
 
-    def solve(self, hypothesis: Hypothesis, start: FloatArray | None) -> Solved | None:
-        """Fit the window under a hypothesis; None if the fit fails.
+    def advance(self) -> int:
+        """Does one prediction over the window; how many ticks were predicted."""
+        with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
+            if self._fit is not None:
+                self._check(self._fit)
+                return len(self._ticks.time_s)
+            assert self._descent is not None
+            try:
+                self._descent.take(Normal.of(*self._residuals(self._descent.at)))
+            except (ConvergenceError, SingularError, RowError) as error:
+                self._failed(nearly=isinstance(error, ConvergenceError))
+            else:
+                if self._descent.found is not None:
+                    self._fitted(self._descent.found)
+        return len(self._ticks.time_s)
 
-        Args:
-            hypothesis: payload hypothesis.
-            start: (p,) the state at the first tick as it was found before; None: guesses are made.
-        """
-        p = len(self._mean)
+    # ------------------------------------------------------------------ a hypothesis
+
+    def _begin(self) -> None:
+        """Go on to the next hypothesis, or end."""
+        use = np.logical_and.reduce(np.isfinite(self._ticks.measured[1:-1]), axis=1)
+        if not self._left or use[:FIRST_TICKS].sum() < FIRST_TICKS // 2:
+            self.over, self._descent = True, None
+            return
+        self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
+        self._problem = self._problem_of(self._hypothesis)
+        self._best: Fit | None = None
+        if self._given is None:
+            self._guesses = list(self._guessed())
+            self._next_guess()
+        else:
+            self._settle(self._given)
+
+    def _problem_of(self, hypothesis: Hypothesis) -> "_Problem":
+        (mean, covariance), p = self._prior, len(self._prior[0])
         rest, others, own = slice(PAYLOAD.start, p), np.arange(PAYLOAD.stop, p), np.arange(p)[PAYLOAD]
-        mean, information, active = self._mean.copy(), np.zeros((p, p)), np.arange(p)
+        mean, information, active = mean.copy(), np.zeros((p, p)), np.arange(p)
         if hypothesis is Hypothesis.SAME:
-            information[rest, rest] = np.linalg.inv(self._covariance[rest, rest])
+            information[rest, rest] = np.linalg.inv(covariance[rest, rest])
         else:
             apart = slice(PAYLOAD.stop, p)
-            information[apart, apart] = np.linalg.inv(self._covariance[apart, apart])
+            information[apart, apart] = np.linalg.inv(covariance[apart, apart])
             information[own, own] = 1.0 / self._payload_sigma**2
             mean[PAYLOAD] = 0.0
         if hypothesis is Hypothesis.NOTHING:
             active = np.concatenate([np.arange(p)[RATE], others])
-        use = np.logical_and.reduce(np.isfinite(self._ticks.measured[1:-1]), axis=1)
-        if use[:FIRST_TICKS].sum() < FIRST_TICKS // 2:
-            return None
-        problem = _Problem(mean, information, active)
-        with contextlib.suppress(ConvergenceError, SingularError):
-            found = self._from_guesses(problem, hypothesis, use) if start is None else start
-            fitted = None if found is None else self._settle(problem, found, use)
-            if fitted is None:
-                return None
-            glitches = 0
-            while glitches < _FEW * len(use):  # an outlier distorts the fit: remove them one at a time
-                squares = (self._residuals(problem, use, fitted.x)[0].reshape(-1, 6) ** 2).sum(axis=1)
-                worst = int(squares.argmax())
-                if squares[worst] < chdtri(6.0, _GLITCH):
-                    break
-                use[np.flatnonzero(use)[worst]] = False
-                glitches += 1
-                fitted = self._settle(problem, problem.state(fitted.x), use)
-            found = problem.state(fitted.x)
-            end = self._predict(len(self._ticks.time_s), found)
-            F = end.transition[:, active]
-            chance = float(chdtrc(6.0 * use.sum(), fitted.residual_sum))
-            return Solved(found, end.state, F @ fitted.covariance @ F.T, int(use.sum()), glitches, chance)
-        return None
+        return _Problem(mean, information, active)
 
-    def _from_guesses(self, problem: "_Problem", hypothesis: Hypothesis, use: NDArray[np.bool_]) -> FloatArray | None:
-        """Best fit over the initial guesses, stopping at a good one; starts on the first part of the window."""
-        found: Fit | None = None
-        for payload in self._guesses(hypothesis):
-            x = problem.mean.copy()
-            x[PAYLOAD] = payload
-            x[RATE] = first_rate(self._predictor, self._ticks, x)
-            with contextlib.suppress(ConvergenceError, SingularError):
-                tried = self._fit(problem, x, use, 1.0)
-                if found is None or tried.residual_sum < found.residual_sum:
-                    found = tried
-                if chdtrc(6.0 * use.sum(), tried.residual_sum) > _GOOD_FIT:
-                    break
-        return None if found is None else problem.state(found.x)
+    def _next_guess(self) -> None:
+        """Fit from the next guess, stopping at a good fit; settle on the best one."""
+        if self._best is not None and chdtrc(6.0 * self._use.sum(), self._best.residual_sum) > _GOOD_FIT:
+            self._guesses.clear()
+        if self._guesses:
+            x = self._problem.mean.copy()
+            x[PAYLOAD] = self._guesses.pop(0)
+            try:
+                x[RATE] = first_rate(self._predictor, self._ticks, x)
+            except np.linalg.LinAlgError:  # a prediction that is not finite
+                self._next_guess()
+            else:
+                self._descend(_Stage.GUESS, x, 1.0)
+        elif self._best is not None:
+            self._settle(self._problem.state(self._best.x))
+        else:
+            self._begin()
 
-    def _settle(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_]) -> Fit:
+    def _settle(self, start: FloatArray) -> None:
         """Iterate to the minimum; a nearly flat minimum is accepted early."""
-        with contextlib.suppress(ConvergenceError):
-            return self._fit(problem, start, use, 1e-2)
-        return self._fit(problem, start, use, 1.0)
+        self._from = start
+        self._descend(_Stage.SETTLE, start, 1e-2)
 
-    def _fit(self, problem: "_Problem", start: FloatArray, use: NDArray[np.bool_], tolerance: float) -> Fit:
-        active = problem.active
-        prior = problem.information[np.ix_(active, active)]
+    def _descend(self, stage: _Stage, start: FloatArray, tolerance: float) -> None:
+        self._stage, active = stage, self._problem.active
+        prior = self._problem.information[np.ix_(active, active)]
         noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
         self._sigma = np.hypot(self._ticks.sigma, noise)
-        residuals = partial(self._residuals, problem, use)
-        return fit(residuals, start[active], problem.mean[active], prior, _ITERATIONS, tolerance)
+        self._descent = Descent(start[active], self._problem.mean[active], prior, _ITERATIONS, tolerance)
 
-    def _residuals(self, problem: "_Problem", use: NDArray[np.bool_], x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _failed(self, *, nearly: bool) -> None:
+        """The iteration that was under way has no result; ``nearly``: it was still descending."""
+        if self._stage is _Stage.GUESS:
+            self._next_guess()
+        elif self._stage is _Stage.SETTLE and nearly:
+            self._descend(_Stage.SETTLE_ROUGHLY, self._from, 1.0)
+        else:
+            self._begin()
+
+    def _fitted(self, fitted: Fit) -> None:
+        """The iteration that was under way has this result."""
+        if self._stage is _Stage.GUESS:
+            if self._best is None or fitted.residual_sum < self._best.residual_sum:
+                self._best = fitted
+            self._next_guess()
+            return
+        self._fit = fitted
+
+    def _check(self, fitted: Fit) -> None:
+        """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
+        self._fit = None
+        if self._glitches < _FEW * len(self._use):
+            squares = (self._residuals(fitted.x)[0].reshape(-1, 6) ** 2).sum(axis=1)
+            worst = int(squares.argmax())
+            if squares[worst] >= chdtri(6.0, _GLITCH):
+                self._use[np.flatnonzero(self._use)[worst]] = False
+                self._glitches += 1
+                self._settle(self._problem.state(fitted.x))
+                return
+        self._solved(fitted)
+
+    def _solved(self, fitted: Fit) -> None:
+        """A result under the hypothesis: the solution if that explains the window."""
+        chance = float(chdtrc(6.0 * self._use.sum(), fitted.residual_sum))
+        if not chance > _EXPLAINED:
+            self._begin()
+            return
+        start = self._problem.state(fitted.x)
+        end = self._predict(len(self._ticks.time_s), start)
+        F = end.transition[:, self._problem.active]
+        used, glitches, covariance = int(self._use.sum()), self._glitches, F @ fitted.covariance @ F.T
+        self.found = Solved(self._hypothesis, start, end.state, covariance, used, glitches)
+        self.over, self._descent = True, None
+
+    # ------------------------------------------------------------------ predictions
+
+    def _residuals(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whitened, predicted less measured, of the ticks to use, and their derivatives by what is active."""
-        n = len(use)
-        predicted = self._predict(n + 2, problem.state(x))
+        n = len(self._use)
+        predicted = self._predict(n + 2, self._problem.state(x))
         sigma = self._sigma[1 : n + 1]
-        measured, jacobian = self._ticks.measured[1 : n + 1], predicted.jacobian[:, :, problem.active]
-        return whitened(predicted.values, jacobian, measured, sigma, use)
+        measured, jacobian = self._ticks.measured[1 : n + 1], predicted.jacobian[:, :, self._problem.active]
+        return whitened(predicted.values, jacobian, measured, sigma, self._use)
 
     def _predict(self, ticks: int, state: FloatArray) -> Prediction:
         """Of the first ticks."""
         first = self._ticks.part(slice(0, ticks))
         return self._predictor.predict(first.q, first.dq, first.ddq, state)
 
-    def _guesses(self, hypothesis: Hypothesis) -> Iterator[FloatArray]:
-        if hypothesis is not Hypothesis.NEW:
-            yield self._mean[PAYLOAD] if hypothesis is Hypothesis.SAME else np.zeros(10)
+    def _guessed(self) -> Iterator[FloatArray]:
+        """Standard parameters of the payload, (10,) each."""
+        if self._hypothesis is not Hypothesis.NEW:
+            yield self._prior[0][PAYLOAD] if self._hypothesis is Hypothesis.SAME else np.zeros(10)
             return
         vehicle, signals = self._predictor.vehicle, self._ticks.flight(self._predictor.period_s, 1)
         rough = partial(rough_payload, vehicle, self._imu_frame, signals, ROUGH_WIDTH_s, self._payload_sigma)

@@ -119,6 +119,9 @@ class Hypotheses:
             self._judged = self.rows_used
         return found
 
+    def finish(self) -> None:
+        """Nothing is left to be done: each update processes its rows."""
+
     def estimate(self, level: float = 0.95) -> Estimate:
         """Of the selected identifier."""
         return self.chosen.estimate(level)

@@ -203,6 +203,9 @@ class Identifier:
                 self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found
 
+    def finish(self) -> None:
+        """Nothing is left to be done: each update processes its rows."""
+
     def _batch(self, signals: Signals, attached: BoolArray, found: ReasonArray, part: slice) -> None:
         reasons = found[part]
         ticks = np.flatnonzero((reasons == 0).any(axis=1))

@@ -13,12 +13,13 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.flight.state import Places, from_bytes, to_bytes
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, GeometryPrior, JointPrior
-from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm
+from onboard.identification.exiddm.recursive import BATCH_TICKS, WORK, RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.quantities import Findings
 from tests.dynamics.free_flyer_twin import BOX, URDF, twin
@@ -115,12 +116,14 @@ def test_how_the_ticks_arrive_does_not_matter_to_a_bit(held):
     ticks = ticks_of(held)
     whole = online(held)
     whole.update(ticks)
+    whole.finish()
     crumbs = online(held)
     first = 0
     for size in [1, 7, 13, 1, 250] * 10:
         crumbs.update(ticks.part(slice(first, first + size)))
         first += size
     assert first > len(ticks.time_s)
+    crumbs.finish()
     assert same_bits(whole, crumbs)
 
 
@@ -370,10 +373,64 @@ def test_nothing_is_said_before_the_first_window_and_of_axes_that_are_swapped(he
     recursive.update(ticks.part(slice(0, 99)))
     assert recursive.estimate() is None
     recursive.update(ticks.part(slice(99, 100)))
+    assert recursive.estimate() is None  # one tick pays for one prediction of the window
+    recursive.finish()
     assert recursive.estimate() is not None
     wrong = online(held)
     wrong.update(ticks._replace(measured=ticks.measured[:, [1, 0, 2, 3, 4, 5]]))
     assert wrong.estimate() is None
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_call_does_a_bounded_piece_of_a_window_and_can_be_checkpointed_in_between(held, swapped, monkeypatch):
+    predicted, predict = [], ImuPredictor.predict
+
+    def counted(self, q, *rest):
+        predicted.append(len(q))
+        return predict(self, q, *rest)
+
+    monkeypatch.setattr(ImuPredictor, "predict", counted)
+    ticks = ticks_of(held).part(slice(0, 210))
+    if swapped:  # no hypothesis explains it, so every guess is tried to its end
+        ticks = ticks._replace(measured=ticks.measured[:, [1, 0, 2, 3, 4, 5]])
+    whole, pieces = online(held), online(held)
+    whole.update(ticks)
+    places, most, solving = Places(pieces), 0, 0
+    for first in range(0, 210, 10):
+        predicted.clear()
+        pieces.update(ticks.part(slice(first, first + 10)))
+        most, solving = max(most, sum(predicted)), solving + pieces.solving
+        if pieces.solving:
+            pieces = from_bytes(to_bytes(pieces, places), places)
+    assert solving >= (8 if swapped else 1)
+    assert most <= 10 * WORK + 3 * 200
+    whole.finish()
+    pieces.finish()
+    assert not pieces.solving
+    assert pieces.unexplained == whole.unexplained
+    assert (pieces.state is None) == swapped
+    assert swapped or same_bits(whole, pieces)
+
+
+def test_a_window_of_nonsense_is_not_explained(held):
+    ticks = ticks_of(held).part(slice(0, 110))
+    recursive = online(held)
+    recursive.update(ticks._replace(dq=1e160 * ticks.dq))
+    recursive.finish()
+    assert recursive.state is None
+    assert not recursive.solving
+
+
+def test_a_release_that_is_announced_while_a_window_is_solved_comes_after_it(held):
+    ticks = ticks_of(held)
+    recursive = online(held)
+    recursive.update(ticks.part(slice(0, 99)))
+    recursive.update(ticks.part(slice(99, 100)))
+    recursive.told(False, 1.0)
+    assert recursive.changes == []
+    recursive.finish()
+    assert [change.kind for change in recursive.changes] == ["ejection"]
+    assert recursive.held is None
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5])
