@@ -96,8 +96,9 @@ def longer(vehicle: str, seconds: float, place: Path) -> Path:
     """A scenario file that makes the mission of ``vehicle`` last so long: its longest motion does."""
     path = Path(hil_sim.scenario.__file__).parent / "packaged" / f"{vehicle}.toml"
     sequence = tomllib.loads(path.read_text(encoding="utf-8"))["sequence"]
-    longest = max(sequence, key=lambda step: float(step["duration_s"]))
-    longest["duration_s"] = max(10.0, seconds - sum(step["duration_s"] for step in sequence if step is not longest))
+    longest = max(sequence, key=lambda step: float(step.get("duration_s", 0.0)))
+    others_s = sum(step.get("duration_s", 0.0) for step in sequence if step is not longest)
+    longest["duration_s"] = max(10.0, seconds - others_s)
     over = place / "longer.toml"
     over.write_text(tomli_w.dumps({"sequence": sequence}), encoding="utf-8")
     return over

@@ -1,6 +1,6 @@
 """Time from SIGKILL of a worker to its being at work again, in a flight of simulated devices, with and without load.
 
-    python -m bench.restarts [--vehicle rocksat] [--kills 5] [--load 10] [--nice -10]
+    python -m bench.restarts [--vehicle dymaflex] [--kills 5] [--load 10] [--nice -10]
 
 For recording and estimation it is the time to their first beat; for acquisition the longest hole between two IMU
 rows as well. ``--load N`` runs N processes that only compute beside it; ``--nice`` is the flight's nice level (the
@@ -43,7 +43,7 @@ def fly(vehicle: str, place: Path, nice: int, kills: int, load: int) -> tuple[Pa
 def main() -> None:
     """Print a line for each worker."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--vehicle", default="rocksat")
+    parser.add_argument("--vehicle", default="dymaflex")
     parser.add_argument("--kills", type=int, default=5)
     parser.add_argument("--load", type=int, default=0)
     parser.add_argument("--nice", type=int, default=0)

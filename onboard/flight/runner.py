@@ -26,10 +26,11 @@ from onboard.flight.health import CHANNELS, HealthMonitor, WorkerState, rates_hz
 from onboard.flight.publisher import Publisher
 from onboard.flight.runner_forks import ForkError, ForkServer, PreparedServer
 from onboard.flight.runner_notify import Notifier
-from onboard.flight.runner_processes import HUNG_S, WATCH_PERIOD_S, FlightError, Worker
+from onboard.flight.runner_processes import HUNG_S, FlightError, Worker
 from onboard.recording.segments import segment_path
 from onboard.ring import RingReader
 
+_LOOK_S = 0.1  # between two looks at a flight in which nobody says anything
 _LAST_WORDS_S = 0.7  # that the ending phase must last: shorter is a glitch, and an answer may be on its way
 
 
@@ -182,7 +183,7 @@ class _Crew:
 
     def wait(self) -> None:
         """Until one of them has said something or died, but not long."""
-        connection.wait([one.pipe for one in self.everyone if one.pipe is not None], WATCH_PERIOD_S)
+        connection.wait([one.pipe for one in self.everyone if one.pipe is not None], _LOOK_S)
 
 
 def _fly(
