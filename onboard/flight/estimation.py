@@ -6,7 +6,7 @@ that is impossible (rows no longer in the rings, or the same rows have killed tw
 data continues after the last consumed row; its first TICK is marked ``fresh``, and an event gives the reason.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from onboard.ring import RingReader, RingWriter
 SUFFIX = "_estimation"
 CHECKPOINT_TICKS = 20
 CHECKPOINT_NS = 2_000_000_000  # where a step takes longer than it should
+CHECKPOINT_CPU_NS = 60_000_000  # of steps, which a restart would have to do again; a checkpoint costs 6 ms
 LONGEST_STEP_NS = 500_000_000  # of the devices' rows; a step of many seconds holds up the next
 
 
@@ -197,11 +198,18 @@ class DurableEstimation:
         directory: the flight's rings.
         now_ns: time of the call.
         built: an estimator that has not made a step, and its places, where they have been made before.
+        cpu_ns: CPU time of this process.
     """
 
     def __init__(
-        self, vehicle: config.Vehicle, directory: Path, now_ns: int, built: tuple[Estimator, Places] | None = None
+        self,
+        vehicle: config.Vehicle,
+        directory: Path,
+        now_ns: int,
+        built: tuple[Estimator, Places] | None = None,
+        cpu_ns: Callable[[], int] = lambda: 0,
     ) -> None:
+        self._cpu_ns, self._saved_cpu_ns = cpu_ns, cpu_ns()
         estimator, places = built or _build(vehicle)
         self._directory, self._checkpoints = directory, Checkpoints(directory, places)
         self._rings = create_rings(directory, estimator)
@@ -218,8 +226,13 @@ class DurableEstimation:
     def step(self, now_ns: int) -> None:
         """See :meth:`EstimationWorker.step`."""
         self._worker.step(now_ns)
-        if self._worker.ticks % CHECKPOINT_TICKS == 0 or now_ns - self._saved_ns > CHECKPOINT_NS:
+        due = self._worker.ticks % CHECKPOINT_TICKS == 0 or now_ns - self._saved_ns > CHECKPOINT_NS
+        if due or self._costly():
             self._save(now_ns)
+
+    def _costly(self) -> bool:
+        """Whether the steps since the last checkpoint have cost so much that it is time for another."""
+        return self._cpu_ns() - self._saved_cpu_ns > CHECKPOINT_CPU_NS
 
     def finish(self, now_ns: int) -> None:
         """See :meth:`EstimationWorker.finish`."""
@@ -229,11 +242,15 @@ class DurableEstimation:
         self._saved_ns = now_ns
         events = self._rings["event" + SUFFIX].published
         positions = {name: reader.position for name, reader in self._inputs.items()}
+        self._put(now_ns, Checkpoint(self._worker.ticks, events, positions, self._worker.estimator))
+
+    def _put(self, now_ns: int, checkpoint: Checkpoint) -> None:
         try:
-            self._checkpoints.save(Checkpoint(self._worker.ticks, events, positions, self._worker.estimator))
+            self._checkpoints.save(checkpoint)
         except (OSError, StateError) as error:
             text = f"no checkpoint of the estimator: {error}"
             self._publisher.publish([event(now_ns, Severity.WARNING, "no_checkpoint", "estimation", text)])
+        self._saved_cpu_ns = self._cpu_ns()
 
     def _take_over(self, vehicle: config.Vehicle, ticks: Rows, now_ns: int) -> tuple[EstimationWorker, bool]:
         """A worker after the last of ``ticks``, and whether it knows what the dead one knew."""
@@ -245,7 +262,7 @@ class DurableEstimation:
             why = f"its checkpoint cannot be used ({error})"
         brought_back = False
         if checkpoint is not None:
-            why = self._redo(checkpoint, ticks)
+            why = self._redo(checkpoint, ticks, now_ns)
             brought_back = not why
         for column, (name, reader) in enumerate(self._inputs.items()):
             consumed = ticks[ticks["consumed"][:, column] > 0]
@@ -265,8 +282,12 @@ class DurableEstimation:
         worker = EstimationWorker(estimator, self._inputs, self._publisher, done, fresh=True, reached_ns=reached_ns)
         return worker, False
 
-    def _redo(self, checkpoint: Checkpoint, ticks: Rows) -> str:
-        """Do the steps after ``checkpoint`` again; why that cannot be done, empty where it was."""
+    def _redo(self, checkpoint: Checkpoint, ticks: Rows, now_ns: int) -> str:
+        """Do the steps after ``checkpoint`` again; why that cannot be done, empty where it was.
+
+        Where they are costly it leaves checkpoints on the way, so that a process that is killed meanwhile has not
+        worked in vain. They name the events and positions of the first one: lower bounds are enough.
+        """
         if ticks["sequence"][0] > checkpoint.ticks:
             return f"steps from {checkpoint.ticks} to {ticks['sequence'][0]} are no longer in the rings"
         held = {name: ring.read()[0] for name, ring in self._inputs.items()}
@@ -285,6 +306,8 @@ class DurableEstimation:
                 int(tick["host_ns"]), batches, 0 if tick["final"] else None, int(tick["skipped_ns"])
             )
             self._publisher.publish(self._unsaid(batch, said) for batch in again)
+            if self._costly():
+                self._put(now_ns, checkpoint._replace(ticks=int(tick["sequence"]) + 1))
         return ""
 
     def _unsaid(self, batch: Batch, said: Rows) -> Batch:

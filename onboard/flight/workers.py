@@ -236,7 +236,8 @@ def estimate(
 
     supervised = Supervised(pipe, "estimate")
     with directories.belong(directory):
-        worker = DurableEstimation(vehicle, directory, time.monotonic_ns(), (estimator, places))
+        built = estimator, places
+        worker = DurableEstimation(vehicle, directory, time.monotonic_ns(), built, time.process_time_ns)
         realtime.apply(realtime.settings(vehicle.file.realtime, "estimation"))
         supervised.ready()
         pace = _Pace(int(vehicle.file.estimation.step_ms * 1e6))

@@ -1,8 +1,10 @@
 """Workers that take over from one that died: the estimator to the bit, acquisition with its numbers."""
 
+import contextlib
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from drivers import records
 from drivers.records import Batch, Rows, SampleStatus, event, gap
 from onboard import config
 from onboard.flight import estimation, rings
-from onboard.flight.estimation import DurableEstimation
+from onboard.flight.estimation import CHECKPOINT_CPU_NS, CHECKPOINT_TICKS, DurableEstimation
+from onboard.flight.estimator import Estimator
 from onboard.flight.publisher import Publisher
 from onboard.offline.estimate_again.replay import replay
 from onboard.recording.reader import LogReader
@@ -128,6 +131,36 @@ def test_an_estimator_killed_at_random_is_replayed_to_the_bit(
     assert len(log.read("row")) > 300
     replayed = replay(tmp_path / "log.mcap")
     assert replayed.identical, replayed.summary
+
+
+def test_an_estimator_killed_again_while_it_repeats_steps_goes_on_from_where_it_was(
+    mission: Result, vehicle: config.Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = tmp_path / "rings"
+    stretch = Stretch(mission.log, vehicle, directory)
+    now_ns = stretch.start_ns
+    worker = DurableEstimation(vehicle, directory, now_ns)
+    for _ in range(CHECKPOINT_TICKS - 1):  # the only checkpoint is that of the start
+        now_ns += STEP_NS
+        stretch.feed(now_ns)
+        worker.step(now_ns)
+    process, repeated = Estimator.process, [0]
+
+    def mortal(self: Estimator, *given: Any) -> list[Batch]:
+        if repeated[-1] == 5:
+            raise KilledError
+        repeated[-1] += 1
+        return process(self, *given)
+
+    monkeypatch.setattr(Estimator, "process", mortal)
+    cost_ns = itertools.count(0, CHECKPOINT_CPU_NS + 1)  # each look at the clock is a costly step later
+    while repeated[-1] in (0, 5) and len(repeated) < 10:
+        repeated.append(0)
+        with contextlib.suppress(KilledError):
+            DurableEstimation(vehicle, directory, now_ns, cpu_ns=lambda: next(cost_ns))
+    assert repeated[1:] == [5, 5, 5, 4]
+    assert not pushed(directory, "tick")["fresh"].any()
+    assert b"estimator_anew" not in pushed(directory, "event_estimation")["code"].tolist()
 
 
 def pushed(directory: Path, name: str) -> Rows:
