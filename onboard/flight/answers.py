@@ -103,6 +103,7 @@ _HYPOTHESES = {
     "left_out": "{} contradicts the other instruments: estimates without it",
     "taken_back": "{} no longer contradicts the other instruments: estimates with it",
     "release_contradicted": "a reported release of the payload is rejected: {}",
+    "capture_contradicted": "a reported capture of the payload is rejected: {}",
 }
 
 
@@ -114,6 +115,7 @@ _CHANGES = {
 
 
 PAYLOAD_CHANGES = ("change", "capture", "ejection", "contact", "instrument")
+_REJECTED = ("release_contradicted", "capture_contradicted")
 _AGO = re.compile(r"(-?\d+\.\d\d) s ago")
 
 
@@ -133,7 +135,9 @@ def change_of(row: np.void) -> Change | None:
     """The change that an EVENT of :func:`change_event` tells, to the 10 ms of its text; None for any other event."""
     kind, text = row["code"].decode("ascii", "replace"), row["text"].decode("utf-8", "replace")
     ago_s = [float(number) for number in _AGO.findall(text)]
-    if row["source"] != b"estimation" or kind not in PAYLOAD_CHANGES or not ago_s:
+    if kind in _REJECTED:
+        ago_s = [0.0]
+    if row["source"] != b"estimation" or kind not in (*PAYLOAD_CHANGES, *_REJECTED) or not ago_s:
         return None
     at_s, since_s = (1e-9 * float(row["host_ns"]) - ago for ago in (ago_s[0], ago_s[-1]))
     return Change(kind, at_s, since_s, np.nan)

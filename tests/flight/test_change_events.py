@@ -21,8 +21,15 @@ def test_a_change_is_read_from_its_event(kind: str, since_s: float, score: float
     )
 
 
+@pytest.mark.parametrize("kind", ["release_contradicted", "capture_contradicted"])
+def test_a_rejected_announcement_is_read_at_the_time_of_its_event(kind: str) -> None:
+    found = change_of(change_event(10**9, Change(kind, 0.9, 0.9, np.nan, "x")).rows[0])
+    assert found is not None
+    assert (found.kind, found.time_s, found.since_s) == (kind, 1.0, 1.0)
+
+
 def test_other_events_are_no_changes() -> None:
-    told = change_event(10**9, Change("release_contradicted", 0.5, 0.5, np.nan, "x"))
+    told = change_event(10**9, Change("left_out", 0.5, 0.5, np.nan, "x"))
     others = [told, event(10**9, Severity.INFO, "phase", "estimation", "phase 1, 0.50 s ago")]
     others += [event(10**9, Severity.INFO, "capture", "arm", "capture 0.50 s ago")]
     others += [event(10**9, Severity.INFO, "capture", "estimation", "capture")]

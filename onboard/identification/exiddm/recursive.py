@@ -24,6 +24,7 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
+from onboard.identification.exiddm.claims import KINDS, Claim
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
 from onboard.identification.exiddm.innovation import Innovation, innovation_of
 from onboard.identification.exiddm.lines import InnovationLines
@@ -41,15 +42,6 @@ _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter ste
 WORK = 80  # ticks predicted (50 us each) per tick taken in
 _STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
 _SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
-
-
-_KINDS = {  # of a change, by what was held before and what explains the window after it
-    (True, Hypothesis.NOTHING): "ejection",
-    (True, Hypothesis.SAME): "contact",
-    (True, Hypothesis.NEW): "instrument",
-    (False, Hypothesis.NOTHING): "contact",
-    (False, Hypothesis.NEW): "capture",
-}
 
 
 _IMMODERATE = 1e12  # of a prediction in SI units: the joints' signals are nonsense, and its squares may overflow
@@ -100,6 +92,7 @@ class RecursiveExiddm:
         self.held: bool | None = held
         self._before: bool | None = held
         self._suspected: Change | None = None  # not yet classified
+        self._claim = Claim()
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
         self._due = 0  # ticks that may be predicted in this call; negative after an excess
         self._solve: WindowSolve | None = None  # under way
@@ -137,7 +130,10 @@ class RecursiveExiddm:
         self._work(bounded=True)
 
     def told(self, held: bool, time_s: float) -> None:
-        """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known."""
+        """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known.
+
+        It is a claim that the motion can contradict (:mod:`onboard.identification.exiddm.claims`).
+        """
         self._inbox.append((held, time_s))
         self._work(bounded=True)
 
@@ -170,7 +166,7 @@ class RecursiveExiddm:
         if held != self.held:
             self.exchanged, self._suspected = False, None
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
-            self._reopen((Hypothesis.NEW if held else Hypothesis.NOTHING,), 0)
+            self._reopen(self._claim.make(held, self.estimate() is not None), 0)
 
     def _take(self) -> None:
         """Take ticks from the inbox up to the next filter step or window, and do or begin it."""
@@ -263,6 +259,8 @@ class RecursiveExiddm:
         self.unexplained += self._solves > 0
         longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
         ticks = self._pending.part(slice(-self._window_ticks(), None))
+        if self._claim.held:
+            self._hypotheses = (Hypothesis.NEW,)
         self.state, self.held, self._start, self._solves = None, None, None, 0
         self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
         self._pending = ticks.part(slice(-self._window_ticks(), None))
@@ -270,8 +268,9 @@ class RecursiveExiddm:
     def _explained(self, solved: Solved) -> None:
         ticks, hypothesis = self._pending.part(slice(-self._window_ticks(), None)), solved.hypothesis
         if self._suspected is not None:
-            self.changes.append(self._suspected._replace(kind=_KINDS[bool(self._before), hypothesis]))
+            self.changes.append(self._suspected._replace(kind=KINDS[bool(self._before), hypothesis]))
             self._suspected = None
+        self.changes += self._claim.settle(hypothesis, float(ticks.time_s[-1]))
         if len(self._hypotheses) > 1:
             self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
         self.held = hypothesis is not Hypothesis.NOTHING
@@ -282,7 +281,11 @@ class RecursiveExiddm:
             self._pending = ticks  # without what was waited out
         elif hypothesis is Hypothesis.NEW and not self._determined():  # the arm is at rest
             self._start = None
-            self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
+            if self._claim.held:  # is anything held at all?
+                self._hypotheses = (Hypothesis.NOTHING,)
+                self._begin(self._window(ticks, self._hypotheses))
+            else:
+                self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
             self.glitches += solved.glitches
             self._hypotheses, self.unexplained = (), 0
@@ -365,6 +368,7 @@ class RecursiveExiddm:
     def _alarm(self, score: float, batches: int) -> None:
         now_s = float(self._pending.time_s[-1])
         since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s
+        self._claim.held = None
         self._before, self._suspected = bool(self.held), Change("change", now_s, since_s, score)
         self.changes.append(self._suspected)
         hypotheses = (

@@ -20,6 +20,7 @@ from scipy.special import chdtri
 
 from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
 from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, first_rate
@@ -33,7 +34,7 @@ _SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
 _CHANCE = 1e-5  # of a block's residual sum: what is exceeded more rarely counts
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _MOST_GLITCHES = 0.1  # share of the ticks that may be left out as outliers
-_ITERATIONS = 30
+_EVALUATIONS = 25  # predictions of the flight in a stage
 _ROUGH, _FINE = 10.0, 0.03  # decrease of the residual sum at which a stage ends
 
 
@@ -211,8 +212,13 @@ class WholeFlight:
         self._weigh(x)
         best = np.inf, tuple[Block, ...](), self._squares
 
+        evaluations = 0
+
         def evaluate(at: FloatArray) -> Normal:
-            nonlocal best
+            nonlocal best, evaluations
+            evaluations += 1
+            if evaluations > _EVALUATIONS:
+                raise ConvergenceError(f"not converged after {_EVALUATIONS} predictions of the flight")
             blocks = tuple(self.blocks(at, length_s))
             total = total_of(blocks, len(self.names))
             cost = total.squares + float(np.nansum((at / self.sigma) ** 2))
@@ -220,7 +226,7 @@ class WholeFlight:
                 best = cost, blocks, self._squares
             return total
 
-        found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _ITERATIONS, tolerance)
+        found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance)
         self._squares = best[2]
         return found, best[1]
 

@@ -196,6 +196,7 @@ class _Flight:
             before = held
             for at in range(first, last, BATCH_TICKS):
                 exiddm.update(self._ticks.part(slice(at, min(at + BATCH_TICKS, last))))
+        exiddm.finish()
         size = len(exiddm.predictor.names) - RATE.stop
         state = exiddm.state if exiddm.state is not None and exiddm.held else np.zeros(size + RATE.stop)
         known = state[RATE.stop] > 0.0

@@ -201,13 +201,17 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
     """
     unknown = -1
     which = np.full(len(ticks.time_s), unknown, np.int64)
-    number, begin_s = int(held), -np.inf
+    number, before, begin_s = int(held), int(held), -np.inf
     for count, change in enumerate([*changes, None], 2):
         end_s = np.inf if change is None else change.since_s
         which[(ticks.time_s > begin_s) & (ticks.time_s < end_s)] = number
         if change is not None:
             begin_s = change.time_s
-            number = {"capture": count, "ejection": 0, "instrument": unknown}.get(change.kind, number)
+            if change.kind == "capture_contradicted":
+                which[which == number] = unknown
+            told = {"capture": count, "ejection": 0, "instrument": unknown}
+            told |= {"capture_contradicted": 0, "release_contradicted": before}
+            before, number = number, told.get(change.kind, number)
     which[~np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)] = unknown
     joined = (np.diff(which) == 0) & (np.abs(np.diff(ticks.time_s) / period_s - 1.0) < 0.5)
     edges = [0, *(np.flatnonzero(~joined) + 1), len(which)]

@@ -240,6 +240,44 @@ def test_told_is_as_good_as_found(mission):
     assert len(recursive.changes) == 3
 
 
+def test_a_release_that_is_told_and_was_none_is_rejected(mission):
+    ticks, recursive = ticks_of(mission), online(mission, held=False)
+    held = [int(np.searchsorted(ticks.time_s, time_s)) for time_s in (CAPTURE_s + 0.02, 5.5, RELEASE_s - 0.1)]
+    recursive.update(ticks.part(slice(0, held[0])))
+    recursive.told(True, float(ticks.time_s[held[0]]))
+    recursive.update(ticks.part(slice(held[0], held[1])))
+    before = recursive.estimate()
+    recursive.told(False, float(ticks.time_s[held[1]]))
+    recursive.update(ticks.part(slice(held[1], held[2])))
+    assert [change.kind for change in recursive.changes] == ["capture", "ejection", "release_contradicted"]
+    assert recursive.estimate().body.mass_kg == pytest.approx(before.body.mass_kg, rel=0.02)
+    released = online(mission, held=False)
+    released.update(ticks.part(slice(0, held[0])))
+    released.told(True, float(ticks.time_s[held[0]]))
+    end = int(np.searchsorted(ticks.time_s, RELEASE_s + 0.02))
+    released.update(ticks.part(slice(held[0], end)))
+    released.told(False, float(ticks.time_s[end]))
+    released.update(ticks.part(slice(end, len(ticks.time_s))))
+    assert [change.kind for change in released.changes] == ["capture", "ejection"]
+    assert released.held is False
+
+
+def test_a_capture_that_is_told_and_was_none_is_rejected_when_the_payload_comes():
+    """Told six seconds before anything is held; at the capture it is no exchange of payloads."""
+    rng = np.random.default_rng(5)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(BOX, 6.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    free_flyer.fly_with_capture(flight, capture, 12.0)
+    signals = recorded(flight.history, rng)
+    ticks, recursive = ticks_of(signals), online(signals, held=False)
+    recursive.told(True, float(ticks.time_s[0]))
+    recursive.update(ticks)
+    assert [change.kind for change in recursive.changes] == ["capture", "capture_contradicted", "change", "capture"]
+    assert recursive.changes[1].time_s < 5.0
+    assert not recursive.exchanged
+    assert recursive.estimate().body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
+
+
 def test_ticks_without_an_imu_carry_the_momentum_on(held):
     ticks = ticks_of(held)
     ticks.measured[450:520] = np.nan

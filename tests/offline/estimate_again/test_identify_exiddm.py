@@ -160,6 +160,8 @@ def test_rows_need_rows(capsys: pytest.CaptureFixture[str]) -> None:
         (False, [Change("capture", 1.0, 0.9, 9.0), Change("capture", 4.0, 3.9, 9.0)], (4.01, 9.99)),
         (True, [Change("capture", 6.005, 6.005, np.nan)], (0.0, 6.0)),
         (False, [], None),
+        (False, [Change("capture", 1.0, 1.0, np.nan), Change("capture_contradicted", 5.0, 5.0, np.nan)], None),
+        (True, [Change("ejection", 6.0, 6.0, np.nan), Change("release_contradicted", 7.0, 7.0, np.nan)], (0.0, 5.99)),
     ],
 )
 def test_the_longest_time_with_one_payload(

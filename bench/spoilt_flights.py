@@ -1,0 +1,129 @@
+"""Spoilt copies of DYMAFLEX flights: is a verdict of ``heft identify`` ever good while the truth is far outside?
+
+Run ``python -m bench.spoilt_flights LOG ...`` with logs of ``heft hil dymaflex --log LOG`` beside which their truth is
+(LOG.truth.json). Each log is spoilt in one stream for the whole flight and identified, from its onboard answer.
+A copy is *wrong* where the truth of a quantity lies beyond its 99.9 % interval. Exit code 1: good and wrong.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from bench.spoilt_throws import WIDER
+from drivers.records import Rows
+from onboard import config
+from onboard.offline.estimate_again.identify import identify
+from onboard.recording.reader import LogReader
+from onboard.recording.writer import LogWriter
+
+Spoil = Callable[[str, Rows], None]
+_IMU = "imu_base"
+_ANSWERS = ("estimate", "event_estimation")
+
+
+def _scaled(channel: str, field: str, factor: float, axes: Sequence[int] | None, name: str, rows: Rows) -> None:
+    if name == channel:
+        values = rows[field] if axes is None else rows[field][:, list(axes)]
+        about = 1_000_000 if channel.startswith("joint") else 0  # reading at joint angle zero
+        made = np.rint(about + factor * (values.astype(np.float64) - about))
+        if axes is None:
+            rows[field] = made
+        else:
+            rows[field][:, list(axes)] = made
+
+
+def _permuted(field: str, order: list[int], name: str, rows: Rows) -> None:
+    if name == _IMU:
+        rows[field] = rows[field][:, order]
+
+
+def _late(channel: str, delay_s: float, name: str, rows: Rows) -> None:
+    """Readings of an instrument by its neighbours so much earlier, at unchanged stamps, within each batch."""
+    if name != channel:
+        return
+    field = "value_raw" if "value_raw" in (rows.dtype.names or ()) else "gyro_raw"
+    stamps = rows["host_ns"].astype(np.float64)
+    for one in (field, "accel_raw") if field == "gyro_raw" else (field,):
+        values = rows[one].astype(np.float64).reshape(len(rows), -1)
+        moved = [np.interp(stamps - 1e9 * delay_s, stamps, column) for column in values.T]
+        rows[one] = np.rint(np.stack(moved, axis=1)).reshape(rows[one].shape)
+
+
+def spoils() -> dict[str, Spoil]:
+    """Every way of spoiling, by name."""
+    made: dict[str, Spoil] = {"as flown": lambda name, rows: None}
+    for words, field in (("gyro", "gyro_raw"), ("accel", "accel_raw")):
+        for factor in (0.9, 0.97, 1.03, 1.1, -1.0):
+            made[f"{words} x {factor:g}"] = partial(_scaled, _IMU, field, factor, None)
+        made[f"{words} y sign"] = partial(_scaled, _IMU, field, -1.0, (1,))
+        made[f"{words} z x 1.1"] = partial(_scaled, _IMU, field, 1.1, (2,))
+        made[f"{words} xy swapped"] = partial(_permuted, field, [1, 0, 2])
+        made[f"{words} yz swapped"] = partial(_permuted, field, [0, 2, 1])
+    for joint in ("joint_2", "joint_4"):
+        made[f"{joint} 10 ms late"] = partial(_late, joint, 0.01)
+        made[f"{joint} x 1.03"] = partial(_scaled, joint, "value_raw", 1.03, None)
+        made[f"{joint} sign"] = partial(_scaled, joint, "value_raw", -1.0, None)
+    made["IMU 10 ms late"] = partial(_late, _IMU, 0.01)
+    return made
+
+
+def spoilt(log: LogReader, spoil: Spoil, out: Path, channels: Sequence[str]) -> Path:
+    """A copy of a log with a stream spoilt; batches of a channel are joined for delays."""
+    kept: dict[str, list[Rows]] = {}
+    for name, rows in log.batches(channels):
+        kept.setdefault(name, []).append(rows)
+    with LogWriter.create(out, durable=False, overwrite=True) as writer:
+        for name, parts in kept.items():
+            rows = np.concatenate(parts)
+            spoil(name, rows)
+            writer.register(name, rows.dtype)
+            for first in range(0, len(rows), 2000):
+                writer.write(name, rows[first : first + 2000])
+    return out
+
+
+def main() -> int:
+    """Print a line for each copy."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("--only", default="", help="ways whose name contains this")
+    parser.add_argument("--alone", action="store_true", help="without the onboard answer")
+    arguments = parser.parse_args()
+    vehicle = config.load(config.packaged("dymaflex"))
+    failed = 0
+    for path in arguments.logs:
+        log = LogReader(path)
+        truth = json.loads(Path(f"{path}.truth.json").read_text())["quantities"]
+        channels = [*vehicle.channels, *(() if arguments.alone else _ANSWERS)]
+        for name, spoil in spoils().items():
+            if arguments.only not in name:
+                continue
+            with tempfile.TemporaryDirectory() as directory:
+                copy = spoilt(log, spoil, Path(directory) / "copy.mcap", channels)
+                (found,) = identify(vehicle, [copy]).logs
+            off = {
+                one.name: (one.value - truth[one.name]) / (WIDER * (one.high - one.value))
+                for one in found.answers
+                if one.supported and one.name in truth
+            }
+            worst = max(off, key=lambda one: abs(off[one]), default="")
+            wrong = bool(off) and abs(off[worst]) > 1.0
+            failed += wrong and found.verdict.level == "good"
+            told = f"{worst} at {off[worst]:+.1f} of its 99.9 % interval" if off else "no answer"
+            said = f"{'WRONG ' if wrong else ''}{told}; {found.verdict.text[:170]}"
+            print(f"{path.name:14}{name:20}{found.verdict.level:11}{said}", flush=True)
+    print(f"good and wrong: {failed}")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,46 @@
+"""What a detected or announced change of the payload was, by the hypothesis that explains the window after it.
+
+An announcement is a claim that the motion can contradict: a release, if the payload held before explains the next
+window and nothing held does not; a capture, if nothing held explains the window and it determines no payload.
+"""
+
+from onboard.identification.change import Change
+from onboard.identification.exiddm.window import Hypothesis
+
+KINDS = {  # of a detected change, by what was held before and what explains the window after it
+    (True, Hypothesis.NOTHING): "ejection",
+    (True, Hypothesis.SAME): "contact",
+    (True, Hypothesis.NEW): "instrument",
+    (False, Hypothesis.NOTHING): "contact",
+    (False, Hypothesis.NEW): "capture",
+}
+
+
+class Claim:
+    """The last announcement, until it is settled.
+
+    Attributes:
+        held: what was announced; None if nothing waits to be settled.
+    """
+
+    def __init__(self) -> None:
+        self.held: bool | None = None
+
+    def make(self, held: bool, known: bool) -> tuple[Hypothesis, ...]:
+        """The hypotheses to be tried after an announcement; ``known``: there is an estimate of what was held."""
+        self.held = held
+        if held:
+            return (Hypothesis.NEW,)
+        return (Hypothesis.NOTHING, Hypothesis.SAME) if known else (Hypothesis.NOTHING,)
+
+    def settle(self, hypothesis: Hypothesis, now_s: float) -> list[Change]:
+        """What is to be said of the announcement when a hypothesis explains the window after it."""
+        if self.held is None or (self.held and hypothesis is Hypothesis.NEW):
+            return []  # a capture may still be not determined
+        rejected = []
+        if self.held:
+            rejected.append(Change("capture_contradicted", now_s, now_s, float("nan"), "nothing held moves alike"))
+        elif hypothesis is Hypothesis.SAME:
+            rejected.append(Change("release_contradicted", now_s, now_s, float("nan"), "the payload moves as before"))
+        self.held = None
+        return rejected
