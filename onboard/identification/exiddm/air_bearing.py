@@ -20,18 +20,25 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import possible_body
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.errors import ConvergenceError
+from onboard.estimation.maximum_likelihood import Fit, fit
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
-from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
+from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.parameters import Block
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.regressor.free_rows import measured_base
 
 _EARLY_s = 4.0  # first part of a run, used to compare initial guesses
 _PATIENT = 200  # iterations over all ticks: velocity and Coulomb drag form a curved valley
+_STEPS, _ROUGHLY, _FAIRLY, _CLOSELY = 100, 100.0, 1.0, 1e-2  # of a fit in stages: iterations, tolerances of the sum
+_STILL = 0.02  # rad or m: joints that go no farther show nothing
+_BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
+_DRAGS = (0.002, 0.01, 0.04)  # of their prior sigmas
 WORST_MISFIT = 1.3  # whitened residual sum by its degrees of freedom
 MOST_PUSHING = 3.5  # sigmas of a drag below zero
-MOST_UNCERTAIN = 0.1  # of the mass, one sigma
+MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is told and nothing can be
 
 
 class DragPrior(NamedTuple):
@@ -108,6 +115,66 @@ class AirBearingBase:
         return possible_body(mean, covariance)
 
 
+class TableExiddm(Exiddm):
+    """The ExIDDM of a run on the table.
+
+    Initial velocity, tilt and Coulomb drag have many minima between them, and a run that begins at rest shows nothing
+    of the payload in its first seconds. Where the fit of growing parts fails, all ticks are fitted with the drag held
+    at some values, at first with the payload held too, then with nothing held; the likeliest result is kept.
+    """
+
+    def fit(self) -> PayloadFit:
+        """See :meth:`Exiddm.fit`."""
+        try:
+            return super().fit()
+        except (ConvergenceError, SignalError):
+            if np.ptp(self._base.signals.q, axis=0).max(initial=0.0) < _STILL:
+                raise
+            return self._in_stages()
+
+    def _in_stages(self) -> PayloadFit:
+        payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")
+        body, best = None, None
+        for guess in _BODIES:
+            x = self.start(guess)
+            try:
+                body = self._held(self._held(x, np.concatenate([payload, drag]), _ROUGHLY).x, drag, _ROUGHLY).x
+            except ConvergenceError:
+                continue
+            if body[payload[0]] > 0.0:
+                break
+        if body is None:
+            raise ConvergenceError("no guess leads anywhere; check frames, signs and units of joints and IMU")
+        for share in _DRAGS:
+            x = body.copy()
+            x[drag] = share * self.layout.sigma[drag]
+            try:
+                tried = self._held(self._held(x, drag, _ROUGHLY).x, drag[:0], _FAIRLY)
+            except ConvergenceError:
+                continue
+            if best is None or tried.residual_sum < best.residual_sum:
+                best = tried
+        if best is None:
+            raise ConvergenceError("the motion determines neither payload nor drag; move more, or let go faster")
+        return self.found(self._held(best.x, drag[:0], _CLOSELY))
+
+    def _held(self, x: FloatArray, held: IndexArray, tolerance: float) -> Fit:
+        """Fit of all ticks with some unknowns kept as they are."""
+        free = np.setdiff1d(np.arange(x.size), held)
+        tried = x.copy()
+
+        def residuals(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+            tried[free] = z
+            r, J = self.residuals(tried)
+            return r, J[:, free]
+
+        prior = self.prior_information[np.ix_(free, free)]
+        done = fit(residuals, x[free], np.zeros(free.size), prior, _STEPS, tolerance)
+        whole = x.copy()
+        whole[free] = done.x
+        return done._replace(x=whole)
+
+
 def air_bearing_exiddm(
     vehicle: VehicleModel,
     imu_frame: str,
@@ -115,10 +182,10 @@ def air_bearing_exiddm(
     payload_sigma: FloatArray,
     link_covariance: Mapping[str, FloatArray],
     prior: AirBearingPrior,
-) -> Exiddm:
+) -> TableExiddm:
     """The ExIDDM of a run on the table; arguments and errors as :class:`AirBearingBase` and :class:`Exiddm` have."""
     base = AirBearingBase(vehicle, signals, prior)
-    return Exiddm(base, imu_frame, payload_sigma, link_covariance, prior.imu)
+    return TableExiddm(base, imu_frame, payload_sigma, link_covariance, prior.imu)
 
 
 def planar_rows(

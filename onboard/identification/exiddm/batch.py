@@ -182,7 +182,14 @@ class Exiddm:
         if found is None:
             raise ConvergenceError("no guess leads anywhere; check frames, signs and units of joints and IMU")
         found = self._fit(found.x, max(plan.early, n // 3), plan.rough)
-        found = self._fit(found.x, n, plan.fine, plan.iterations)
+        return self.found(self._fit(found.x, n, plan.fine, plan.iterations))
+
+    def found(self, found: Fit) -> PayloadFit:
+        """The payload of a fit of all ticks.
+
+        Raises:
+            SignalError: a payload without a mass.
+        """
         known = int(np.count_nonzero(np.diag(self.prior_information)))
         freedom = 6 * int(self._valid.sum()) + known - found.x.size
         chi, covariance = found.x[self._payload], found.covariance[np.ix_(self._payload, self._payload)]

@@ -8,7 +8,6 @@ parameters of rows (``parameter``) among it (:mod:`onboard.offline.views.own_mis
 
 import tempfile
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +52,15 @@ def result(flown: Flown) -> Result:
     """Everything the table shows, as plain JSON values."""
     log = LogReader(flown.log)
     name = log.metadata["flight"]["vehicle"]
-    answers = last_answers(log)
     own = own_mission.is_own(flown.truth)
-    published = _own(log, name, answers, flown.truth) if own else _published(name)
+    if own:
+        with tempfile.TemporaryDirectory() as directory:
+            vehicle = vehicle_of(log, Path(directory))
+            answers = last_answers(log) if vehicle.file.planar is None else own_mission.after_the_run(vehicle, log)
+            compared = own_mission.compared(vehicle, answers, flown.truth)
+        published: Result = {"title": f"{name}: rehearsed", **compared}
+    else:
+        published, answers = _published(name), last_answers(log)
     masses, centres, inertias, parameters = (
         [_compared(shown | row, answers, flown.truth) for row in published.get(section, [])]
         for section, shown in _SHOWN.items()
@@ -83,13 +88,6 @@ def result(flown: Flown) -> Result:
 def _published(name: str) -> Result:
     """What is compared of a packaged vehicle."""
     return tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
-
-
-def _own(log: LogReader, name: str, answers: Mapping[str, Any], truth: Result) -> Result:
-    """What is compared of any other vehicle."""
-    with tempfile.TemporaryDirectory() as directory:
-        vehicle = vehicle_of(log, Path(directory))
-        return {"title": f"{name}: rehearsed", **own_mission.compared(vehicle, answers, truth)}
 
 
 def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: dict[str, Any]) -> dict[str, Any]:

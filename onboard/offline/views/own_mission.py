@@ -15,8 +15,12 @@ from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.identification import build_identifier
+from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.verdict import Level
+from onboard.offline.estimate_again.planar_log import identify_planar
 from onboard.offline.tables.truth import Truth
+from onboard.recording.reader import LogReader
 from onboard.regressor.friction import COLUMNS
 
 Row = dict[str, Any]
@@ -27,6 +31,7 @@ _KINDS = {  # units of base parameters, by the first part of their names
     **dict.fromkeys(("MX", "MY", "MZ"), "kg m"),
     **dict.fromkeys(("XX", "XY", "YY", "XZ", "YZ", "ZZ"), "kg m²"),
 }
+_UNDETERMINED = "weak: not determined by the data"
 _DIGITS = 5  # significant, of a truth
 
 
@@ -44,6 +49,8 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
         truth: of the world.
     """
     true = {**truth["quantities"]}
+    for frame, puck in truth["pucks"].items():
+        true |= {f"Fv_{frame}": puck["viscous_N_s_m"], f"Fc_{frame}": puck["coulomb_N"]}
     if vehicle.file.estimation.method != "exiddm":
         true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
     found: dict[str, list[Row]] = {section: [] for section in (*_SECTIONS.values(), "parameter")}
@@ -57,9 +64,34 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
         row = {"quantity": name, "label": name, "value": float(value), "shown_in": shown_in, "factor": factor}
         row["digits"] = _digits(factor * abs(float(value)))
         found[section].append(row)
-    if vehicle.file.estimation.method == "exiddm":  # their standard parameters say the same as their body
+    if (
+        vehicle.file.estimation.method == "exiddm" and vehicle.file.planar is None
+    ):  # their standard parameters say the same as their body
         found["parameter"] = []
     return found
+
+
+def after_the_run(vehicle: config.Vehicle, log: LogReader) -> dict[str, Row]:
+    """Answers of a vehicle that is estimated when its run on the table is over, as ``heft identify`` gives them.
+
+    Args:
+        vehicle: that flew.
+        log: of the run.
+    """
+    found = identify_planar(vehicle, log)
+    refused = "" if found.verdict.level is not Level.DO_NOT_USE else f"do not use: {'; '.join(found.verdict.reasons)}"
+    names = {f"{kind}_{vehicle.file.vehicle.payload_link}": unit for kind, unit in zip(BODY, BODY_UNITS, strict=True)}
+    rows: dict[str, Row] = {name: _answer(unit, refused or _UNDETERMINED) for name, unit in names.items()}
+    for one in found.answers:
+        told = one.supported and not refused
+        standing = one.standing.text if told else refused or _UNDETERMINED
+        rows[one.name] = _answer(one.unit, standing, told=told)
+        rows[one.name] |= {"value": one.value, "low": one.low, "high": one.high, "sigma": one.sigma}
+    return rows
+
+
+def _answer(unit: str, standing: str, *, told: bool = False) -> Row:
+    return {"unit": unit, "supported": told, "standing": standing, "leans": "", "drawn": 0.0}
 
 
 def _digits(size: float) -> int:

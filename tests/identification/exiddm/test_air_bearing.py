@@ -18,7 +18,14 @@ from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
+from onboard.identification.exiddm.air_bearing import (
+    AirBearingPrior,
+    DragPrior,
+    TableExiddm,
+    air_bearing_exiddm,
+    drag_of,
+)
+from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 
@@ -228,3 +235,29 @@ def test_what_cannot_be_used_is_named(run):
     gone[: len(gone) // 2 + 1] = np.nan
     with pytest.raises(SignalError, match="no IMU"):
         air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, PRIOR)
+
+
+def test_where_the_fit_of_growing_parts_fails_all_ticks_are_fitted_in_stages(run, monkeypatch):
+    def fails(_):
+        raise ConvergenceError("not converged")
+
+    monkeypatch.setattr(Exiddm, "fit", fails)
+    monkeypatch.setattr(TableExiddm, "_in_stages", lambda _: "in stages")
+    signals = exact(run)
+    assert air_bearing_exiddm(run.vehicle, "imu_base", signals, WIDE, {}, PRIOR).fit() == "in stages"
+    still = signals._replace(q=np.tile(signals.q[:1], (len(signals.q), 1)))
+    with pytest.raises(ConvergenceError, match="not converged"):
+        air_bearing_exiddm(run.vehicle, "imu_base", still, WIDE, {}, PRIOR).fit()
+
+
+def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
+    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    x = exiddm.start(PAYLOAD)
+    drag = exiddm.layout.estimated("drag")
+    held = np.setdiff1d(np.arange(x.size), exiddm.layout.estimated("tilt"))
+    for puck, value in zip(range(len(PUCKS)), DRAGS, strict=True):
+        x[drag[2 * puck : 2 * puck + 2]] = value.viscous_N_s_m, value.coulomb_N
+    x[:3] = [0.02, -0.01, 0.05]
+    done = exiddm._held(x, held, 1e-3)
+    np.testing.assert_array_equal(done.x[held], x[held])
+    np.testing.assert_allclose(done.x[exiddm.layout.estimated("tilt")], TILT, atol=2e-4)

@@ -1,0 +1,34 @@
+"""Answers of a run on the table, in the result table of a rehearsal."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from onboard.identification.verdict import Level, Verdict
+from onboard.offline.estimate_again.identified import Answer
+from onboard.offline.views import own_mission
+
+VEHICLE = SimpleNamespace(file=SimpleNamespace(vehicle=SimpleNamespace(payload_link="box")))
+FOUND = (
+    Answer("m_box", "kg", 1.4, 0.1, 1.2, 1.6, True),
+    Answer("I_zz_box", "kg m^2", 0.002, 0.008, -0.014, 0.018, True),
+    Answer("Fc_puck_1", "N", 0.01, 0.001, 0.008, 0.012, True),
+    Answer("c_z_box", "m", 0.0, 20.0, -40.0, 40.0, False),
+)
+
+
+@pytest.mark.parametrize("reasons", [(), ("the fit failed: not converged",)])
+def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
+    verdict = Verdict(Level.DO_NOT_USE if reasons else Level.WEAK, reasons, ())
+    found = SimpleNamespace(verdict=verdict, answers=() if reasons else FOUND)
+    monkeypatch.setattr(own_mission, "identify_planar", lambda *_: found)
+    rows = own_mission.after_the_run(VEHICLE, None)
+    assert len(rows) == (10 if reasons else 11)
+    if reasons:
+        assert not any(row["supported"] for row in rows.values())
+        assert {row["standing"] for row in rows.values()} == {f"do not use: {reasons[0]}"}
+        return
+    assert {name for name, row in rows.items() if row["supported"]} == {"m_box", "I_zz_box", "Fc_puck_1"}
+    assert rows["m_box"]["standing"] == "good"
+    assert rows["I_zz_box"]["standing"] == "weak: its interval contains zero"
+    assert rows["c_z_box"]["standing"] == rows["I_xx_box"]["standing"] == "weak: not determined by the data"
