@@ -21,6 +21,7 @@ def add(commands: Commands) -> None:
     fly = commands.add_parser("fly", help="fly a vehicle: acquire, record, estimate")
     fly.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
     fly.add_argument("--log", type=Path, help="log to write (default: flights/NAME-NNN.mcap)")
+    fly.add_argument("--new", action="store_true", help="a new flight, also where one that lost its power could go on")
     fly.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
     fly.add_argument(
         "--continue",
@@ -43,20 +44,24 @@ def _fly(arguments: argparse.Namespace) -> int:
     from onboard.flight.runner_processes import FlightError
 
     urls = dict(bus_and_url(text) for text in arguments.url)
-    vehicle = load_vehicle(arguments.vehicle)
+    vehicle, plan = load_vehicle(arguments.vehicle), None
+    log = arguments.log
+    if log is None:
+        new_log = next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
+        plan = runner.plan_of(vehicle, new_log, fresh=arguments.new)
+        vehicle, log = plan.vehicle, plan.log
     if arguments.earlier:
         from onboard.offline.estimate_again import warm_start
         from onboard.recording.reader import LogReader
 
         vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))
     vehicle = vehicle.with_urls(urls)
-    log = arguments.log or next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
     try:
         with (
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
             serve_live(arguments.live, log),
         ):
-            flight = runner.fly(vehicle, log, duration_s=arguments.duration, status_s=status_s)
+            flight = runner.fly(vehicle, log, duration_s=arguments.duration, status_s=status_s, plan=plan)
     except FlightError as error:
         complain(error)
         return FAILED

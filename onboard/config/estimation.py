@@ -7,6 +7,16 @@ from pydantic import AliasChoices, Field, model_validator
 from onboard.section import NotNegative, Positive, Section
 
 
+class Resumed(Section):
+    """How far the mission had come when the power was lost; written by a start that goes on with a flight."""
+
+    log: str
+    phase: int
+    begun: bool
+    taken: bool
+    gone: bool
+
+
 class Phases(Section):
     """Phases of the mission for identification, from a phase channel.
 
@@ -19,6 +29,7 @@ class Phases(Section):
     payload_gone: int | None = None
     end: int | None = None
     settle_ms: Annotated[float, Field(ge=0, le=60_000)] = 300
+    resumed: Resumed | None = None
 
 
 class Gates(Section):

@@ -19,6 +19,7 @@ from onboard.config.estimation import (
     MotorKeys,
     Phases,
     Prior,
+    Resumed,
     Zero,
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
@@ -78,6 +79,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "a flight computer flies again and again without anybody who makes room",
         ),
         "reserve_mib": _M("Kept back for events and gaps when the disk is full."),
+        "resume_s": _M("A start goes on with a flight that lost its power no longer ago; 0: never."),
     },
     Realtime: {
         "acquisition_priority": _M(
@@ -161,7 +163,15 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "payload_taken": _M("The payload is held from this phase on; from the start where not given."),
         "payload_gone": _M("From this phase on it is no longer held."),
         "end": _M("The flight is over: heft fly stops."),
+        "resumed": _M("Table: how far the mission had come when the power was lost; heft fly writes it."),
         "settle_ms": _M("Rows this close to a change of phase are not used.", "the arm rings for longer"),
+    },
+    Resumed: {
+        "log": _M("Log of the part before."),
+        "phase": _M("Phase that the mission was in."),
+        "begun": _M("Whether there had been a phase for identification."),
+        "taken": _M("Whether the payload had been taken."),
+        "gone": _M("Whether it had been released."),
     },
     Gates: {
         "joint_limits_deg": _M(

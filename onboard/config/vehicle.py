@@ -65,7 +65,7 @@ class Recording(Section):
     ``sync_period_ms``: longest time until recorded data are on the medium. ``segment_s``, ``segment_mib``: a log
         continues in a new file after this time or size. ``min_free_mib``: while less is free, the oldest segments of
         earlier flights are removed; 0 keeps them all. ``reserve_mib``: reserved for events and gaps when the disk is
-        full.
+        full. ``resume_s``: a start goes on with a flight that lost its power no longer ago than this; 0 never does.
     """
 
     directory: str = "flights"
@@ -74,6 +74,7 @@ class Recording(Section):
     segment_mib: Annotated[float, Field(ge=0.1, le=1e6)] = 64
     min_free_mib: Annotated[float, Field(ge=0, le=1e9)] = 0
     reserve_mib: Annotated[float, Field(ge=0, le=1e5)] = 16
+    resume_s: Annotated[float, Field(ge=0, le=1e7)] = 3600
 
 
 class Realtime(Section):

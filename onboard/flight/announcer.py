@@ -25,7 +25,7 @@ _LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Sever
 _RECORDS = {"gap": GAP, "quantity": QUANTITY}
 _SLOW_HZ = 2.0  # channels that come less often are not judged in every line
 _NAMED = 3  # channels in a line
-_SAID = {"zeroed", "realtime", "not_realtime"}  # information that is said
+_SAID = {"mode", "zeroed", "realtime", "not_realtime"}  # information that is said
 
 
 class AnnouncedAnswer(NamedTuple):
@@ -56,7 +56,7 @@ class Announcer:
         self._began_s = self._looked_s = now_s
         self._published: dict[str, int] = {}
         self._missing, self._gaps = 0, 0
-        self._phase = ""
+        self._mode = self._phase = ""
         self.status = ""  # the last line that said how it stands
         self._estimated_ns: int | None = None
         self.answers: dict[str, AnnouncedAnswer] = {}
@@ -100,6 +100,8 @@ class Announcer:
             code, source, text = (one.decode(errors="replace") for one in said)
             if code == "phase":
                 self._phase = text
+            elif code == "mode":
+                self._mode = text.partition(":")[0]
             if severity >= Severity.WARNING or source == "estimation" or code in _SAID:
                 level = _LEVELS.get(Severity(min(int(severity), Severity.ERROR)), logging.ERROR)
                 LOGGER.log(level, "%s: %s", code, text, extra={"source": source, "code": code})
@@ -120,7 +122,12 @@ class Announcer:
         published = self.rows()
         came = {name: count - self._published.get(name, 0) for name, count in published.items()}
         self._published = published
-        parts = [f"{now_s - self._began_s:.0f} s", self._phase, f"{sum(came.values()) / passed_s:.0f} rows/s"]
+        parts = [
+            f"{now_s - self._began_s:.0f} s",
+            self._mode,
+            self._phase,
+            f"{sum(came.values()) / passed_s:.0f} rows/s",
+        ]
         slow = {
             name: came.get(name, 0) / passed_s
             for name, rate_hz in self._rates.items()

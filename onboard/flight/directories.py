@@ -170,8 +170,8 @@ def with_file(name: str) -> list[Path]:
     return sorted(path.parent for path in root().glob(f"*/{name}"))
 
 
-def write_private(path: Path, data: bytes) -> None:
-    """Write ``data`` to a file that only this user may read, in place of what was there.
+def write_private(path: Path, data: bytes, *, durable: bool = False) -> None:
+    """Write ``data`` to a file that only this user may read, in place of what was there; ``durable``: to the medium.
 
     Raises:
         OSError: there is no room.
@@ -179,3 +179,6 @@ def write_private(path: Path, data: bytes) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     with open(descriptor, "wb") as file:
         file.write(data)
+        if durable:
+            file.flush()
+            os.fsync(descriptor)

@@ -33,20 +33,21 @@ class Started(NamedTuple):
     monotonic_ns: int
 
 
-def preamble(vehicle: config.Vehicle, flight: str, started: Started | None = None) -> Preamble:
+def preamble(vehicle: config.Vehicle, flight: str, started: Started | None = None, continues: str = "") -> Preamble:
     """What every segment of a flight's log says.
 
     Args:
         vehicle: its files are attached.
         flight: the flight's id.
         started: when, on the wall clock (noted once, here) and on the monotonic one; virtual time has neither.
+        continues: the log of the part before, of a flight that lost its power.
     """
     attachments = (
         Attachment(VEHICLE_ATTACHMENT, "application/toml", vehicle.text.encode(), 0),
         Attachment(vehicle.file.vehicle.urdf, "application/xml", vehicle.urdf_path.read_bytes(), 0),
     )
     metadata = {
-        "flight": flight_facts(vehicle, started),
+        "flight": flight_facts(vehicle, started) | ({"continues": continues} if continues else {}),
         "versions": versions(),
         "clock_map": clock_map(vehicle, started),
     }

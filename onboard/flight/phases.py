@@ -6,6 +6,7 @@ reads each change back).
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,20 @@ from drivers.records import Rows, SampleStatus
 from onboard import config
 
 
+class KnownPhases(NamedTuple):
+    """How far the mission has come."""
+
+    phase: int
+    begun: bool  # there has been a phase for identification
+    taken: bool  # the payload has been taken, where the mission takes one
+    gone: bool  # and released
+
+
 class PhaseTrack:
-    """Phase changes so far. Without a phase channel there is a single phase with the payload held."""
+    """Phase changes so far. Without a phase channel there is a single phase with the payload held.
+
+    A flight that was resumed after a loss of power begins with what was known before it.
+    """
 
     def __init__(self, settings: config.Phases | None) -> None:
         self._settings = settings
@@ -23,6 +36,11 @@ class PhaseTrack:
         self._codes: list[int] = []
         self._taken_ns: int | None = None
         self._gone_ns: list[int] = []  # reported releases, without the rejected ones
+        if settings is not None and settings.resumed is not None:
+            before_ns = 0  # host time begins when the computer does
+            self._times_ns, self._codes = [before_ns], [settings.resumed.phase]
+            self._taken_ns = before_ns if settings.resumed.taken else None
+            self._gone_ns = [before_ns] if settings.resumed.gone else []
 
     def update(self, batches: Mapping[str, Rows]) -> list[str]:
         """Process the rows of a step, except NOT_VALID ones; returns a line of text for each change."""
@@ -42,6 +60,15 @@ class PhaseTrack:
             elif self._settings and code == self._settings.payload_taken and self._taken_ns is None:
                 self._taken_ns = self._times_ns[-1]
         return said
+
+    @property
+    def known(self) -> KnownPhases | None:
+        """How far the mission has come; None before the first phase is known, and without a phase channel."""
+        if self._settings is None or not self._codes:
+            return None
+        resumed = self._settings.resumed
+        begun = any(code in self._settings.identify for code in self._codes) or bool(resumed and resumed.begun)
+        return KnownPhases(self._codes[-1], begun, self._taken_ns is not None, bool(self._gone_ns))
 
     @property
     def changes(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

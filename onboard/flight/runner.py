@@ -18,12 +18,14 @@ from typing import NamedTuple, Self
 
 from drivers.records import EVENT, SampleStatus, Severity, event
 from onboard import config
-from onboard.flight import manifest, realtime, rings, workers
+from onboard.flight import directories, manifest, realtime, rings, workers
 from onboard.flight.announcer import LOGGER, Announcer, missing_all_flight
 from onboard.flight.flight_log import MIB, Started, preamble, storage
 from onboard.flight.harvest import Harvest, harvest
 from onboard.flight.health import CHANNELS, HealthMonitor, WorkerState, rates_hz
+from onboard.flight.modes import Modes
 from onboard.flight.publisher import Publisher
+from onboard.flight.resume import Keeper, Plan, planned
 from onboard.flight.runner_forks import ForkError, ForkServer, PreparedServer
 from onboard.flight.runner_notify import Notifier
 from onboard.flight.runner_processes import HUNG_S, FlightError, Worker
@@ -53,11 +55,13 @@ def fly(
     progress: Callable[[float], None] = lambda _: None,
     status_s: float | None = None,
     ready: Callable[[], None] = lambda: None,
+    plan: Plan | None = None,
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, SIGINT or SIGTERM; then stop in order, losing nothing.
 
     What happens is said to the logger ``heft``, and every ``status_s`` how the flight stands. A flight that is refused
     leaves nothing behind. ``ready`` is called when all is at work but acquisition, which opens the buses after it.
+    With a ``plan`` of it the flight leaves a checkpoint, from which the start after a loss of power goes on.
 
     Raises:
         FlightError: a worker did not start.
@@ -66,7 +70,13 @@ def fly(
         OSError: the log's directory or the rings cannot be made.
     """
     with _Servers(vehicle) as servers:
-        return _flight(vehicle, log, servers, duration_s, _Listeners(progress, ready, status_s))
+        return _flight(vehicle, log, servers, duration_s, _Listeners(progress, ready, status_s, plan))
+
+
+def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> Plan:
+    """The flight that lost its power and is to be gone on with, or a new one; see :func:`planned`."""
+    under_way = {one.log for one in manifest.waiting() if not directories.is_free(one.directory)}
+    return planned(vehicle, new_log, time.time_ns(), under_way, fresh=fresh)
 
 
 def _flight(
@@ -78,7 +88,7 @@ def _flight(
 ) -> Flight:
     """Fly with workers that ``servers`` fork."""
     estimation = servers.estimation_rings()
-    harvested = harvest(time.monotonic_ns())
+    harvested, before = harvest(time.monotonic_ns()), listeners.plan.before if listeners.plan else None
     _require_place(log)
     flight, started = uuid.uuid4().hex, Started(time.time_ns(), time.monotonic_ns())
     with manifest.new_flight(log, flight) as directory:
@@ -87,7 +97,7 @@ def _flight(
             log.absolute(),
             vehicle.file.vehicle.name,
             storage(vehicle.file.recording),
-            preamble(vehicle, flight, started),
+            preamble(vehicle, flight, started, before.log if before else ""),
         )
         crew = _Crew(vehicle, directory, servers)
         try:
@@ -115,6 +125,7 @@ class _Listeners(NamedTuple):
     progress: Callable[[float], None]
     ready: Callable[[], None]
     status_s: float | None
+    plan: Plan | None = None
 
 
 class _Servers:
@@ -176,6 +187,15 @@ class _Crew:
         self.acquisition.start()
         self.acquisition.wait_ready()
 
+    def finish(self, before_the_log: Callable[[], None]) -> None:
+        """Stop them; ``before_the_log`` is called before the recorder, which closes the log."""
+        self.acquisition.finish()
+        self.estimation.finish()
+        before_the_log()
+        if self.recording.is_dead:
+            self.recording.start()  # to end the log
+        self.recording.finish()
+
     def states(self) -> list[WorkerState]:
         """How they stand."""
         now_s = time.monotonic()
@@ -200,6 +220,7 @@ def _fly(
     everyone = crew.everyone
     asked_to_stop = _StopSignals()
     restarted: list[str] = []
+    why = ""  # the flight is ended; empty for an error
 
     def tell(severity: Severity, code: str, source: str, text: str) -> None:
         supervisor.publish([event(time.monotonic_ns(), severity, code, source, text)])
@@ -207,6 +228,8 @@ def _fly(
     for one in harvested:
         text = one.problem or f"{one.rows} rows brought in"
         tell(Severity.ERROR if one.problem else Severity.WARNING, "harvest", one.log.name, text)
+    _say_plan(listeners.plan, tell)
+    modes = Modes(vehicle, directory, tell, Keeper(listeners.plan, time.time_ns) if listeners.plan else None)
     notifier, told = Notifier(), ""
     announcer = Announcer(vehicle, directory, time.monotonic(), listeners.status_s)
     health = HealthMonitor(vehicle, directory, os.getpid(), time.monotonic_ns())
@@ -217,27 +240,25 @@ def _fly(
             worker.make_spare()
         started = time.monotonic()
         notifier.ready()
+        modes.at_work(started)
         LOGGER.info("every worker is at work", extra={"source": "flight", "code": "started"})
-        while not asked_to_stop.seen and not end.reached():
-            elapsed = time.monotonic() - started
-            if duration_s is not None and elapsed > duration_s:
-                break
+        while not (why := _why_ended(asked_to_stop, end, time.monotonic() - started, duration_s)):
             restarted += [worker.name for worker in everyone if _watch(worker, tell)]
             for name in crew.servers.look():
                 tell(Severity.WARNING, "fork_server_restarted", name, "it had died; the workers went on")
             supervisor.publish(health.step(time.monotonic_ns(), crew.states()))
             announcer.step(time.monotonic(), health.said)
+            modes.step(time.monotonic(), announcer.rows())
             notifier.feed(time.monotonic(), answering=all(one.answers(time.monotonic()) for one in everyone))
             if announcer.status != told:
                 notifier.status(told := announcer.status)
-            listeners.progress(elapsed)
+            listeners.progress(time.monotonic() - started)
             crew.wait()
     finally:
         notifier.stopping()
-        for worker in reversed(everyone):
-            if worker is crew.recording and worker.is_dead:
-                worker.start()  # to end the log
-            worker.finish()
+        modes.end(why)
+        crew.finish(modes.stopped)
+        modes.close()
         asked_to_stop.restore()
         announcer.end(time.monotonic())
     missing = missing_all_flight(vehicle, announcer.rows())
@@ -251,6 +272,26 @@ def _fly(
         tuple(missing),
         end.was_over,
     )
+
+
+def _say_plan(plan: Plan | None, tell: Callable[[Severity, str, str, str], None]) -> None:
+    if plan is None:
+        return
+    if plan.before is not None:
+        known = plan.before.phases
+        text = f"goes on in mode {plan.before.mode}" + (f", phase {known.phase}" if known else "")
+        tell(Severity.WARNING, "resumed", plan.before.log, f"{text}: it had lost its power, or was killed")
+    elif plan.why_not:
+        tell(Severity.WARNING, "not_resumed", "flight", f"a new flight: {plan.why_not}")
+
+
+def _why_ended(asked: "_StopSignals", end: "EndOfMission", elapsed_s: float, duration_s: float | None) -> str:
+    """Why the flight is over; empty while it is not."""
+    if asked.seen:
+        return "a signal asked for an end"
+    if end.reached():
+        return "the mission's end phase"
+    return f"{duration_s:g} s are over" if duration_s is not None and elapsed_s > duration_s else ""
 
 
 def _watch(worker: Worker, tell: Callable[[Severity, str, str, str], None]) -> bool:

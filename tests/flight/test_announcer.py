@@ -115,6 +115,17 @@ def test_buses_and_essentials_that_never_brought_a_row_are_named(vehicle: config
         config.parse(text.replace('["load_cell"]', '["cell"]'), vehicle.path)
 
 
+def test_the_mode_is_said_and_stands_in_the_status_line(
+    vehicle: config.Vehicle, tmp_path: Path, devices: Publisher, said: pytest.LogCaptureFixture
+) -> None:
+    ring = RingWriter(tmp_path / "event_supervisor.ring", records.EVENT, 10)
+    announcer = Announcer(vehicle, tmp_path, 0.0, 1.0)
+    ring.push(event(1, Severity.INFO, "mode", "flight", "armed: every device answers").rows)
+    announcer.step(1.5)
+    assert "mode: armed: every device answers" in [record.getMessage() for record in said.records]
+    assert announcer.status.startswith("2 s, armed, ")
+
+
 def test_a_glitch_of_the_phase_does_not_end_the_flight(
     vehicle: config.Vehicle, tmp_path: Path, devices: Publisher, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,6 +18,8 @@ from drivers.records import SampleStatus
 from onboard import cli, config
 from onboard.flight import directories, manifest
 from onboard.flight.health_status import Status
+from onboard.flight.resume import load, path_of
+from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.offline.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
@@ -48,11 +50,13 @@ def urls(tmp_path: Path) -> Iterator[list[str]]:
 
 
 @contextlib.contextmanager
-def flying(log: Path, urls: list[str], seconds: float) -> Iterator[subprocess.Popen[str]]:
-    """``heft fly``, once every worker is at work."""
+def flying(log: Path, urls: list[str], seconds: float, named: bool = True) -> Iterator[subprocess.Popen[str]]:
+    """``heft fly``, once every worker is at work; not ``named``: it gives its log that name by itself."""
     vehicle = str(config.packaged("rocksat"))
-    command = [sys.executable, "-m", "onboard.cli", "fly", vehicle, "--log", str(log), "--duration", str(seconds)]
-    with subprocess.Popen([*command, *urls], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as flight:
+    command = [sys.executable, "-m", "onboard.cli", "fly", vehicle, "--duration", str(seconds), *urls]
+    command += ["--log", str(log)] if named else []
+    where, pipe = None if named else log.parent.parent, subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=where, start_new_session=True) as flight:
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and not (log.exists() and len(pids(flight.pid)) == len(WORKERS)):
             time.sleep(0.1)
@@ -137,19 +141,24 @@ def test_a_worker_that_hangs_is_killed_and_started_again(tmp_path: Path, urls: l
 
 
 @pytest.mark.timeout(180)
-def test_everything_killed_at_once_is_harvested_by_the_next_start(tmp_path: Path, urls: list[str]) -> None:
-    log, following = tmp_path / "dead.mcap", tmp_path / "next.mcap"
-    with flying(log, urls, 100) as flight:
-        time.sleep(3.0)
+def test_everything_killed_at_once_is_harvested_and_gone_on_with_by_the_next_start(
+    tmp_path: Path, urls: list[str]
+) -> None:
+    log, following = (tmp_path / "flights" / f"rocksat-001{part}.mcap" for part in ("", "-part2"))
+    with flying(log, urls, 100, named=False) as flight:
+        deadline = time.monotonic() + 15
+        while not (checkpoint := path_of(log)).exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(1.0)
         [dead] = manifest.running()
-        for pid in [flight.pid, *pids(flight.pid).values()]:
-            os.kill(pid, signal.SIGKILL)
+        os.killpg(flight.pid, signal.SIGKILL)
         flight.wait()
+    kept = load(checkpoint)
     assert dead.log == log
     held = {path.stem: RingReader(path).read()[0] for path in dead.directory.glob("*.ring")}
     assert all(len(held[name]) for name in DEVICES)
     dark = [f"--url={bus}=i2c:///none" if bus == "i2c_1" else f"--url={bus}={url}" for bus, url in DARK.items()]
-    with flying(following, dark, 1) as flight:
+    with flying(following, dark, 1, named=False) as flight:
         _, err = flight.communicate(timeout=100)
     assert flight.returncode == cli.FAILED, err  # its own buses are dark
     adds_up(log)
@@ -157,7 +166,18 @@ def test_everything_killed_at_once_is_harvested_by_the_next_start(tmp_path: Path
     for name, rows in held.items():
         assert read.read(name)[-len(rows) :]["sequence"].tolist() == rows["sequence"].tolist(), name
     assert [row["code"] for row in read.read("recorder_event")] == [b"harvested"]
-    assert log.name.encode() in LogReader(following).read("event_supervisor")["source"].tolist()
+    after = LogReader(following)
+    said = after.read("event_supervisor")
+    assert [row["source"].decode() for row in said if row["code"] in (b"harvest", b"resumed")] == [log.name] * 2
+    phase = int(held["arm_phase"]["value_raw"][-1])
+    assert kept.phase == phase
+    resumed = vehicle_of(after, tmp_path).file.estimation.phases.resumed
+    assert (resumed.log, resumed.phase) == (log.name, phase)
+    assert after.metadata["flight"]["continues"] == log.name
+    told = [row["text"].decode() for row in said if row["code"] in (b"phase", b"mode")]
+    assert told[0] == f"phase {phase}, from before the restart"
+    assert [text.partition(":")[0] for text in told[1:]] == ["boot", "checkout", "safe", "stopped"]
+    assert not list(log.parent.glob("*.resume"))  # that one has ended
     assert cli.main(["replay", str(log)]) == cli.OK
     assert not list(directories.root().iterdir())
 

@@ -22,6 +22,7 @@ from onboard.config.estimation import (
     MotorKeys,
     Phases,
     Prior,
+    Resumed,
     Zero,
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
@@ -38,6 +39,7 @@ TABLES: dict[str, type[Section]] = {
     "[link.NAME]": LinkSection,
     "[estimation]": Estimation,
     "[estimation.phases]": Phases,
+    "[estimation.phases.resumed]": Resumed,
     "[estimation.zero]": Zero,
     "[estimation.gates]": Gates,
     "[estimation.memory]": MemoryKeys,

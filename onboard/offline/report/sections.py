@@ -127,7 +127,8 @@ def _verdicts(flight: FlightData) -> Iterator[tuple[str, str]]:
     if about.unexplained:
         yield "bad", f"{about.unexplained:,} records are missing without a gap record."
     elif missing:
-        yield "warn", f"{missing:,} records are missing, all of them covered by gap records."
+        exact = "" if any(channel.about for channel in about.channels) else ", which counted them"
+        yield "warn", f"{missing:,} records are missing, all of them covered by gap records{exact}."
     else:
         yield "good", "No record is missing between the first and the last of any channel."
     loud = {Severity.ERROR: ("bad", "errors"), Severity.WARNING: ("warn", "warnings")}
@@ -296,7 +297,7 @@ def _channels(flight: FlightData) -> str:
     for channel in flight.info.channels:
         rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
         lost = Cell(f"{channel.unexplained:,}", "n bad" if channel.unexplained else "n")
-        counts = [Cell(f"{count:,}") for count in (channel.missing, channel.gaps)]
+        counts = [Cell(f"{channel.missing:,}"), Cell(f"{'about ' if channel.about else ''}{channel.gaps:,}")]
         rows.append(
             [
                 channel.name,

@@ -19,6 +19,7 @@ from onboard.recording.schema import message_name
 from onboard.recording.texts import printable
 
 _EVENTS_KEPT = 6
+_MODES_KEPT = 50
 _OWN_VERSION = ("heft", "revision")  # the others are in --json
 _DAMAGE_SHOWN = 5
 
@@ -28,7 +29,8 @@ class ChannelInfo:
     """One channel: rows recorded, missing, and covered by gap records.
 
     ``missing``: sequence numbers missing between the first and the last row. ``gaps``: numbers in gap records without a
-        row, also before the first and after the last row. ``unexplained``: missing numbers in no gap record.
+        row, also before the first and after the last row. ``about``: those of them in no record that counted them:
+        about as many are missing. ``unexplained``: missing numbers in no gap record.
         ``flagged``: rows whose status is not 0.
     """
 
@@ -40,6 +42,7 @@ class ChannelInfo:
     last_sequence: int
     missing: int
     gaps: int
+    about: int
     unexplained: int
     repeated: int
     flagged: int
@@ -69,6 +72,7 @@ class LogInfo:
     channels: tuple[ChannelInfo, ...]
     events: tuple[EventLine, ...]
     event_counts: dict[int, int]
+    modes: tuple[EventLine, ...]
     damage: tuple[Damage, ...]
     truncated: bool
     exit_code: int
@@ -105,7 +109,9 @@ class _Gatherer:
         self.flagged = dict.fromkeys(dtypes, 0)
         self.events: list[EventLine] = []
         self.event_counts: dict[int, int] = {}
+        self.modes: list[EventLine] = []
         self._gaps: dict[str, list[Ranges]] = {}
+        self._counted: dict[str, list[Ranges]] = {}
         self._span: tuple[int, int] | None = None
 
     @property
@@ -130,22 +136,19 @@ class _Gatherer:
             of_channel = rows[rows["channel"] == channel]
             ranges = np.stack([of_channel["first_missing"], of_channel["last_missing"]], axis=1).astype(np.int64)
             self._gaps.setdefault(printable(channel), []).append(ranges)
+            self._counted.setdefault(printable(channel), []).append(ranges[of_channel["counted"] != 0])
 
     def _add_events(self, rows: Rows) -> None:
         for severity, number in zip(*np.unique(rows["severity"], return_counts=True), strict=True):
             self.event_counts[int(severity)] = self.event_counts.get(int(severity), 0) + int(number)
-        lines = [
-            EventLine(
-                int(row["host_ns"]), int(row["severity"]), *(printable(row[f]) for f in ("code", "source", "text"))
-            )
-            for row in rows[rows["severity"] >= Severity.WARNING][-_EVENTS_KEPT:]
-        ]
+        lines = [_event_line(row) for row in rows[rows["severity"] >= Severity.WARNING][-_EVENTS_KEPT:]]
+        if len(self.modes) < _MODES_KEPT:
+            self.modes += [_event_line(row) for row in rows[rows["code"] == b"mode"][:_MODES_KEPT]]
         self.events = sorted([*self.events, *lines], key=lambda line: line.host_ns)[-_EVENTS_KEPT:]
 
     def channel_info(self, name: str) -> ChannelInfo:
         seen = self.channels[name]
-        told = union(np.concatenate([NO_RANGES, *self._gaps.get(name, [])]))
-        told = told[told[:, 0] <= told[:, 1]]
+        told, counted = (_union_of(ranges.get(name, [])) for ranges in (self._gaps, self._counted))
         missing = seen.missing
         explained = common(told, missing)
         recorded = np.array([[seen.first_sequence, seen.last_sequence]]) if seen.rows else NO_RANGES
@@ -159,10 +162,21 @@ class _Gatherer:
             last_sequence=seen.last_sequence,
             missing=count(missing),
             gaps=explained + outside,
+            about=explained + outside - common(counted, missing) - count(counted) + common(counted, recorded),
             unexplained=count(missing) - explained,
             repeated=seen.repeated,
             flagged=self.flagged[name],
         )
+
+
+def _union_of(ranges: list[Ranges]) -> Ranges:
+    told = union(np.concatenate([NO_RANGES, *ranges]))
+    return told[told[:, 0] <= told[:, 1]]
+
+
+def _event_line(row: np.void) -> EventLine:
+    texts = (printable(row[field]) for field in ("code", "source", "text"))
+    return EventLine(int(row["host_ns"]), int(row["severity"]), *texts)
 
 
 def info(log: LogReader | str | Path, progress: Progress | None = None) -> LogInfo:
@@ -193,6 +207,7 @@ def info(log: LogReader | str | Path, progress: Progress | None = None) -> LogIn
         channels=tuple(gatherer.channel_info(name) for name in reader.channels),
         events=tuple(gatherer.events),
         event_counts=gatherer.event_counts,
+        modes=tuple(gatherer.modes),
         damage=reader.damage,
         truncated=reader.truncated,
         exit_code=reader.exit_code,
@@ -213,6 +228,9 @@ def _head(about: LogInfo) -> Table:
             continue
         shown = {key: value for key, value in items.items() if name != "versions" or key in _OWN_VERSION}
         table.add_row(name, Text(", ".join(f"{key} {value}" for key, value in shown.items())))
+    if about.modes:
+        told = (f"{one.text.partition(':')[0]} {(one.host_ns - about.start_ns) * 1e-9:.1f} s" for one in about.modes)
+        table.add_row("modes", Text(", ".join(told)))
     if about.attachments:
         table.add_row("files", Text(", ".join(f"{name} ({size:,} B)" for name, size in about.attachments.items())))
     return table
@@ -232,7 +250,7 @@ def _channel_table(about: LogInfo) -> Table:
             f"{channel.rows:,}",
             rate,
             _count(channel.missing),
-            _count(channel.gaps),
+            Text(f"about {channel.gaps:,}") if channel.about else _count(channel.gaps),
             Text(_count(channel.unexplained), style="bold red" if channel.unexplained else ""),
             _count(channel.flagged),
         )

@@ -102,7 +102,7 @@ class Board:
         self._gates: deque[tuple[int, np.ndarray]] = deque()
         self._used = self._total = 0
         self._events: deque[tuple[int, int, str]] = deque(maxlen=_EVENTS)
-        self._phase = ""
+        self._mode = self._phase = ""
         self._health: np.void | None = None
 
     def add(self, batch: Batch) -> None:
@@ -137,6 +137,8 @@ class Board:
         for row in rows:
             if row["code"] == b"phase":
                 self._phase = printable(row["text"])
+            elif row["code"] == b"mode":
+                self._mode = printable(row["text"]).partition(":")[0]
             else:
                 said = f"{printable(row['source'])}: {printable(row['text'])}"
                 self._events.append((int(row["host_ns"]), int(row["severity"]), said))
@@ -153,7 +155,7 @@ class Board:
 
     def _head(self) -> Text:
         since = 0.0 if self.start_ns is None else (self.now_ns - self.start_ns) * 1e-9
-        head = Text.assemble((self.title, "bold"), f"   {since:9.1f} s", f"   {self._phase}")
+        head = Text.assemble((self.title, "bold"), f"   {since:9.1f} s", f"   {self._mode}   {self._phase}")
         if self.lost:
             head.append(f"   this viewer was too slow for {self.lost:,} rows", "yellow")
         return head

@@ -83,7 +83,7 @@ def log(tmp_path):
         writer.write("driver_gap", records.gap(1, "pulse", 4, 5, 0, "fifo_overflow").rows)
         writer.write("recorder_gap", records.gap(2, "pulse", 5, 6, 0, "ring_overrun").rows)
         writer.write("recorder_gap", records.gap(2, "late", 0, 4, 0, "ring_overrun").rows)
-        writer.write("recorder_gap", records.gap(2, "late", 8, 9, 0, "ring_overrun").rows)
+        writer.write("recorder_gap", records.gap(2, "late", 8, 9, 0, "ring_overrun", counted=True).rows)
         for n in range(15):
             severity = Severity.ERROR if n % 2 else Severity.INFO
             writer.write("event", records.event(n, severity, f"code_{n}", "test", "said \x1b[31m so").rows)
@@ -99,6 +99,7 @@ def test_what_is_missing_and_what_is_told(log):
     assert pulse.rate_hz == pytest.approx(7 / 0.12)
     late = by_name["late"]
     assert (late.missing, late.gaps, late.unexplained) == (0, 7, 0)  # before the first row and after the last
+    assert (late.about, pulse.about) == (5, 3)
     assert late.rows + late.gaps == 10
     assert by_name["joint"].flagged == 2
     assert by_name["joint"].rate_hz is None
@@ -125,6 +126,25 @@ def test_the_screen_shows_it(log):
     for part in ("rocksat", "vehicle.toml (6 B)", "0.120 s", "7 error", "code_13", "2 rows are missing", "intact"):
         assert part in shown
     assert "\x1b" not in shown  # text in a log cannot steer the terminal
+
+
+def test_it_says_which_gaps_are_about_and_when_which_mode_began(tmp_path):
+    path = tmp_path / "flight.mcap"
+    with LogWriter.create(path) as writer:
+        for name, dtype in (("pulse", records.PULSE), ("gap", records.GAP), ("event", records.EVENT)):
+            writer.register(name, dtype)
+        writer.write("pulse", pulses([0, 1, 9, 10]))
+        writer.write("gap", records.gap(1, "pulse", 2, 4, 0, "a", counted=True).rows)
+        writer.write("gap", records.gap(1, "pulse", 4, 8, 0, "b").rows)
+        for n, text in enumerate(("boot: x", "checkout: y\x1b[31m")):
+            writer.write("event", records.event(n * 10**9, Severity.INFO, "mode", "flight", text).rows)
+    found = info(path)
+    [pulse] = [channel for channel in found.channels if channel.name == "pulse"]
+    assert (pulse.missing, pulse.gaps, pulse.about, pulse.unexplained) == (7, 7, 4, 0)
+    shown = text_of(found, 80)
+    assert "about 7" in shown
+    assert "modes" in shown
+    assert "boot 0.0 s, checkout 1.0 s" in shown
 
 
 def test_json_holds_what_the_screen_shows(log, capsys):

@@ -88,6 +88,14 @@ def test_clocks_gates_and_answers():
     assert "not determined yet" in next(one for one in text.splitlines() if one.startswith("m_tip"))
 
 
+def test_the_mode_stands_in_the_head():
+    board = Board("x")
+    for text in ("boot: the workers", "run: phase 3"):
+        board.add(records.event(SECOND, Severity.INFO, "mode", "flight", text))
+    assert "run" in shown(board).splitlines()[0]
+    assert "boot" not in shown(board)
+
+
 def test_what_is_said_cannot_steer_the_terminal():
     board = Board("x")
     board.add(records.event(SECOND, Severity.ERROR, "c\x1b[2J", "imu\x1b[31m", "said \x1b[31m so"))
