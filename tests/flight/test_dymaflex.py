@@ -69,20 +69,22 @@ def test_the_intervals_hold_what_was_caught(flown: Result) -> None:
 
 
 def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(flown: Result, tmp_path: Path) -> None:
-    """The kernel of dymaflex_parabolic, half down at 30 Hz: its poles are those of filterpy's steady-state filter."""
+    """The kernel of dymaflex_parabolic, half down at 9 Hz: its poles are those of filterpy's steady-state filter."""
     packaged, path = config.packaged("dymaflex"), tmp_path / "flight.mcap"
-    kernel = 'smoothing = "smoother"\nsmoothing_ms = 300'
+    kernel = 'smoothing = "smoother"\nsmoothing_ms = 1000'
     text, count = re.subn(r"(?m)^smoothing_ms = 250\b", kernel, packaged.read_text(encoding="utf-8"))
-    assert count == 1
+    text, lags = re.subn(r"(?m)^lag_ms = 200\b", "lag_ms = 600", text)
+    assert count == lags == 1
     world, urls = open_in_process(load("dymaflex", SHORT), SEED)
     with world:
         smoothed = hil.fly_simulated(config.parse(text, packaged), world, urls, path)
     again = Result(path, smoothed, table.result(smoothed))
-    assert again.table["capture"]["said_s"] == pytest.approx(flown.table["capture"]["said_s"], abs=0.2)
+    (said_s,), (by_spline_s,) = (one.table["capture"]["said_s"] for one in (again, flown))
+    longer_lag_s = 0.4
+    assert said_s - longer_lag_s == pytest.approx(by_spline_s, abs=0.2)
     mass, by_spline = again.mass("m_payload"), flown.mass("m_payload")
-    half_of_99_percent = 2.58
-    assert abs(mass["value"] - mass["truth"]) < half_of_99_percent * mass["sigma"]
-    assert mass["value"] == pytest.approx(by_spline["value"], abs=by_spline["sigma"])
+    assert mass["covered"]
+    assert mass["value"] == pytest.approx(by_spline["value"], abs=0.5 * by_spline["sigma"])
     assert mass["value"] != by_spline["value"]
     told = [row for group in ("masses", "centres", "inertias") for row in again.table[group]]
     assert len(told) == 10

@@ -2,6 +2,7 @@
 
 import csv
 import lzma
+import os
 import re
 import struct
 import tokenize
@@ -11,6 +12,7 @@ import zlib
 from collections.abc import Mapping as Columns
 from math import prod
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
@@ -67,8 +69,18 @@ def _require_bounded(path: Path) -> None:
             raise SourceError(f"{path} would expand to {total / 1e9:.3g} GB; the limit is {limit}: divide it")
 
 
-def read_csv(path: Path, layout: Csv) -> Columns[str, Values]:
+class Recording(NamedTuple):
+    """A file that has been read."""
+
+    columns: Columns[str, Values]
+    truncated: str = ""  # what of it was left out, as its end is missing; empty if nothing
+
+
+def read_csv(path: Path, layout: Csv) -> Recording:
     """The columns of a CSV file, by name: integers if every cell is one, else floats.
+
+    A last row that has fewer cells than the header, or that ends, without a newline, in a cell that is no number where
+    the row before has one, was cut off: it is left out.
 
     Raises:
         SourceError: a line with another number of cells than the header.
@@ -83,13 +95,39 @@ def read_csv(path: Path, layout: Csv) -> Columns[str, Values]:
             cells = [line for line in lines if line]
     except (UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{path} is not CSV text ({error}); check the mapping's format") from error
+    cut = len(cells) > 1 and (len(cells[-1]) < len(names) or (_is_cut(cells) and not _ends_with_a_newline(path)))
+    truncated = f"row {len(cells)}, the last one, is cut off: left out" if cut else ""
+    if cut:
+        cells.pop()
     for number, line in enumerate(cells, 1):
         if len(line) != len(names):
             raise SourceError(
                 f"{path}: row {number} has {len(line)} cells where the header names {len(names)}; check [csv]"
             )
     columns = zip(*cells, strict=True) if cells else ([] for _ in names)
-    return {name: _numbers(path, name, list(column)) for name, column in zip(names, columns, strict=True)}
+    return Recording(
+        {name: _numbers(path, name, list(column)) for name, column in zip(names, columns, strict=True)}, truncated
+    )
+
+
+def _ends_with_a_newline(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(0, os.SEEK_END)
+        file.seek(max(0, file.tell() - 1))
+        return file.read(1) in (b"\n", b"\r", b"")
+
+
+def _is_cut(cells: list[list[str]]) -> bool:
+    """Whether the last cell of the last row is no number, and that of the row before is one."""
+
+    def number(cell: str) -> bool:
+        try:
+            float(cell)
+        except ValueError:
+            return False
+        return True
+
+    return len(cells[-2]) == len(cells[-1]) and number(cells[-2][-1]) and not number(cells[-1][-1])
 
 
 def _numbers(path: Path, name: str, cells: list[str]) -> Values:
@@ -102,9 +140,9 @@ def _numbers(path: Path, name: str, cells: list[str]) -> Values:
     return np.array(cells, dtype=str)
 
 
-def read(path: Path, layout: Csv, kind: str) -> Columns[str, Values]:
+def read(path: Path, layout: Csv, kind: str) -> Recording:
     """The columns of a file of ``kind`` (csv or npz); see ``read_csv`` and ``read_npz``."""
-    return read_csv(path, layout) if kind == "csv" else read_npz(path)
+    return read_csv(path, layout) if kind == "csv" else Recording(read_npz(path))
 
 
 def _found(columns: Columns[str, Values], name: str) -> Values | None:

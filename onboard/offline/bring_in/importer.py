@@ -5,6 +5,7 @@ deterministic to the byte.
 """
 
 import hashlib
+from collections.abc import Iterator
 from collections.abc import Mapping as Columns
 from pathlib import Path
 from typing import NamedTuple
@@ -26,6 +27,7 @@ IMPORT_METADATA = "import"
 EVENT_CHANNEL = "import_event"
 
 _BLOCK_ROWS = 256  # rows per channel before the next channel's rows follow
+_MOST_ROUNDED = 0.1  # rms of what rounding takes away, of the rms of the values
 _HUGE = 2.0**62  # larger values are refused: they may overflow int64
 _RAILS = np.iinfo(np.int16)
 
@@ -76,13 +78,13 @@ def _sources(source: Path, suffix: str) -> list[Path]:
 
 
 def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
-    files: dict[Path, Columns[str, Values]] = {}
+    files: dict[Path, foreign.Recording] = {}
     channels: dict[str, Rows] = {}
     for name, channel in chosen.file.channel.items():
         path = source if channel.file is None else source.parent / channel.file
         if path not in files:
             files[path] = foreign.read(path, chosen.file.csv, chosen.file.mapping.format)
-        columns = files[path]
+        columns = files[path].columns
         host_ns = _host_ns(path, columns, channel.time or chosen.file.time, _first_column(channel))
         channels[name] = (
             _imu(path, columns, channel, host_ns)
@@ -91,14 +93,14 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
         )
     unfinished = log.with_name(f".{log.name}.unfinished")
     try:
-        _write(chosen, list(files), unfinished, channels)
+        _write(chosen, files, unfinished, channels)
         unfinished.replace(log)  # an earlier log of this name stays as it is until this one is whole
     finally:
         unfinished.unlink(missing_ok=True)
     return ImportedLog(log, source, sum(map(len, channels.values())))
 
 
-def _write(chosen: Mapping, files: list[Path], log: Path, channels: dict[str, Rows]) -> None:
+def _write(chosen: Mapping, files: dict[Path, foreign.Recording], log: Path, channels: dict[str, Rows]) -> None:
     with LogWriter.create(log, overwrite=True) as writer:
         facts = {
             "source": ", ".join(path.name for path in files),
@@ -112,7 +114,12 @@ def _write(chosen: Mapping, files: list[Path], log: Path, channels: dict[str, Ro
         for name, rows in channels.items():
             writer.register(name, rows.dtype)
         _write_by_time(writer, channels)
-        _report_pauses(writer, channels)
+        said = [_event(0, "truncated", f"{path.name}: {one.truncated}") for path, one in files.items() if one.truncated]
+        said += _pauses(channels)
+        writer.register(EVENT_CHANNEL, records.EVENT)
+        for number, rows in enumerate(said):
+            rows["sequence"] = number
+            writer.write(EVENT_CHANNEL, rows)
 
 
 def _absent(chosen: Mapping) -> list[str]:
@@ -139,10 +146,8 @@ def _write_by_time(writer: LogWriter, channels: dict[str, Rows]) -> None:
                 writer.write(name, part)
 
 
-def _report_pauses(writer: LogWriter, channels: dict[str, Rows]) -> None:
-    """Write an event for each channel whose times show pauses: the recorder may have lost samples."""
-    writer.register(EVENT_CHANNEL, records.EVENT)
-    number = 0
+def _pauses(channels: dict[str, Rows]) -> Iterator[Rows]:
+    """An event for each channel whose times show pauses: the recorder may have lost samples."""
     for name, rows in channels.items():
         steps = np.diff(rows["host_ns"])
         pauses = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else steps
@@ -152,11 +157,11 @@ def _report_pauses(writer: LogWriter, channels: dict[str, Rows]) -> None:
                 f"{name}: {len(pauses)} intervals are longer than 1.5 times the median, the longest "
                 f"{steps[longest] * 1e-6:.3f} ms after sample {longest}; samples may be missing"
             )
-            at_ns = int(rows["host_ns"][pauses[0]])
-            event = records.event(at_ns, Severity.WARNING, "pauses", "import", text)
-            event.rows["sequence"] = number
-            number += 1
-            writer.write(EVENT_CHANNEL, event.rows)
+            yield _event(int(rows["host_ns"][pauses[0]]), "pauses", text)
+
+
+def _event(at_ns: int, code: str, text: str) -> Rows:
+    return records.event(at_ns, Severity.WARNING, code, "import", text).rows
 
 
 def _first_column(channel: ImuChannel | ScalarChannel) -> str:
@@ -265,6 +270,10 @@ def _counts(
     counts = np.rint(exact)
     if (bad := ~(np.abs(counts) < _HUGE)).any():
         raise SourceError(f"{source}: {names!r} is no usable number in row {_first(bad)}; remove the row")
+    lost, size = (float(np.sqrt(np.mean(x**2))) if x.size else 0.0 for x in (exact - counts, exact))
+    if quantity.values == "physical" and lost > _MOST_ROUNDED * size:
+        kept = f"counts of {quantity.count:g} {quantity.unit} leave {1.0 - lost / size:.0%} of {names!r}"
+        raise SourceError(f"{source}: {kept}; give the mapping a smaller scale")
     if quantity.values == "counts" and (bad := counts != exact).any():
         raise SourceError(
             f'{source}: {names!r} is no whole count in row {_first(bad)}; say values = "physical" in the mapping'

@@ -236,6 +236,30 @@ def test_a_bad_csv_is_refused(bench, old, new, message):
         import_recordings(bench / "bench.toml", bench / "run.csv", bench)
 
 
+@pytest.mark.parametrize("keep", ["0.2;1;2;3;-32768;32767;4;9;-2", "0.2;1;2", "0.2;1;2;3;-32768;32767;4;9;-"])
+def test_a_last_row_that_is_cut_off_costs_that_row(bench, keep):
+    first = CSV_TEXT.index("0.2;")
+    text = (CSV_TEXT[:first] + "0.15;1;2;3;1;2;4;8;-20;x\n" + keep).replace(";note", "").replace(";hello", "")
+    (bench / "run.csv").write_text(text.replace(";x\n", "\n"))
+    [made] = import_recordings(bench / "bench.toml", bench / "run.csv", bench)
+    log = LogReader(made.path)
+    cut = not keep.endswith("-2")
+    assert len(log.read("imu")) == len(log.read("joint")) == (2 if cut else 3)
+    said = [(row["code"], row["text"]) for row in log.read("import_event")]
+    assert said == ([(b"truncated", b"run.csv: row 3, the last one, is cut off: left out")] if cut else [])
+
+
+@pytest.mark.parametrize(("scale", "refused"), [("0.01", False), ("10.0", True), ("1.6", True)])
+def test_values_that_counts_would_round_away_are_refused(bench, scale, refused):
+    mapped = (bench / "bench.toml").read_text().replace("scale = 0.01", f"scale = {scale}")
+    (bench / "bench.toml").write_text(mapped)
+    if refused:
+        with pytest.raises(SourceError, match=r"g leave .* of 'ax, ay, az'; give the mapping a smaller"):
+            import_recordings(bench / "bench.toml", bench / "run.csv", bench)
+    else:
+        assert import_recordings(bench / "bench.toml", bench / "run.csv", bench)
+
+
 def test_text_that_is_no_csv_is_refused(bench):
     (bench / "run.csv").write_bytes(bytes(range(128, 256)))
     with pytest.raises(SourceError, match="not CSV text"):

@@ -128,7 +128,7 @@ def test_an_arm_that_stands_still_shows_nothing(tmp_path: Path, rng: np.random.G
     (found,) = identify(VEHICLE, [write(tmp_path / "still.mcap", still(3.0), rng)]).logs
     assert found.verdict.level is Level.DO_NOT_USE
     assert not found.usable
-    assert found.answers == ()
+    assert not any(answer.supported for answer in found.answers)
 
 
 def test_swapped_gyro_axes_are_no_body(tmp_path: Path, rng: np.random.Generator) -> None:
