@@ -58,15 +58,16 @@ class _Ring:
         size = _HEADER_BYTES + capacity * (dtype.itemsize + 4)
         self._map = mmap.mmap(file_descriptor, size)
         self._counters: NDArray[np.uint64] = np.frombuffer(self._map, np.uint64, 2, _COUNTERS_AT)
-        self._data: NDArray[np.uint8] = np.frombuffer(
-            self._map, np.uint8, capacity * dtype.itemsize, _HEADER_BYTES
-        ).reshape(capacity, dtype.itemsize)
+        words = dtype.itemsize // 4
+        self._data: NDArray[np.uint32] = np.frombuffer(self._map, np.uint32, capacity * words, _HEADER_BYTES).reshape(
+            capacity, words
+        )
         self._checks: NDArray[np.uint32] = np.frombuffer(
             self._map, np.uint32, capacity, _HEADER_BYTES + capacity * dtype.itemsize
         )
         # odd coefficients: a change of any single word always changes the sum
         generator = np.random.Generator(np.random.PCG64(0x68656674))
-        self._coefficients = generator.integers(0, 2**32, dtype.itemsize // 4, np.uint32) | np.uint32(1)
+        self._coefficients = generator.integers(0, 2**32, words, np.uint32) | np.uint32(1)
         self._ramp = np.arange(capacity, dtype=np.uint32) * np.uint32(_STEP)  # the share of a row's position
 
     @property
@@ -74,9 +75,9 @@ class _Ring:
         """Rows ever pushed."""
         return int(self._counters[1])
 
-    def _check(self, raw: NDArray[np.uint8], first_position: int) -> NDArray[np.uint32]:
-        """Check words of rows ``raw`` (n, itemsize), the first of them at ``first_position``."""
-        check: NDArray[np.uint32] = raw.view(np.uint32) @ self._coefficients
+    def _check(self, raw: NDArray[np.uint32], first_position: int) -> NDArray[np.uint32]:
+        """Check words of rows ``raw`` (n, words), the first of them at ``first_position``."""
+        check: NDArray[np.uint32] = raw @ self._coefficients
         check += self._ramp[: len(raw)]
         check += np.uint32(first_position * _STEP % 2**32)
         return check
@@ -143,8 +144,14 @@ class RingWriter(_Ring):
         count = len(rows)
         if not count:
             return first
-        raw = np.ascontiguousarray(rows).view(np.uint8).reshape(count, self.dtype.itemsize)
+        raw = np.ascontiguousarray(rows).view(np.uint32).reshape(count, -1)
         self._counters[0] = first + count
+        slot = first % self.capacity
+        if slot + count <= self.capacity:
+            self._data[slot : slot + count] = raw
+            self._checks[slot : slot + count] = self._check(raw, first)
+            self._counters[1] = first + count
+            return first
         skipped = max(0, count - self.capacity)
         raw, position = raw[skipped:], first + skipped
         checks = self._check(raw, position)
@@ -216,14 +223,19 @@ class RingReader(_Ring):
             lost, self.position = first - self.position, first
             return np.empty(0, self.dtype), self._account(lost)
         raw, good, overwritten = self._copy(first, count)
-        lost = first - self.position + overwritten + int(np.count_nonzero(~good))
+        damaged = len(good) - int(np.count_nonzero(good))
+        lost = first - self.position + overwritten + damaged
         self.position = first + count
-        return raw[good].reshape(-1).view(self.dtype), self._account(lost)
+        kept = raw[good] if damaged else raw
+        return kept.reshape(-1).view(self.dtype), self._account(lost)
 
-    def _copy(self, first: int, count: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_], int]:
-        """Rows (n, itemsize) from position ``first`` on, whether each is good (n,), and ``count - n``: overwritten."""
-        raw = np.concatenate([self._data[slots] for slots in self._slots(first, count)])
-        checks = np.concatenate([self._checks[slots] for slots in self._slots(first, count)])
+    def _copy(self, first: int, count: int) -> tuple[NDArray[np.uint32], NDArray[np.bool_], int]:
+        """Rows (n, words) from position ``first`` on, whether each is good (n,), and ``count - n``: overwritten."""
+        slots = self._slots(first, count)
+        if len(slots) == 1:
+            raw, checks = self._data[slots[0]].copy(), self._checks[slots[0]].copy()
+        else:
+            raw, checks = (np.concatenate([of[part] for part in slots]) for of in (self._data, self._checks))
         # rows that the writer may have begun to overwrite during the copy
         overwritten = min(count, max(0, int(self._counters[0]) - self.capacity - first))
         raw, checks = raw[overwritten:], checks[overwritten:]

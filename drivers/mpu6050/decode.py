@@ -60,6 +60,7 @@ def first_misaligned(temperature_raw: NDArray[np.int16], before: int | None) -> 
     words = temperature_raw.astype(np.int32)
     if not len(words):
         return None
-    first = words[0] if before is None else before
-    jumps = np.abs(np.diff(words, prepend=first)) > TEMPERATURE_JUMP
-    return int(jumps.argmax()) if jumps.any() else None
+    if before is not None and abs(int(words[0]) - before) > TEMPERATURE_JUMP:
+        return 0
+    jumps = np.abs(words[1:] - words[:-1]) > TEMPERATURE_JUMP
+    return int(jumps.argmax()) + 1 if jumps.any() else None

@@ -81,17 +81,20 @@ class StuckReadings:
         if not n:
             return np.zeros(0, np.bool_), NONE
         values = np.concatenate([self._values, np.where(usable[:, None], readings, np.nan)])
-        first = np.append(True, (values[1:] != values[:-1]).any(axis=1))  # of its run; NaN equals nothing
+        first = np.ones(len(values), np.bool_)
+        differs = values[1:] != values[:-1]
+        first[1:] = differs[:, 0] if differs.shape[1] == 1 else differs.any(axis=1)  # of its run; NaN equals nothing
         run = np.cumsum(first) - 1
-        lengths = np.bincount(run, np.append(self._lengths, np.ones(n))).astype(np.int64)
+        lengths = np.bincount(run, np.concatenate([self._lengths, np.ones(n)])).astype(np.int64)
         known = np.zeros(len(lengths), np.bool_)
         known[:kept] = self._stuck
         values = values[first]
         found = known | (self._by_travel(values, lengths) if self._longest is None else lengths > self._longest)
-        old = np.cumsum(self._lengths[::-1])[::-1]  # readings from each run on to the end of what was
-        fresh = found[:kept] & ~known[:kept]
-        at = np.flatnonzero(fresh)
-        before = slice(-int(old[at[0]]), -int(np.append(old, 0)[at[-1] + 1])) if len(at) else NONE
+        at = np.flatnonzero(found[:kept] & ~known[:kept])
+        before = NONE
+        if len(at):
+            old = np.append(np.cumsum(self._lengths[::-1])[::-1], 0)  # readings from each run on to the end of what was
+            before = slice(-int(old[at[0]]), -int(old[at[-1] + 1]))
         self._values, self._lengths, self._stuck = values[-_RUNS:], lengths[-_RUNS:], found[-_RUNS:]
         return found[run[kept:]], before
 

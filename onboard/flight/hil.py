@@ -79,6 +79,7 @@ def fly_simulated(
     flying = vehicle.with_urls(dict(urls))
     clock = simulated.VirtualClock(world.start_ns)
     with ExitStack() as stack:
+        stack.enter_context(simulated.seldom_collected())
         directory = stack.enter_context(scratch())
         estimator = Estimator(flying)
         devices = rings.create(directory, flying, rings.device_channels(flying))

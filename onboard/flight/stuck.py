@@ -50,7 +50,9 @@ class StuckWatch:
             self._readings = StuckReadings(len(self._signal.noise), _longest(self._signal, rows[0]))
         raw = np.hstack([rows["gyro_raw"], rows["accel_raw"]]) if not self._signal.si else rows["value_raw"][:, None]
         numbers = rows["sequence"].astype(np.int64)
-        follows = np.diff(numbers, prepend=numbers[0] - 1 if self._sequence is None else self._sequence) == 1
+        follows = np.empty(len(numbers), np.bool_)
+        follows[0] = self._sequence is None or numbers[0] - self._sequence == 1
+        np.equal(numbers[1:] - numbers[:-1], 1, out=follows[1:])
         follows &= (rows["status"] & SampleStatus.AFTER_RESET) == 0
         self._sequence = int(numbers[-1])
         stuck, before = np.zeros(len(rows), np.bool_), NONE

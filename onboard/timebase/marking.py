@@ -103,15 +103,19 @@ class TickSource:
     def _samples(self, rows: Rows) -> tuple[Rows, bool]:
         """Take samples; returns those since the last restart of the ticks, and whether the arrival clock changed."""
         ticks = rows["tick"].astype(np.int64)
-        anew = np.flatnonzero(np.diff(ticks, prepend=self._newest[0] if self._newest else ticks[0] - 1) < 0)
+        anew = np.flatnonzero(ticks[1:] < ticks[:-1]) + 1
+        if self._newest and ticks[0] < self._newest[0]:
+            anew = np.append(0, anew)
         if "status" in (rows.dtype.names or ()):
-            anew = np.union1d(anew, np.flatnonzero(rows["status"] & SampleStatus.AFTER_RESET))
+            resets = rows["status"] & SampleStatus.AFTER_RESET
+            anew = np.union1d(anew, np.flatnonzero(resets)) if resets.any() else anew
         if len(anew):
             self.restart()
             rows, ticks = rows[anew[-1] :], ticks[anew[-1] :]
         moved = False
-        last = np.flatnonzero(np.diff(rows["host_ns"], append=rows["host_ns"][-1] + 1))  # last sample of each read
-        for tick, host_ns in zip(ticks[last].tolist(), rows["host_ns"][last].tolist(), strict=True):
+        stamps = rows["host_ns"]
+        last = np.append(np.flatnonzero(stamps[1:] != stamps[:-1]), len(stamps) - 1)  # last sample of each read
+        for tick, host_ns in zip(ticks[last].tolist(), stamps[last].tolist(), strict=True):
             moved |= self.arrival.arrived(tick, host_ns)
         self._newest = (int(ticks[-1]), int(rows["host_ns"][-1]))
         self._plausible(*self._newest)
