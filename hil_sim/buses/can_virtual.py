@@ -30,7 +30,7 @@ class PulledBus(VirtualBus):
         if timeout != 0 or self._filters is not None:
             return super().recv(timeout)
         self._check_if_open()
-        return self.queue.get_nowait() if self.queue.queue else None
+        return self.queue.queue.popleft() if self.queue.queue else None
 
     def shutdown(self) -> None:
         """See ``can.BusABC``; also of one that was pulled."""
@@ -87,16 +87,13 @@ class VirtualCan:
         own = self._bus.queue
         for queue in self._bus.channel:
             if queue is not own:
-                for end_ns, identifier, data in frames:
-                    queue.put_nowait(
-                        can.Message(
-                            timestamp=end_ns * 1e-9,
-                            arbitration_id=identifier,
-                            is_extended_id=False,
-                            data=data,
-                            channel=self._channel,
-                        )
-                    )
+                messages = [
+                    can.Message(end_ns * 1e-9, identifier, is_extended_id=False, data=data, channel=self._channel)
+                    for end_ns, identifier, data in frames
+                ]
+                with queue.not_empty:
+                    queue.queue.extend(messages)
+                    queue.not_empty.notify(len(messages))
 
     def give_error(self, end_ns: int, classes: int) -> None:
         """Send an error frame."""

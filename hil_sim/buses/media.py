@@ -249,7 +249,7 @@ class CanBus:
             self._tell_errors(before_ns, now_ns)
         if frames:
             self.delivered += len(frames)
-            self._link.give([self._stamped(frame) for frame in frames])
+            self._link.give(self._stamped(frames))
 
     def _pull(self, now_ns: int) -> None:
         """Pull the adapter out, or put it back in."""
@@ -298,10 +298,14 @@ class CanBus:
             if isinstance(self._link, ReportsCanErrors):
                 self._link.give_error(time_ns, classes)
 
-    def _stamped(self, frame: WireFrame) -> WireFrame:
-        late_ns = self._latency_ns + int(self._rng.standard_exponential() * self._jitter_ns)
-        self._last_stamp_ns = max(self._last_stamp_ns + 1, frame.end_ns + late_ns)
-        return WireFrame(self._last_stamp_ns, frame.identifier, frame.data)
+    def _stamped(self, frames: list[WireFrame]) -> list[WireFrame]:
+        stamp_ns, stamped = self._last_stamp_ns, []
+        late = self._rng.standard_exponential(len(frames)).tolist()
+        for (end_ns, identifier, data), share in zip(frames, late, strict=True):
+            stamp_ns = max(stamp_ns + 1, end_ns + self._latency_ns + int(share * self._jitter_ns))
+            stamped.append(WireFrame(stamp_ns, identifier, data))
+        self._last_stamp_ns = stamp_ns
+        return stamped
 
 
 class EdgeLink(Protocol):

@@ -99,7 +99,13 @@ class TransmitFrame(Protocol):
 
 
 class CanTalker(Protocol):
-    """A node on the wire."""
+    """A node on the wire.
+
+    Attributes:
+        hears_process_data: Whether it does anything about PDOs of other nodes; they are not given to it otherwise.
+    """
+
+    hears_process_data: bool
 
     @property
     def due_ns(self) -> int:
@@ -239,8 +245,9 @@ class CanWire:
         end_ns, (identifier, _, data, sender, asked) = self._on_wire
         self._on_wire = None
         if asked is None:
+            is_pdo = 0x180 < identifier < 0x580
             for index, node in enumerate(self._nodes):
-                if index != sender:
+                if index != sender and (node.hears_process_data or not is_pdo):
                     node.receive(identifier, data, end_ns)
         else:
             for node in self._nodes:
@@ -259,6 +266,8 @@ class Babbler:
         end_ns: Until when.
         bit_rate: bit/s.
     """
+
+    hears_process_data = False
 
     def __init__(self, identifier: int, start_ns: int, end_ns: int, bit_rate: int = 500_000) -> None:
         self.due_ns = start_ns

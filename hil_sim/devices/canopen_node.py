@@ -62,6 +62,7 @@ class CanopenNode:
         if not 1 <= node_id <= 127:
             raise ValueError(f"Node number {node_id} is not 1 to 127.")
         self.node_id = node_id
+        self.hears_process_data = False
         self.state = OFF
         self.dictionary = ObjectDictionary()
         self.uploads: Counter[tuple[int, int]] = Counter()  # SDO reads answered, by object
@@ -324,6 +325,11 @@ class CanopenNode:
         self.emergency(0x8140, 0x10, b"", now_ns)  # recovered from bus-off
         self.emergency(0x0000, 0x00, b"", now_ns)
 
+    def _hear(self, sync: int, now_ns: int) -> None:
+        """1005h has another SYNC than that of the predefined connection set."""
+        del now_ns
+        self.hears_process_data |= sync != 0x80
+
     def _is_silent(self, now_ns: int) -> bool:
         return bool(self._faults) and self._faults.is_away(now_ns)
 
@@ -347,7 +353,7 @@ class CanopenNode:
         self._error_register = add(0x1001, 0, Entry(u8, Access.RO, mappable=True))
         self._error_count = add(0x1003, 0, Entry(u8, Access.RW, check=_only_zero))
         self._last_error = add(0x1003, 1, Entry(u32, Access.RO))
-        self._sync_cob_id = add(0x1005, 0, Entry(u32, Access.RW, 0x80, check=_check_identifier))
+        self._sync_cob_id = add(0x1005, 0, Entry(u32, Access.RW, 0x80, check=_check_identifier, changed=self._hear))
         self._emcy_cob_id = add(0x1014, 0, Entry(u32, Access.RO, 0x80 + self.node_id))
         self._heartbeat_ms = add(0x1017, 0, Entry(u16, Access.RW, 0, changed=self._arm_heartbeat))
         for sub, value in enumerate((4, 0x0000_5A5A, device_type & 0xFFFF, 0x0001_0000, 1000 + self.node_id)):

@@ -96,6 +96,7 @@ class Drive402(CanopenNode):
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
         super().__init__(node_id, 0x0002_0192, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS))
+        self.hears_process_data = True
         here = [window for window in faults.windows if window.kind is not FaultKind.SATURATED]
         before = [window for window in here if window.kind is not FaultKind.STUCK]
         self._angle = FaultyScalar(angle, DeviceFaults(faults.device, here), start_ns)

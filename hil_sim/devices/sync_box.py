@@ -90,6 +90,7 @@ class SyncBox:
             FaultKind.SLOW,
             FaultKind.CLOCK_JUMP,
         )
+        self.hears_process_data = False
         self.produced = 0
         self.pulses = 0
         self._faults = faults

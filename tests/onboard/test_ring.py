@@ -75,7 +75,7 @@ def test_rows_being_overwritten_are_lost_not_torn(tmp_path: Path) -> None:
 def test_a_damaged_row_is_counted_and_not_handed_out(tmp_path: Path, byte: int) -> None:
     writer = RingWriter(tmp_path / "imu.ring", records.IMU, 8)
     writer.push(rows(0, 6))
-    writer._data[2, byte] ^= 0x10
+    writer._data.view(np.uint8)[2, byte] ^= 0x10
     got, lost = RingReader(tmp_path / "imu.ring").read()
     assert got["sequence"].tolist() == [0, 1, 3, 4, 5]
     assert lost == 1

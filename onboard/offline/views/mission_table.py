@@ -31,21 +31,24 @@ Result = dict[str, Any]
 
 def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
     """The last QUANTITY of each name in a log; empty if there is no estimate."""
-    answers: dict[str, dict[str, Any]] = {}
+    last: dict[bytes, Any] = {}
     for _, rows in log.batches(["quantity"]) if "quantity" in log.channels else ():
-        for row in rows[-256:]:
-            answers[printable(row["name"])] = {
-                "value": float(row["value"]),
-                "low": float(row["low"]),
-                "high": float(row["high"]),
-                "sigma": float(row["sigma"]),
-                "unit": printable(row["unit"]),
-                "supported": bool(row["supported"]),
-                "standing": shown(row),
-                "leans": leans_on(row),
-                "drawn": float(row["drawn"]) if "drawn" in row.dtype.names else 0.0,
-            }
-    return answers
+        newest = rows[-256:]
+        last |= zip(newest["name"].tolist(), newest, strict=True)
+    return {
+        printable(name): {
+            "value": float(row["value"]),
+            "low": float(row["low"]),
+            "high": float(row["high"]),
+            "sigma": float(row["sigma"]),
+            "unit": printable(row["unit"]),
+            "supported": bool(row["supported"]),
+            "standing": shown(row),
+            "leans": leans_on(row),
+            "drawn": float(row["drawn"]) if "drawn" in row.dtype.names else 0.0,
+        }
+        for name, row in last.items()
+    }
 
 
 def result(flown: Flown) -> Result:

@@ -62,6 +62,8 @@ class Talker:
             _, identifier, data = self.script.pop(0)
             self.transmit(identifier, data, now_ns)
 
+    hears_process_data = True
+
     def receive(self, identifier, data, now_ns):
         self.heard.append((now_ns, identifier, data))
 
