@@ -27,7 +27,8 @@ class SyncPulse:
     """Rising edges of the sync line as PULSE rows; its channel carries its name.
 
     ``sequence`` follows the line's own number, so edges dropped by the kernel appear as a jump and a GAP row with cause
-    ``edge_lost``. A line number that goes back means that the line was requested again: an event, not a gap.
+    ``edge_lost``. A line number that goes back means that the line was requested again: an event, and a GAP row with
+    cause ``line_lost`` of about as many edges as the mean interval says.
     """
 
     def __init__(self, name: str, port: PulsePort) -> None:
@@ -35,7 +36,10 @@ class SyncPulse:
         self._port = port
         self._report = Reporter(name)
         self._sequence = 0
+        self._first: Edge | None = None  # since the line was requested
         self._last: Edge | None = None
+        self._intervals = 0  # between these two
+        self._mean_ns = 0.0  # between edges, as known when the line was lost
         self._failing = False
 
     @property
@@ -83,6 +87,7 @@ class SyncPulse:
         if last is not None:
             lost = (edge.line_sequence - last.line_sequence) % _WRAP - 1
             if 0 <= lost < _WRAP // 2:
+                self._intervals += lost + 1
                 if lost:
                     first = self._sequence
                     duration_ns = edge.edge_ns - last.edge_ns
@@ -93,5 +98,18 @@ class SyncPulse:
             else:
                 text = f"line number {edge.line_sequence} after {last.line_sequence}: the line was requested again"
                 self._report.event(edge.host_ns, Severity.WARNING, "line_restarted", text)
+                self._restarted(last, edge)
+        self._first = self._first or edge
         self._sequence += 1
         return self._sequence - 1
+
+    def _restarted(self, last: Edge, edge: Edge) -> None:
+        """Record the edges that came, as far as the mean interval tells, while the line was not there."""
+        if self._first is not None and self._intervals:
+            self._mean_ns = (last.edge_ns - self._first.edge_ns) / self._intervals
+        self._first, self._intervals = None, 0
+        away_ns = edge.edge_ns - last.edge_ns
+        lost = round(away_ns / self._mean_ns) - 1 if self._mean_ns > 0.0 else 0
+        if lost > 0:
+            self._report.gap(edge.host_ns, self.name, self._sequence, self._sequence + lost - 1, away_ns, "line_lost")
+            self._sequence += lost

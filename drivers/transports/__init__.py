@@ -80,7 +80,7 @@ def _can(bus: BusUrl, clock: Clock) -> CanPort:
 
 
 def open_pulse(url: str, clock: Clock) -> PulsePort:
-    """Open the sync line.
+    """Open the sync line. A GPIO line or PPS source that went is opened again when it is back.
 
     Args:
         url: ``gpio:///dev/gpiochip0?line=17`` (rising edges, stamped by the kernel with CLOCK_MONOTONIC),
@@ -92,22 +92,25 @@ def open_pulse(url: str, clock: Clock) -> PulsePort:
         UrlError: The URL is not one of these.
         OSError: The line or socket cannot be opened.
     """
+    from drivers.transports.gpio_reopen import ReopeningPulsePort  # noqa: PLC0415
+
     bus = parse(url, PULSE_URLS)
     if bus.kind == "gpio":
         from drivers.transports.gpio import GpiodPort  # noqa: PLC0415
 
-        return GpiodPort.open(bus.path, bus.integer("line"), clock)
+        line = bus.integer("line")
+        return ReopeningPulsePort(lambda: GpiodPort.open(bus.path, line, clock), clock)
     if bus.kind == "pps":
         from drivers.transports.pps import PpsPort  # noqa: PLC0415
 
-        return PpsPort(bus.path, clock)
+        return ReopeningPulsePort(lambda: PpsPort(bus.path, clock), clock)
     from drivers.transports.gpio_unix import UnixPulsePort  # noqa: PLC0415
 
     return UnixPulsePort(bus.path, clock)
 
 
 def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
-    """Open the line that drives the sync line.
+    """Open the line that drives the sync line. A GPIO line that went is opened again when it is back.
 
     Args:
         url: ``gpio-out:///dev/gpiochip0?line=27``, or ``gpio-out+unix:///path.sock`` (rising edges as datagrams
@@ -125,8 +128,9 @@ def open_pulse_output(url: str, clock: Clock) -> PulseOutputPort:
         return UnixPulseOutput(bus.path, clock)
     line = bus.integer("line")
     from drivers.transports.gpio_out import GpiodOutput  # noqa: PLC0415
+    from drivers.transports.gpio_reopen import ReopeningPulseOutput  # noqa: PLC0415
 
-    return GpiodOutput.open(bus.path, line, clock)
+    return ReopeningPulseOutput(lambda: GpiodOutput.open(bus.path, line, clock), clock)
 
 
 def open_serial(url: str) -> SerialPort:

@@ -1,10 +1,22 @@
-"""Offset between CLOCK_REALTIME (stamps of the kernel) and CLOCK_MONOTONIC (all other times)."""
+"""Offset between CLOCK_REALTIME (stamps of the kernel) and CLOCK_MONOTONIC (all others), and a wait."""
 
 import time
 from collections.abc import Callable
 
 GOOD_BRACKET_NS = 20_000
 TRIES = 4
+SPIN_NS = 150_000  # the end of a wait is a busy loop on the clock: a kernel wake-up takes 50 us or more
+
+
+def wait_until(
+    instant_ns: int, clock: Callable[[], int], sleep: Callable[[float], object] = time.sleep, spin_ns: int = SPIN_NS
+) -> None:
+    """Return at ``instant_ns``, or at once when that has passed; the delay is not returned."""
+    left_ns = instant_ns - clock()
+    if left_ns > spin_ns:
+        sleep((left_ns - spin_ns) * 1e-9)
+    while clock() < instant_ns:
+        pass
 
 
 def realtime_minus_monotonic(

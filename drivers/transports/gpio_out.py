@@ -1,6 +1,5 @@
 """A GPIO line of the kernel as the output that drives the sync line, by libgpiod version 2."""
 
-import time
 from collections.abc import Callable
 from typing import Self
 
@@ -8,19 +7,7 @@ import gpiod
 from gpiod.line import Direction, Value
 
 from drivers.ports import Driven
-
-SPIN_NS = 150_000  # the end of a wait is a busy loop on the clock: a kernel wake-up takes 50 us or more
-
-
-def wait_until(
-    instant_ns: int, clock: Callable[[], int], sleep: Callable[[float], object] = time.sleep, spin_ns: int = SPIN_NS
-) -> None:
-    """Return at ``instant_ns``, or at once when that has passed; the delay is not returned."""
-    left_ns = instant_ns - clock()
-    if left_ns > spin_ns:
-        sleep((left_ns - spin_ns) * 1e-9)
-    while clock() < instant_ns:
-        pass
+from drivers.transports.clock import wait_until
 
 
 class GpiodOutput:

@@ -5,7 +5,7 @@ import struct
 from collections.abc import Callable
 
 from drivers.ports import Driven
-from drivers.transports.gpio_out import wait_until
+from drivers.transports.clock import wait_until
 
 _EDGE = struct.Struct("<qI")
 

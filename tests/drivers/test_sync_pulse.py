@@ -140,6 +140,26 @@ def test_a_line_number_that_goes_back_is_a_line_requested_anew(device, number):
     assert codes(batches) == ["line_restarted"]
 
 
+def test_a_line_that_was_away_leaves_a_gap_of_about_as_many_edges(device):
+    line, pulse = device
+    line.edges = [Edge(100, 100, 1), Edge(300, 310, 2), Edge(500, 510, 3)]
+    pulse.pump(600)
+    line.failing = True
+    pulse.pump(700)
+    line.failing = False
+    line.edges = [Edge(1510, 1510, 1)]  # 4 of these intervals and a bit were missed
+    batches = pulse.pump(1600)
+    (gap,) = of(batches, "gap")
+    assert (gap["first_missing"], gap["last_missing"], gap["duration_ns"], gap["cause"]) == (3, 6, 1010, b"line_lost")
+    assert gap["counted"] == 0
+    line.edges = [Edge(2110, 2110, 1)]  # away again before it has told another interval
+    (again,) = of(pulse.pump(2200), "gap")
+    assert (again["first_missing"], again["last_missing"]) == (8, 9)
+    line.edges = [Edge(2310, 2310, 2)]
+    (batch,) = pulse.pump(2400)
+    assert batch.rows["sequence"].tolist() == [11]
+
+
 def test_a_line_that_fails_is_told_once_and_asks_for_a_pause(device):
     line, pulse = device
     line.failing = True

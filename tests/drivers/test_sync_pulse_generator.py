@@ -15,7 +15,7 @@ from drivers.errors import ConfigurationError
 from drivers.ports import CanFrame, Driven
 from drivers.sync_pulse import PulseGenerator, PulseGeneratorConfig, PulseSchedule, intervals, pulse_number
 from drivers.transports import open_pulse_output
-from drivers.transports.gpio_out import wait_until
+from drivers.transports.clock import wait_until
 from tests.drivers.batches import codes, of, texts, whole
 
 MS = 1_000_000

@@ -1,6 +1,7 @@
 """Pulse and serial ports: a libgpiod request of the test's own, datagrams, ptys."""
 
 import contextlib
+import errno
 import os
 import pty
 import socket
@@ -13,6 +14,79 @@ import pytest
 from gpiod.line import Clock, Direction, Edge
 
 from drivers.transports import open_pulse, open_pulse_output, open_serial
+
+
+class Chip:
+    """libgpiod on a chip that can be unplugged: every request of before then fails for ever."""
+
+    def __init__(self):
+        self.present, self.tries, self.requests = True, 0, []
+
+    def request_lines(self, path, config, **named):
+        self.tries += 1
+        if not self.present:
+            raise FileNotFoundError(errno.ENOENT, "No such file", path)
+        self.requests.append(Request(self))
+        return self.requests[-1]
+
+    def unplug(self):
+        self.present = False
+        for request in self.requests:
+            request.dead = True
+
+
+class Request:
+    def __init__(self, chip):
+        self.chip, self.dead, self.released, self.driven = chip, False, False, []
+
+    def wait_edge_events(self, timeout_s):
+        return True
+
+    def read_edge_events(self, most):
+        self._alive()
+        return [SimpleNamespace(timestamp_ns=5, line_seqno=1)]
+
+    def set_value(self, line, value):
+        self._alive()
+        self.driven.append(value)
+
+    def release(self):
+        self.released = True
+
+    def _alive(self):
+        if self.dead:
+            raise OSError(errno.ENODEV, "No such device")
+
+
+@pytest.mark.parametrize("output", [False, True])
+def test_a_gpio_chip_that_was_unplugged_is_opened_again_with_back_off(monkeypatch, clock, output):
+    chip = Chip()
+    monkeypatch.setattr(gpiod, "request_lines", chip.request_lines)
+    open_port = open_pulse_output if output else open_pulse
+    port = open_port(f"gpio{'-out' if output else ''}:///dev/gpiochip0?line=4", clock)
+    use = (lambda: port.drive(True)) if output else (lambda: port.receive(0.0))
+    use()
+    chip.unplug()
+    with pytest.raises(OSError, match="No such device"):
+        use()
+    assert chip.requests[0].released
+    chip.tries = 0
+    for _ in range(100):  # 1 s in steps of 10 ms
+        clock.now_ns += 10_000_000
+        with pytest.raises(OSError, match="sync line is gone"):
+            use()
+    assert 4 <= chip.tries <= 7, "after 20, 40, 80 ms and so on"
+    chip.present = True
+    clock.now_ns += 1_000_000_000
+    if output:
+        port.wait_until(clock())
+    assert use()
+    assert (port.reopened, len(chip.requests)) == (1, 2)
+    port.close()
+    assert chip.requests[1].released
+    clock.now_ns += 10_000_000_000
+    with pytest.raises(OSError, match="sync line is gone"):
+        use()  # closed for good
 
 
 def test_a_gpio_line_is_asked_for_rising_edges_in_monotonic_time(monkeypatch, clock):
