@@ -7,6 +7,7 @@ A restarted process finds the progress of its predecessor in the rings or in the
 """
 
 import contextlib
+import ctypes
 import signal
 import threading
 import time
@@ -38,6 +39,7 @@ RECEIVE_TIMEOUT_S = 0.05
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0  # before a bus that could not be opened is tried again
 BEAT_S = 1.0  # a worker that has said nothing for several of these hangs
 ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
+_M_MMAP_THRESHOLD = -3  # of malloc.h
 EVENTS_SAID = 200  # of the recorder, for whoever listens
 CLOSE_S = 10.0  # for a disk that refuses at the end of a flight: what is left is harvested before the next
 
@@ -235,6 +237,7 @@ def estimate(
     from onboard.flight.estimation import DurableEstimation
 
     supervised = Supervised(pipe, "estimate")
+    _give_back_large_blocks()
     with directories.belong(directory):
         built = estimator, places
         worker = DurableEstimation(vehicle, directory, time.monotonic_ns(), built, time.process_time_ns)
@@ -246,6 +249,12 @@ def estimate(
             supervised.beat(lambda: Beat(pace.missed))
             pace.sleep()
         worker.finish(time.monotonic_ns())
+
+
+def _give_back_large_blocks() -> None:
+    """Have freed memory of more than 1 MB go back to the system (glibc): a checkpoint needs twice its 3.5 MB."""
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1 << 20)
 
 
 def record(directory: Path, min_free_bytes: int, wanted: realtime.Settings, pipe: Connection) -> None:
