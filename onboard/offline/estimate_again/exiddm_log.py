@@ -151,8 +151,16 @@ class _Flight:
         if not held or max(held.values()) * self._period_s < SHORTEST_S:
             return []
         longest = max(held, key=lambda payload: held[payload])
+        runs = self._without_pauses(runs, longest)
         chosen = [*self._some(runs, longest), *self._some(runs, 0)]
         return [Segment(self._ticks.part(run.ticks), run.payload > 0) for run in sorted(chosen, key=_begin)]
+
+    def _without_pauses(self, runs: Sequence[Run], payload: int) -> list[Run]:
+        """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
+        longest = max((run for run in runs if run.payload == payload), key=lambda run: run.ticks.stop - run.ticks.start)
+        begins, ends = (self._ticks.time_s[[at(run) for run in runs]] for at in (_begin, _end))
+        stretch = np.concatenate([[0], np.cumsum(begins[1:] - ends[:-1] > LONGEST_S)])
+        return [run for run, own in zip(runs, stretch, strict=True) if own == stretch[runs.index(longest)]]
 
     def _some(self, runs: Sequence[Run], payload: int) -> list[Run]:
         left, found = round(LONGEST_S / self._period_s), []
@@ -205,6 +213,10 @@ class _Flight:
 
 def _begin(run: Run) -> int:
     return int(run.ticks.start)
+
+
+def _end(run: Run) -> int:
+    return int(run.ticks.stop) - 1
 
 
 def _fitted(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], int]) -> Fitted:

@@ -5,12 +5,20 @@ Memory is constant in the length of the log; the order of the channels in the fi
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from drivers.records import Batch
 from onboard import config
 from onboard.flight.estimator import Estimator
+from onboard.flight.roles import roles_of
 from onboard.offline.tables.source import Interleaved
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
+
+_LONGEST_PAUSE_NS = 10_000_000_000  # of all channels together, that is gone through step by step
+_FARTHEST_TIMES = 10.0
+_SPREAD = 50  # samples between those whose times are compared: some arrive in groups
+_FEWEST_ROWS = 2 * _SPREAD
 
 
 def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
@@ -28,6 +36,32 @@ def check_channels(vehicle: config.Vehicle, log: LogReader) -> None:
             f"{log.path} has {what}, which vehicle {vehicle.file.vehicle.name!r} needs; it has "
             f"{', '.join(log.channels) or 'none'}. Give the vehicle that it was flown with"
         )
+
+
+def _pause_ns(source: Interleaved, now_ns: int) -> int:
+    """How long nothing was recorded from a time on, less ``_LONGEST_PAUSE_NS`` on both sides; 0 for short pauses."""
+    next_ns = source.next_ns
+    return 0 if next_ns is None else max(0, next_ns - now_ns - 2 * _LONGEST_PAUSE_NS)
+
+
+def check_times(vehicle: config.Vehicle, log: LogReader) -> None:
+    """Check that the samples of a log are as far apart as the vehicle file says, to a factor of ten.
+
+    Raises:
+        ChannelError: a channel's times are of another unit.
+    """
+    for name, signal in roles_of(vehicle).signals.items():
+        rows = next((rows for _, rows in log.batches([name]) if len(rows) >= _FEWEST_ROWS), None)
+        if rows is None:
+            continue
+        spread_ns = np.median(rows["host_ns"][_SPREAD:].astype(np.float64) - rows["host_ns"][:-_SPREAD])
+        ratio = 1e-9 * float(spread_ns) / _SPREAD / signal.period_s
+        if not 1.0 / _FARTHEST_TIMES < ratio < _FARTHEST_TIMES:
+            found, stated = (f"{1e3 * ms:.4g} ms" for ms in (ratio * signal.period_s, signal.period_s))
+            raise ChannelError(
+                f"{log.path}: samples of {name} are {found} apart where the vehicle file says {stated}; check the unit "
+                "of the recording's times, or the device's period"
+            )
 
 
 def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> Iterator[Batch]:
@@ -50,5 +84,7 @@ def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> I
     yield from estimator.process(now_ns, {})
     while not source.done:
         now_ns += step_ns
-        yield from estimator.process(now_ns, source.take(now_ns))
+        skipped_ns = _pause_ns(source, now_ns)
+        now_ns += skipped_ns
+        yield from estimator.process(now_ns, source.take(now_ns), None, skipped_ns)
     yield from estimator.process(now_ns, {}, 0)

@@ -28,7 +28,7 @@ from onboard.identification.rows.standard import identified_links, without_rotor
 from onboard.identification.verdict import Evidence, Level, Standing, is_positive, standing, verdict
 from onboard.offline.estimate_again import throws
 from onboard.offline.estimate_again.exiddm_log import identify_exiddm
-from onboard.offline.estimate_again.feed import check_channels, feed
+from onboard.offline.estimate_again.feed import check_channels, check_times, feed
 from onboard.offline.estimate_again.identified import Answer, Identified
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.planar_log import identify_planar
@@ -112,6 +112,7 @@ def identify(
     readers = [LogReader(log) for log in logs]
     for reader in readers:
         check_channels(vehicle, reader)
+        check_times(vehicle, reader)
     loads = [throws.load_of(vehicle, log) if vehicle.file.free_body else None for log in logs]
     calibration: dict[str, Identifier] = {}
     found = []

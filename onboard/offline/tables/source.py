@@ -48,6 +48,12 @@ class Interleaved:
         """Whether every row has been taken."""
         return all(one.done for one in self._passes)
 
+    @property
+    def next_ns(self) -> int | None:
+        """Least stamp of the rows that wait, exact to how late rows stand in the file; None where none is left."""
+        stamps = [stamp for one in self._passes if not one.done for stamp in one.first_ns()]
+        return min(stamps, default=None)
+
     def take(self, until_ns: int) -> dict[str, Rows]:
         """By channel the rows before its first that is stamped ``until_ns`` or later."""
         return {name: rows for one in self._passes for name, rows in one.take(until_ns).items()}
@@ -67,6 +73,10 @@ class _Pass:
         while not self._ended and not any(len(part) for parts in self._waiting.values() for part in parts):
             self._read_on()
         return self._ended and not any(len(part) for parts in self._waiting.values() for part in parts)
+
+    def first_ns(self) -> list[int]:
+        """Stamp of the first waiting row of each channel."""
+        return [int(part["host_ns"][0]) for parts in self._waiting.values() for part in parts if len(part)]
 
     def _read_on(self) -> None:
         batch = next(self._batches, None)

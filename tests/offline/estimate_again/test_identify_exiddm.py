@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,12 +14,14 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors
 from onboard import channels, cli, config
 from onboard.dynamics.payload import standard_of
+from onboard.flight.estimator import Estimator
 from onboard.identification.change import Change
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.estimate_again.likelihood_log import longest_held
+from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.dynamics.free_flyer_twin import BOX, PAYLOAD, Twin, twin
@@ -86,12 +89,18 @@ def test_the_payload_with_its_verdict_and_urdf(
     assert spec.compile().body("payload").mass[0] == pytest.approx(answers["m_payload"]["value"], rel=1e-12)
 
 
-def answered(plain: Path, log: Path, mean: np.ndarray) -> Path:
-    """The same log with an onboard answer."""
+def answered(plain: Path, log: Path, mean: np.ndarray, again_after_s: float = 0.0, factor: int = 1) -> Path:
+    """The same log with an onboard answer; its last second once more after a pause; times multiplied."""
     with LogWriter.create(log, durable=False) as writer:
         for name, rows in LogReader(plain).batches():
+            rows["host_ns"] *= factor
             writer.register(name, rows.dtype)
             writer.write(name, rows)
+            if again_after_s and rows["host_ns"][-1] > 5_900_000_000:
+                later = rows[rows["host_ns"] > 5_000_000_000].copy()
+                later["host_ns"] += round(1e9 * again_after_s)
+                later["sequence"] += len(later)
+                writer.write(name, later)
         answer = np.zeros(1, channels.estimate_dtype(10, 11))
         answer["host_ns"], answer["mean"] = 6_000_000_000, mean
         writer.register("estimate", answer.dtype)
@@ -122,6 +131,35 @@ def test_an_onboard_answer_that_leads_nowhere_is_replaced(
     (found,) = identify(VEHICLE, [wrong]).logs
     assert found.verdict.level is Level.GOOD
     assert found.answers[0].value == pytest.approx(PAYLOAD.mass_kg, abs=3.0 * found.answers[0].sigma)
+
+
+def test_an_hour_without_a_recording_is_left_out(
+    flown: Twin, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = write(tmp_path / "plain.mcap", flown, rng)
+    (wanted,) = identify(VEHICLE, [answered(plain, tmp_path / "one.mcap", standard_of(PAYLOAD))]).logs
+    steps = 0
+    process = Estimator.process
+
+    def counted(*arguments: Any) -> Any:
+        nonlocal steps
+        steps += 1
+        return process(*arguments)
+
+    monkeypatch.setattr(Estimator, "process", counted)
+    log = answered(plain, tmp_path / "two.mcap", standard_of(PAYLOAD), again_after_s=3600.0)
+    (found,) = identify(VEHICLE, [log]).logs
+    assert steps < 100
+    assert found.verdict.level is wanted.verdict.level
+    assert found.answers[0].value == pytest.approx(wanted.answers[0].value, abs=0.1 * wanted.answers[0].sigma)
+
+
+def test_times_of_another_unit_are_refused(flown: Twin, tmp_path: Path, rng: np.random.Generator) -> None:
+    log = answered(
+        write(tmp_path / "plain.mcap", flown, rng), tmp_path / "slow.mcap", standard_of(PAYLOAD), factor=1000
+    )
+    with pytest.raises(ChannelError, match=r"samples of imu_base are 2000 ms apart where .* says 2 ms; check the unit"):
+        identify(VEHICLE, [log])
 
 
 def test_an_arm_that_stands_still_shows_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
