@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from hil_sim.arrays import FloatArray
+from hil_sim.arrays import FloatArray, cross
 from hil_sim.plants import world
 from hil_sim.plants.motion import ArmProgram, PlateMotion, base_motion
 from hil_sim.scenario.rocket_tables import BodyTable, BuiltPart, Inertia, RocketScenario
@@ -138,7 +138,6 @@ class RocketArmPlant(world.Plant):
         self._rollout = rollout.Rollout(nthread=0)
         self._sensors = np.zeros((1, self.chunk, self._model.nsensordata))
         self._states = np.zeros((1, self.chunk, self._state.shape[1]))
-        self._steps = np.arange(self.chunk)
         # rows at which something pushes the arm; elsewhere the sums below are zeros
         self._loaded = self._push.any(axis=1) | (self.base.dynamic_pressure_pa != 0.0)
 
@@ -209,7 +208,7 @@ class RocketArmPlant(world.Plant):
         state[0, :12] = state[0, 0], 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, state[0, 8], 0.0, 0.0, 0.0
         state[0, 12:15] = self.base.angular_rate_half_rad_s[first]
         q, dq = state[0, 8], state[0, 15]
-        q_ahead = q + dq * self.step_s * self._steps[:n]  # extrapolated angle for forces that depend on it
+        q_ahead = q + dq * self.step_s * np.arange(n)  # extrapolated angle for forces that depend on it
         R = self._attitudes(rows)  # (n, 3, 3) plate to world
         control = np.zeros((n, mujoco.mj_stateSize(self._model, _CONTROL)))
         control[:, 0] = self._servo_command[rows]
@@ -248,13 +247,16 @@ class RocketArmPlant(world.Plant):
         """Drag and ejection reaction on the arm, as force at its centre of mass and moment, (n, 3) in plate axes."""
         air, com = self._scenario.reentry, 1e-3 * np.asarray(self._scenario.body.arm.com_mm)
         angle = q + np.deg2rad(self._scenario.geometry.frame_1_theta_deg)
-        c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
-        R = np.stack([np.stack([c, -s, zero], 1), np.stack([s, c, zero], 1), np.tile([0.0, 0.0, 1.0], (len(q), 1))], 1)
+        R = np.zeros((len(q), 3, 3))
+        R[:, 0, 0], R[:, 1, 0] = np.cos(angle), np.sin(angle)
+        R[:, 1, 1], R[:, 0, 1], R[:, 2, 2] = R[:, 0, 0], -R[:, 1, 0], 1.0
         drag = air.arm_drag_area_m2 * self.base.dynamic_pressure_pa[rows, None] * self.base.wind[rows]
+        moment = cross(R @ (1e-3 * np.asarray(air.arm_centre_of_pressure_mm) - com), drag)
+        if not self._push[rows].any():
+            return drag, moment
         push = np.einsum("nij,nj->ni", R, self._push[rows])
-        to_pressure = R @ (1e-3 * np.asarray(air.arm_centre_of_pressure_mm) - com)
         to_tip = R @ (np.array([_tip_radius_m(self._scenario), 0.0, 0.0]) - com)
-        return drag + push, np.cross(to_pressure, drag) + np.cross(to_tip, push)
+        return drag + push, moment + cross(to_tip, push)
 
     def _commands(self) -> FloatArray:
         """Servo set-point with feed-forward, for the whole mission: u such that kp (u - q) - kd dq is the torque."""

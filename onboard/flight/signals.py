@@ -168,7 +168,8 @@ class SignalSmoother:
         """Channels sampled together, with the same delays."""
         first, one = next(iter(group.items()))
         at_s = (at_ns - at_ns[0]) * 1e-9
-        values = np.hstack([recent.values for recent in group.values()])
+        alone = len(group) == 1
+        values = one.values if alone else np.hstack([recent.values for recent in group.values()])
         noise = np.hstack([self._signals[name].noise for name in group])
         delays_s = np.array(self._signals[first].delays_s * len(group))
         out = np.full((derivatives + 1, len(at_ns), len(noise)), np.nan)
@@ -179,10 +180,11 @@ class SignalSmoother:
             window = SmoothingWindow(
                 one.times_s - delay_s, at_s, self.width_s, max_gap_s=one.gap_s, kernel=self._kernel
             )
-            columns = values if mine.all() else values[:, mine]
+            every = bool(mine.all())
+            where, columns = (slice(None), values) if every else (mine, values[:, mine])
             for order, smoothed in enumerate(window.derivatives(columns, range(derivatives + 1))):
-                out[order][:, mine] = smoothed.values
-                sigma[order][:, mine] = smoothed.noise_gain[:, None] * noise[mine]
+                out[order][:, where] = smoothed.values
+                sigma[order][:, where] = smoothed.noise_gain[:, None] * noise[where]
             gaps |= reasons(~window.valid, GateReason.GAP)
         # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
         change, of_change = np.empty_like(out), np.empty_like(sigma)
