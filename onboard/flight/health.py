@@ -34,6 +34,7 @@ CHANNELS = {"health": HEALTH, "health_stream": HEALTH_STREAM}
 PERIOD_NS = 1_000_000_000
 NO_CLOCK = 255
 _STATES = ("acquiring", "locked", "flywheel", "invalid")  # ClockState
+_MOST = (1 << 64) - 1
 _FEWEST = 10.0  # rows that must be due in a second for a rate to be judged: pulses come at uneven intervals
 _PERIODS = 5.0  # without a row a channel is silent, and a second at the least
 
@@ -148,7 +149,7 @@ class HealthMonitor:
             channel = row["channel"].decode(errors="replace")
             gaps, missing = self._gaps.get(channel, (0, 0))
             count = int(row["last_missing"]) - int(row["first_missing"]) + 1
-            self._gaps[channel] = gaps + 1, missing + max(0, count)
+            self._gaps[channel] = gaps + 1, min(_MOST, missing + max(0, count))  # a damaged counter may say anything
             word |= Status.ROWS_MISSING
         clocks = self._read("clock")
         for channel, index in zip(*np.unique(clocks["channel"][::-1], return_index=True), strict=True):
@@ -181,13 +182,13 @@ class HealthMonitor:
                     word |= Status.STREAM_SLOW
             into["rate_hz"], into["nominal_hz"], into["rows"] = came / passed_s, nominal_hz, rows
             into["gaps"], into["missing"], into["capacity"] = gaps, missing, reader.capacity
-            into["unrecorded"] = backlog.get(channel, -1)
+            into["unrecorded"] = min(backlog.get(channel, -1), np.iinfo(np.int32).max)
             into["clock_state"], into["channel"] = self._clocks.get(channel, NO_CLOCK), channel.encode()
             if backlog.get(channel, 0) > BACKLOG * reader.capacity:
                 word |= Status.RECORDER_BEHIND
         row["rows"], row["rows_hz"], row["slowest_percent"] = made["rows"].sum(), made["rate_hz"].sum(), 100 * slowest
         row["gaps"] = sum(gaps for gaps, _ in self._gaps.values())
-        row["missing"] = sum(missing for _, missing in self._gaps.values())
+        row["missing"] = min(_MOST, sum(missing for _, missing in self._gaps.values()))
         known = made["unrecorded"] >= 0
         filled = made["unrecorded"][known] / made["capacity"][known]
         row["recorder_backlog_percent"] = 100 * filled.max(initial=0.0) if known.any() else math.nan

@@ -38,7 +38,9 @@ from onboard.recording.sink import FileSink, Sink, sync_directory
 from onboard.recording.writer import HEADER_BYTES, SYNC_INTERVAL_NS, LogWriter
 
 _UNSEALED_AT_MOST = 3  # one that was being ended, one in use, one opened ahead
+_LOOKED_AT = 16  # segments before: a recorder may have died again before it sealed what others left
 _OPEN_AGAIN_NS = 1_000_000_000
+SEAL_AFTER_NS = 3_000_000_000  # a segment of 40 MB takes 0.3 s of CPU time, and first the rings are to be read
 
 
 class Preamble(NamedTuple):
@@ -114,7 +116,7 @@ class SegmentedLog:
         told: Callable[[Progress], object] = lambda progress: None,
     ) -> None:
         self._told = told
-        self._unsealed: list[Path] = []  # of recorders that died; sealed once rows are recorded again
+        self._unsealed: list[Path] = []  # of recorders that died; sealed when rows are recorded again
         self._log, self._preamble, self._limits = log, preamble, limits
         self._sync_interval_ns, self._open_sink = sync_interval_ns, open_sink
         self.recorded: dict[str, ChannelProgress] = dict(recorded or {})
@@ -122,7 +124,7 @@ class SegmentedLog:
         self._channels: dict[str, tuple[np.dtype[np.void], Mapping[str, str] | None]] = {}
         self._number = number
         self._opened_ns: int | None = None
-        self._open_again_ns = 0
+        self._open_again_ns = self._seal_ns = 0
         segment_path(log, number).parent.mkdir(parents=True, exist_ok=True)
         self._writer = self._open(number)
         self._ending: LogWriter | None = None
@@ -143,8 +145,8 @@ class SegmentedLog:
     ) -> Self:
         """Continue a log whose writer died, or begin a new one; open segments are closed.
 
-        With the dead writer's last ``progress`` only what it wrote later is read, and segments are closed after the
-        first sync.
+        With the dead writer's last ``progress`` only what it wrote later is read, and segments are closed
+        :data:`SEAL_AFTER_NS` after the first sync.
 
         Raises:
             FileExistsError: the log is another flight's.
@@ -157,7 +159,7 @@ class SegmentedLog:
             number = progress.number + 1
             segment_path(log, number).unlink(missing_ok=True)  # opened ahead
             resumed = begin(number=number, recorded=recorded)
-            before = range(max(0, number - _UNSEALED_AT_MOST), number)
+            before = range(max(0, number - _LOOKED_AT), number)
             resumed._unsealed = [path for one in before if (path := segment_path(log, one)).exists()]
             return resumed
         found = [path for path in segments(log) if path.exists()]
@@ -207,7 +209,7 @@ class SegmentedLog:
         """See ``LogWriter.sync``; a segment that is full is ended here."""
         synced = self._writer.sync(now_ns)
         if self._opened_ns is None:
-            self._opened_ns = now_ns
+            self._opened_ns, self._seal_ns = now_ns, now_ns + SEAL_AFTER_NS
         if synced:
             self._end_segment()
             if self._next is None:
@@ -215,7 +217,7 @@ class SegmentedLog:
             if self._full(now_ns):
                 self._change(now_ns)
             self._told(Progress(self._number, self._writer.bytes_written, dict(self.recorded)))
-            if self._unsealed:
+            if self._unsealed and now_ns >= self._seal_ns:
                 self._seal(self._unsealed.pop())
         return synced
 

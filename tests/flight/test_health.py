@@ -248,6 +248,15 @@ def test_gaps_clocks_and_the_estimator(flight: _Flight) -> None:
     assert (of[b"imu_base"]["clock_state"], of[b"joint_1"]["clock_state"]) == (2, 255)
 
 
+def test_counts_beyond_a_field_stay_at_its_largest(flight: _Flight) -> None:
+    flight.beats["recording"] = Beat(backlog={"imu_base": 1 << 40})
+    for channel in ("joint_1", "load_cell", "load_cell"):
+        flight.devices.publish([gap(1, channel, 0, (1 << 64) - 2, 100, "bus")])
+    row, streams = flight.second()
+    assert (row["gaps"], row["missing"]) == (3, (1 << 64) - 1)
+    assert streams["unrecorded"].max() == (1 << 31) - 1
+
+
 def test_a_worker_that_is_down_and_a_busy_computer(flight: _Flight) -> None:
     flight.push(**FULL)
     flight.second()

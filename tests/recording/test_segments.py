@@ -13,8 +13,9 @@ from onboard.recording.errors import LogFormatError
 from onboard.recording.mcap_format import Attachment
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress
+from onboard.recording.scan import Scan
 from onboard.recording.seal import seal
-from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
+from onboard.recording.segmented import SEAL_AFTER_NS, Limits, Preamble, Progress, SegmentedLog
 from onboard.recording.segments import flights, read_head, segment_path, segments
 from onboard.recording.writer import LogWriter
 from tests.recording.logs import LABEL, READING, FailingSink, label_rows, reading_rows, same_fields, write_small
@@ -195,6 +196,34 @@ def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written
         assert same_fields(read.read("reading"), reading_rows(0, last + 61))
         shutil.rmtree(again.parent)
     assert beyond > 0 or ago != 1
+
+
+def test_what_a_dead_recorder_left_is_sealed_once_the_rings_have_been_read(tmp_path):
+    told = []
+    flight = Flight(tmp_path / "a.mcap", told=told.append)
+    flight.steps(5)
+    flight.writer.abandon()
+    [used, _] = segments(tmp_path / "a.mcap")
+    second = Flight(tmp_path / "a.mcap", progress=told[-1])
+    while Scan(used).truncated and second.now_ns < 2 * SEAL_AFTER_NS:
+        second.steps(1)
+    assert SEAL_AFTER_NS < second.now_ns < SEAL_AFTER_NS + 12 * STEP_NS
+    second.writer.close()
+    assert LogReader([used]).complete
+
+
+def test_recorders_that_die_one_after_the_other_leave_nothing_open(tmp_path):
+    told = []
+    for _ in range(6):
+        flight = Flight(tmp_path / "a.mcap", told=told.append, progress=told[-1] if told else None)
+        flight.steps(5)
+        flight.writer.abandon()
+    last = Flight(tmp_path / "a.mcap", progress=told[-1])
+    last.steps(1)
+    last.writer.close()
+    found = segments(tmp_path / "a.mcap")
+    assert len(found) == 7
+    assert not any(Scan(path).truncated for path in found)
 
 
 def test_a_last_segment_that_tells_nothing_is_no_reason_to_forget(tmp_path):
