@@ -111,16 +111,24 @@ class CanopenBus:
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
         """Receive the waiting frames and return their batches; waits up to ``timeout_s`` for the first frame."""
         self._port.now_ns = now_ns
-        if self._pumped_ns is not None and now_ns - self._pumped_ns > STOOD_NS:
-            self._stood_from_ns, self._stood_to_ns = self._pumped_ns, now_ns
-            text = f"not read for {1e-9 * (now_ns - self._pumped_ns):.1f} s: the process stood still"
-            self._report.event(now_ns, Severity.WARNING, "not_read", text)
+        if self._pumped_ns is not None:
+            self._note_standstill(self._pumped_ns, now_ns)
         self._pumped_ns = now_ns
-        self._dispatch(self._receive(timeout_s))
+        frames = self._receive(timeout_s)
+        if frames:  # it may also have stood still within the read
+            self._note_standstill(now_ns + round(timeout_s * 1e9), frames[-1].host_ns)
+            self._pumped_ns = max(now_ns, frames[-1].host_ns)
+        self._dispatch(frames)
         for node in self._nodes:
             node.poll(now_ns)
         self._watch_sync(now_ns)
         return self._handed_over()
+
+    def _note_standstill(self, from_ns: int, to_ns: int) -> None:
+        if to_ns - from_ns > STOOD_NS:
+            self._stood_from_ns, self._stood_to_ns = from_ns, to_ns
+            text = f"not read for {1e-9 * (to_ns - from_ns):.1f} s: the process stood still"
+            self._report.event(to_ns, Severity.WARNING, "not_read", text)
 
     def stop(self, now_ns: int) -> list[Batch]:
         """Stop the nodes, read the remaining frames, record unanswered SYNCs as gaps."""
@@ -195,14 +203,14 @@ class CanopenBus:
             text = "SYNC carries no counter, losses are counted by arrival time only: write 240 to its 1019h"
             self._report.event(host_ns, Severity.WARNING, "sync_uncounted", text)
         before_tick, before_ns = self._sync.tick, self._sync.host_ns
-        tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns)
+        stood = self._stood_from_ns <= host_ns < self._stood_to_ns + STOOD_NS  # it may lack what the bus did carry
+        tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns, stood)
         self._sync_sent_ns = None
         lost = max(lost, self._bad_syncs) if restarted else lost  # those that could not be read are in no other gap
         self._bad_syncs = 0
         if self._sync_missed:
             self._sync_missed = False
             self._report.event(host_ns, Severity.INFO, "sync_recovered", f"SYNC received again, number {tick}")
-        stood = self._stood_from_ns <= host_ns < self._stood_to_ns + STOOD_NS  # it may lack what the bus did carry
         if self._sync.pause_ns and not stood:
             pause_ms = self._sync.pause_ns // 1_000_000
             text = f"SYNC paused for {pause_ms} ms, none is missing: its producer paused, or frames were delayed"

@@ -214,6 +214,27 @@ def test_a_reader_that_stood_still_is_told_and_the_producer_is_not_blamed(bench)
     whole(bench.batches, "can_sync")
 
 
+def test_a_reader_that_stood_still_within_its_read_lost_what_the_queue_did_not_keep(bench):
+    bench.start()
+    bench.run(1_000)
+    began_ns, pump, bench.device.pump = bench.clock(), bench.device.pump, lambda now, timeout_s=0.0: []
+    bench.drop = lambda number, identifier: len(bench.port.inbox) > 1_000
+    bench.run(3_000)
+    bench.drop = lambda number, identifier: False
+    bench.device.pump = pump
+    bench.port.inbox = [frame._replace(host_ns=bench.clock()) for frame in bench.port.inbox]
+    bench.batches += bench.device.pump(began_ns, 0.05)  # it was stopped while it waited
+    bench.run(1_000)
+    bench.stop()
+    assert texts(bench.batches, "not_read") == ["not read for 3.0 s: the process stood still"]
+    assert not {"sync_lost", "sync_paused", "sync_restarted"} & set(codes(bench.batches))
+    lost = [row for row in of(bench.batches, "gap") if row["channel"] == b"can_sync"]
+    assert {row["cause"] for row in lost} == {b"not_read"}
+    missing = sum(int(row["last_missing"] - row["first_missing"]) + 1 for row in lost)
+    assert missing > 240  # a whole round of the counter is among them
+    assert len(whole(bench.batches, "can_sync")) + missing == pytest.approx(bench.number, abs=1)
+
+
 def test_a_bus_without_sync_is_told(bench):
     bench.sync_on = False
     bench.start()

@@ -394,3 +394,25 @@ def test_a_gap_is_named_even_when_nothing_more_comes():
     assert len(stream.end(now_ns=77)) == 1
     (gap,) = of(stream.batches, "gap")
     assert (int(gap["first_missing"]), int(gap["last_missing"]), int(gap["host_ns"])) == (1, 10, 77)
+
+
+@pytest.mark.parametrize("lost", [26, 155, 240, 266, 480])
+@pytest.mark.parametrize("boundary_ms", [0, 3])
+def test_what_a_full_queue_lost_behind_it_is_counted_and_no_restart(lost, boundary_ms):
+    """A reader stood still; the queue holds the oldest frames, stamped when read, in portions; then live ones come."""
+    period_ns, kept = 5_000_000, 300
+    counter = SyncCounter(period_ns)
+    for tick in range(100):
+        counter.advance(tick % 240 + 1, tick * period_ns)
+    read_ns = (99 + kept + lost) * period_ns + 1_000_000
+    missing, restarts = 0, 0
+    for tick in range(100, 100 + kept):
+        at_ns = read_ns + boundary_ms * 1_000_000 * (tick >= 200)
+        step = counter.advance(tick % 240 + 1, at_ns, read_ns - (kept - 1) * period_ns if tick == 100 else None, True)
+        missing, restarts = missing + step.lost, restarts + step.restarted
+    assert (missing, restarts) == (0, 0)
+    for tick in range(100 + kept + lost, 150 + kept + lost):
+        step = counter.advance(tick % 240 + 1, tick * period_ns + 100_000, None, True)
+        missing, restarts = missing + step.lost, restarts + step.restarted
+    assert (missing, restarts) == (lost, 0)
+    assert counter.tick == 149 + kept + lost
