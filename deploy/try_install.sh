@@ -5,8 +5,8 @@
 #   sh deploy/try_install.sh [SUITE]      bookworm (default) or trixie
 #
 # It installs twice (the second time must change nothing), checks the unit with systemd-analyze, boots the root where this
-# machine allows it, lets the service fly as systemd starts it, reads the log it made, uninstalls, and compares the files
-# of the root with those before. HEFT_TRY_ROOT=FILE.tar keeps the fresh root for the next run. PIP_* variables are handed
+# machine allows it, lets the service fly as systemd starts it for HEFT_TRY_FLIGHT_S (15), kills it, lets it go on with the
+# flight, reads the logs it made, uninstalls, and compares the files of the root with those before. HEFT_TRY_ROOT=FILE.tar keeps the fresh root for the next run. PIP_* variables are handed
 # on. Exit codes: 0 all held; 69 this machine cannot do it; 1 something did not hold (the last line says what).
 set -eu
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
@@ -28,6 +28,7 @@ inside() {
     [ -z "${PIP_INDEX_URL:-}" ] || set -- --setenv=PIP_INDEX_URL="$PIP_INDEX_URL" "$@"
     systemd-nspawn -q -D "$work/root" --pipe --register=no --keep-unit --resolv-conf=replace-host "$@"
 }
+in_flight() { nsenter -t "$leader" -m -p -u -i -n "$@"; }
 listing() {
     (cd "$work/root" && find . -xdev \( -path ./root -o -path ./proc -o -path ./sys -o -path ./dev -o -path ./run -o -path ./tmp \
         -o -path ./var/cache -o -path ./var/lib/apt -o -path ./var/lib/dpkg -o -path ./var/log -o -path ./usr \
@@ -79,14 +80,26 @@ for _ in $(seq 30); do
     [ -z "$leader" ] || ! ls "$work/root/var/lib/heft/flights/"*.mcap >/dev/null 2>&1 || break
 done
 if ls "$work/root/var/lib/heft/flights/"*.mcap >/dev/null 2>&1; then
-    sleep 5
-    nsenter -t "$leader" -m -p -u -i -n systemctl --no-pager status heft.service | head -n 15
-    nsenter -t "$leader" -m -p -u -i -n systemctl stop heft.service
-    nsenter -t "$leader" -m -p -u -i -n journalctl --no-pager -u heft -n 12 || :
-    nsenter -t "$leader" -m -p -u -i -n systemctl poweroff || :
+    sleep "${HEFT_TRY_FLIGHT_S:-15}"    # its watchdog bites after 90 s; without devices it is armed after 10 s
+    in_flight systemctl --no-pager status heft.service | head -n 15
+    in_flight systemctl show -p ActiveState -p SubState -p NRestarts -p WatchdogUSec heft.service >"$work/shown"
+    cat "$work/shown"
+    [ "$(grep -c -e '^ActiveState=active$' -e '^SubState=running$' -e '^NRestarts=0$' "$work/shown")" = 3 ] ||
+        die 1 'the service did not say that it is ready, or was started again'
+    note 'everything is killed: systemd starts it again, and it goes on with the flight'
+    in_flight systemctl kill --kill-whom=all --signal=KILL heft.service
+    for _ in $(seq 60); do
+        sleep 1
+        ! ls "$work/root/var/lib/heft/flights/"*-001-part2.mcap >/dev/null 2>&1 || break
+    done
+    ls "$work/root/var/lib/heft/flights/"*-001-part2.mcap || die 1 'it did not go on with the flight'
+    sleep 3
+    in_flight systemctl stop heft.service
+    in_flight journalctl --no-pager -u heft -n 25 || :
+    in_flight systemctl poweroff || :
     wait "$machine" || :
     machine=
-    for log in "$work/root/var/lib/heft/flights/"*-001.mcap; do
+    for log in "$work/root/var/lib/heft/flights/"*-001.mcap "$work/root/var/lib/heft/flights/"*-part2.mcap; do
         inside runuser -u heft -- /opt/heft/.venv/bin/heft info "${log#"$work/root"}" | head -n 12
     done
 else
