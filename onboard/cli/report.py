@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import DAMAGED, OK, Commands, load_vehicle, progress, warn
+from onboard.cli.common import DAMAGED, OK, Commands, complain, load_vehicle, progress, warn
 
 
 def add(commands: Commands) -> None:
@@ -17,11 +17,14 @@ def add(commands: Commands) -> None:
 
 def _report(arguments: argparse.Namespace) -> int:
     from onboard.offline.report import report
+    from onboard.offline.report.gallery import zooms
 
     output = arguments.output or arguments.log.with_suffix(".html")
     vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else None
     with progress() as bar:
         damage = report(arguments.log, output, bar, vehicle)
     print(output)
+    if not zooms():
+        complain("the figures are drawings that do not zoom; for those that do: pip install bokeh")
     warn(damage)
     return DAMAGED if damage else OK

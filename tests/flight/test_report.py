@@ -1,5 +1,8 @@
 """The report of a whole mission: what it says against the log, and how it looks in a browser."""
 
+import base64
+import gzip
+import json
 import re
 import shutil
 import subprocess
@@ -14,9 +17,10 @@ from PIL import Image
 from drivers import records
 from onboard import cli, config
 from onboard.flight.identification import build_identifier
-from onboard.offline.report import report
+from onboard.offline.report import report, theme, zoom
 from onboard.offline.report.alone import alone
 from onboard.offline.report.flight_data import SweepData
+from onboard.offline.report.gallery import Gallery
 from onboard.offline.tables import truth
 from onboard.offline.tables.phases import Phase
 from onboard.recording.writer import LogWriter
@@ -24,8 +28,9 @@ from tests.flight.missions import Result
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SECTIONS = [
-    "Answers", "Timeline", "Encoder and load cell", "Accelerations and rates", "Torque and acceleration",
-    "Sweep by sweep", "Convergence", "Clocks", "Channels", "Health", "Events", "Provenance",
+    "Answers", "Timeline", "Encoder and load cell", "Accelerations and rates", "Spectra", "Arm",
+    "Torque and acceleration", "Sweep by sweep", "Convergence", "Clocks", "Sample times", "Channels",
+    "Health", "Events", "Provenance",
 ]  # fmt: skip
 
 
@@ -68,13 +73,13 @@ def test_it_needs_nothing_but_itself(page: Path) -> None:
     text = page.read_text()
     found = Page(text)
     assert found.headings == SECTIONS
-    assert found.figures >= 9
+    assert found.figures >= 12
     assert len(found.references) >= 5
     assert all(reference.startswith("#") for reference in found.references)
     assert {reference[1:] for reference in found.references} <= set(found.ids)
     assert len(set(found.ids)) == len(found.ids)
     assert not re.search(r"@import|url\((?!#)", text)
-    assert "<script" not in text
+    assert text.count("</script>") == text.count("<script") == 5
 
 
 def test_it_says_what_was_said_in_flight_and_what_was_true(page: Path, mission: Result) -> None:
@@ -132,6 +137,45 @@ def test_a_sweep_alone_is_the_prior_and_its_rows(rng: np.random.Generator) -> No
     for quantity in fresh.quantities:
         spread = float(np.sqrt(quantity.weights**2 @ scale**2))
         assert found[quantity.name].value[-1] == pytest.approx(quantity.weights @ expected, abs=1e-7 * spread)
+
+
+class TestZoom:
+    """Figures for Bokeh, made of the static ones."""
+
+    def test_every_line_band_and_text_of_a_drawing_is_in_it(self) -> None:
+        with theme.figures():
+            figure, [axes] = theme.subplots()
+            axes.plot([0.0, 1.0], [2.0, 3.0], label="<b>$$x$$")
+            axes.fill_between([0.0, 1.0], [1.0, 1.0], [2.0, 2.0])
+            axes.axvspan(0.2, 0.4)
+            axes.axhline(0.5)
+            axes.set_title("a $$\\frac{1}{2}$$ <script>")
+            axes.set_ylabel("<img src=x>")
+            axes.legend()
+            other = axes.twinx()
+            other.plot([0.0, 1.0], [20.0, 30.0], "x")
+            [made] = json.loads(gzip.decompress(base64.b64decode(zoom.data([figure]))))
+        names = re.findall(r'"name":"(\w+)","id"', json.dumps(made, separators=(",", ":")))
+        count = {name: names.count(name) for name in ("Line", "Patches", "BoxAnnotation", "Span", "Scatter", "Legend")}
+        assert count["Line"] >= 1  # and those of it that is selected or muted
+        assert count["Scatter"] >= 2
+        assert (count["BoxAnnotation"] >= 1, count["Span"], count["Legend"]) == (True, 1, 1)
+        assert count["Patches"] >= 1
+        assert names.count("PlainText") >= 5  # title, two labels of axes, legend, second axis: none is mathematics
+
+    def test_the_script_is_carried_once_and_unpacks(self, page: Path) -> None:
+        text = page.read_text()
+        [packed] = re.findall(r'id="bokeh">([^<]*)<', text)
+        assert b"Bokeh" in gzip.decompress(base64.b64decode(packed))
+        assert page.stat().st_size < 4_000_000
+
+    def test_without_bokeh_there_are_the_drawings_only(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        with theme.figures():
+            draw, (figure, _) = Gallery(), theme.subplots()
+            assert "<svg" in draw(figure, "a caption")
+            assert set(draw.packed()) == {"bokeh", "figures", "roles"}
+            monkeypatch.setattr("onboard.offline.report.gallery.zooms", lambda: False)
+            assert draw.packed() == {}
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser to look with: apt install chromium")

@@ -27,6 +27,31 @@ def shown_unit(unit: str, size: float) -> tuple[str, float]:
     return unit.replace("^2", "²"), 1.0
 
 
+_UNITS = {"M": "kg", "X": "kg m²", "Y": "kg m²", "Z": "kg m²", "Ia": "kg m²", "scale": "relative", "zero": "m/s²"}
+
+
+def base_unit(name: str, flight: FlightData) -> str:
+    """Unit of a base parameter by its name (:class:`onboard.regressor.rows.RowModel`); empty where not known."""
+    kind, _, of = name.partition("_")
+    if kind in ("MX", "MY", "MZ"):
+        return "kg m"
+    if kind in ("Fv", "Fc"):
+        joints = flight.model.joints if flight.model is not None else ()
+        turns = all(joint.revolute for joint in joints if joint.name == of.removesuffix("_R"))
+        torque, rate = ("N m", "rad") if turns else ("N", "m")
+        return torque if kind == "Fc" else f"{torque} s/{rate}"
+    if kind == "bias":
+        return _bias_unit(of.removesuffix("_R"), flight)
+    return _UNITS.get(kind, _UNITS.get(kind[:1], "") if len(kind) == 2 else "")
+
+
+def _bias_unit(row: str, flight: FlightData) -> str:
+    cells = {cell.name: cell for cell in (flight.roles.cells if flight.roles else ())}
+    if row in cells:
+        return "N"  # a moment is read as a force on a lever
+    return "N m" if row.startswith(("torque", "base_moment")) else "N"
+
+
 class Side(NamedTuple):
     """Measured side of one row of the regression: its index in ROW, unit, and factor from the logged number."""
 
@@ -37,7 +62,7 @@ class Side(NamedTuple):
 
 def torque_and_acceleration(flight: FlightData, side: Side) -> Figure | None:
     """Measured side of a row and the joint's acceleration, sweep by sweep (as figures 4.53 to 4.56)."""
-    shown = [sweep for sweep in flight.sweeps if sweep.rows is not None and len(sweep.rows)]
+    shown = [sweep for sweep in flight.sweeps if sweep.moving and sweep.rows is not None and len(sweep.rows)]
     if not shown:
         return None
     figure, every = subplots(len(shown), 2, width_ratios=[2.1, 1.0])
@@ -117,7 +142,7 @@ def by_sweep(flight: FlightData, found: dict[str, list[Alone]], truths: dict[str
         _truth(axes, truths.get(name), factor)
         axes.set_title(name)
         axes.set_ylabel(unit)
-        axes.legend(loc="upper right", ncols=3)
+        legend(axes)
     for axes in every[len(names) :]:
         axes.set_visible(False)
     for axes in every[max(0, len(names) - 2) : len(names)]:
@@ -173,7 +198,7 @@ def convergence(flight: FlightData, truths: dict[str, float], *, quantities: boo
         _frame(axes, [factor * last["value"]], [factor * last["low"], factor * last["high"]])
         _truth(axes, truths.get(name), factor)
         shade(axes, flight)
-        axes.set_title(f"{name}, {unit}" if unit else name)
+        axes.set_title(f"{name}, {unit or base_unit(name, flight)}".removesuffix(", "))
     for axes in every[len(names) :]:
         axes.set_visible(False)
     for axes in every[max(0, len(names) - 2) : len(names)]:

@@ -12,8 +12,9 @@ from drivers.records import Rows, Severity
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
 from onboard.offline.report.flight_data import FlightData, SweepData
-from onboard.offline.report.theme import COLOUR, CYCLE, subplots
+from onboard.offline.report.theme import COLOUR, CYCLE, WIDTH_IN, subplots
 from onboard.offline.tables.thin import Trace
+from onboard.offline.views.summary import reason_words
 from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 
@@ -23,6 +24,7 @@ STATE_COLOUR = {
     ClockState.FLYWHEEL: COLOUR["warn"],
     ClockState.INVALID: COLOUR["bad"],
 }
+_LETTER_IN, _ENTRY_IN = 0.08, 0.47  # of a title or a legend
 _LABEL_WIDTH = 0.035  # fraction of the time axis: shorter phases get no label
 
 
@@ -68,8 +70,7 @@ def _lanes(flight: FlightData) -> list[tuple[str, list[LabelledSpan]]]:
         lanes.append(("rows used", _runs(at_s, used, COLOUR["good"])))
         for reason in (r for r in GateReason if flight.gate_counts.get(int(r))):
             refused = (flight.gates["gate"] & int(reason) != 0).any(axis=1)
-            name = (reason.name or "").lower().replace("_", " ")
-            lanes.append((f"refused: {name}", _runs(at_s, refused, COLOUR["idle"])))
+            lanes.append((f"refused: {reason_words(reason)}", _runs(at_s, refused, COLOUR["idle"])))
     for name, rows in sorted(flight.clocks.items()):
         at_s = np.append(flight.seconds(rows["host_ns"]), flight.info.duration_s)
         states = [ClockState(int(state)) for state in rows["state"]]
@@ -151,10 +152,27 @@ def joints_and_cells(flight: FlightData) -> Figure | None:
         draw(axes, flight.traces[channel], 0, name, CYCLE[number % len(CYCLE)], factor)
         axes.set_title(name)
         axes.set_ylabel(unit)
+        if unit == "N" and (reach := _sweep_reach(flight, channel, factor)):
+            axes.set_ylim(*reach)
+            axes.set_title(f"{name} (scaled to the sweeps)")
         _mark_flagged(axes, flight, channel)
         shade(axes, flight)
     every[-1].set_xlabel("time, s")
     return figure
+
+
+def _sweep_reach(flight: FlightData, channel: str, factor: float) -> tuple[float, float] | None:
+    """Range of a signal over the sweeps, where the whole flight has a far larger one (blows at end stops)."""
+    inside = [sweep.traces[channel] for sweep in flight.sweeps if channel in sweep.traces]
+    whole = flight.traces[channel]
+    if not inside or not np.isfinite(whole.mean).any():
+        return None
+    low = factor * min(float(np.nanmin(trace.low, initial=np.inf)) for trace in inside)
+    high = factor * max(float(np.nanmax(trace.high, initial=-np.inf)) for trace in inside)
+    everything = factor * float(np.nanmax(whole.high) - np.nanmin(whole.low))
+    if not 0.0 < 4.0 * (high - low) < everything:
+        return None
+    return low - 0.2 * (high - low), high + 0.2 * (high - low)
 
 
 def _joint_and_cell_channels(flight: FlightData) -> list[tuple[str, str, str, float]]:
@@ -180,7 +198,7 @@ def _mark_flagged(axes: Axes, flight: FlightData, channel: str) -> None:
 def sweeps(flight: FlightData) -> Figure | None:
     """Joint and load cell over each sweep, in one axes (as figures 4.50, 4.51)."""
     channels = _joint_and_cell_channels(flight)
-    shown = [sweep for sweep in flight.sweeps if sweep.traces]
+    shown = [sweep for sweep in flight.sweeps if sweep.traces and sweep.moving]
     if not channels or not shown:
         return None
     rows = -(-len(shown) // 2)
@@ -223,8 +241,16 @@ def second_axis(axes: Axes, label: str) -> Axes:
 
 
 def legend(axes: Axes, *entries: Any, **style: Any) -> None:
-    """Legend above the axes, right of the title."""
-    axes.legend(*entries, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4, borderaxespad=0.0, **style)
+    """Legend above the axes, right of the title; inside them where both do not fit beside each other."""
+    handles, labels = entries if entries else axes.get_legend_handles_labels()
+    if not len(handles):
+        return
+    room_in = axes.get_position().width * WIDTH_IN - _LETTER_IN * len(axes.get_title(loc="left"))
+    needed_in = sum(_ENTRY_IN + _LETTER_IN * len(str(label)) for label in labels)
+    if needed_in < room_in:
+        axes.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=8, borderaxespad=0.0, **style)
+    else:
+        axes.legend(handles, labels, loc="upper right", ncols=2, frameon=True, framealpha=0.85, **style)
 
 
 def imu(flight: FlightData, name: str, rotation: np.ndarray | None) -> Figure:
@@ -264,8 +290,8 @@ def turned(trace: Trace, columns: slice, rotation: np.ndarray | None) -> Trace:
 def magnitudes(flight: FlightData, names: Sequence[str]) -> Figure:
     """Magnitude of the specific force of several IMUs, which needs no common axes (as figures 4.27, 4.29)."""
     figure, [axes] = subplots()
-    for name, colour in zip(names, CYCLE, strict=False):
-        trace = flight.traces[name]
+    for number, name in enumerate(names):
+        trace, colour = flight.traces[name], CYCLE[number % len(CYCLE)]
         axes.plot(trace.time_s, np.linalg.norm(trace.mean[:, 3:6], axis=1), color=colour, label=name)
     axes.set_ylabel("m/s²")
     axes.set_xlabel("time, s")
@@ -295,7 +321,10 @@ def clocks(said: Mapping[str, Rows], start_ns: int, duration_s: float) -> Figure
 def _clock(pair: tuple[Axes, Axes], name: str, rows: Rows, at_s: FloatArray, duration_s: float) -> None:
     error, rate = pair
     known = np.isin(rows["state"], [ClockState.LOCKED, ClockState.FLYWHEEL])
-    if "residual_ns" in (rows.dtype.names or ()):
+    error.set_title(name)
+    if not known.any():
+        _never_locked(pair)
+    elif "residual_ns" in (rows.dtype.names or ()):
         marks = rows["residual_ns"][known] * 1e-3
         error.plot(at_s[known], marks, ".", color=COLOUR["idle"], markersize=2.5, label="residual")
         error.axhline(0.0, color=COLOUR["faint"], linewidth=0.6)
@@ -303,9 +332,10 @@ def _clock(pair: tuple[Axes, Axes], name: str, rows: Rows, at_s: FloatArray, dur
         error.set_ylim(bottom=0.0)
     error.plot(at_s[known], rows["residual_rms_ns"][known] * 1e-3, color=CYCLE[0], label="rms")
     error.plot(at_s[known], rows["sigma_ns"][known] * 1e-3, color=CYCLE[1], label="sigma")
-    error.set_title(name)
     error.set_ylabel("µs")
-    legend(error)
+    if known.any():
+        _open(error, 1e-3)
+        legend(error)
     period = rows["period_ns"][known]
     if len(period):
         last = float(period[-1])
@@ -327,3 +357,17 @@ def _clock(pair: tuple[Axes, Axes], name: str, rows: Rows, at_s: FloatArray, dur
             axes.axvspan(start_s, end_s, ymin=0.0, ymax=0.03, color=colour, linewidth=0)
     for axes in pair:
         axes.set_xlim(0.0, max(duration_s, 1e-9))
+
+
+def _never_locked(pair: tuple[Axes, Axes]) -> None:
+    for axes in pair:
+        axes.set_yticks([])
+        axes.text(0.5, 0.5, "no solution: it never locked", transform=axes.transAxes, ha="center", va="center")
+
+
+def _open(axes: Axes, least: float) -> None:
+    """Widen a vertical range that spans less than ``least``: rounding is not to fill the axes."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        middle = 0.5 * (low + high)
+        axes.set_ylim(middle - 0.5 * least, middle + 0.5 * least)

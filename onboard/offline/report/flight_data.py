@@ -18,6 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.flight.identification import KERNELS_PER_BLOCK, build_online
 from onboard.flight.roles import roles_of
 from onboard.identification.rows.identifier import Identifier
+from onboard.offline.report.streams import Intervals, Spectrum
 from onboard.offline.tables import truth as true
 from onboard.offline.tables.phases import Phase, phases_of
 from onboard.offline.tables.thin import Envelope, Thinned, Trace
@@ -35,6 +36,7 @@ _PENDING_ROWS = 8192
 _SWEEP_BINS = 700
 _MOST_BLOCKS = 16
 _FEWEST_BLOCKS = 4
+_AT_REST = 0.02  # of a joint's range over the flight
 
 
 @dataclass
@@ -48,6 +50,7 @@ class SweepData:
     traces: dict[str, Trace] = field(default_factory=dict)  # by channel, SI, unusable samples left out
     before: np.void | None = None  # the last ESTIMATE before it; None when there was none
     states: list[np.void] = field(default_factory=list)  # ESTIMATE, evenly spaced, the last one at its end
+    moving: bool = True  # a joint moves in it
 
 
 @dataclass
@@ -65,6 +68,8 @@ class FlightData:
     notes: list[str]  # what could not be shown, with the reason
     traces: dict[str, Trace] = field(default_factory=dict)
     flagged: dict[str, FloatArray] = field(default_factory=dict)  # times of unusable samples, by channel
+    spectra: dict[str, Spectrum] = field(default_factory=dict)  # of what changes with time: IMUs, scalars
+    intervals: dict[str, Intervals] = field(default_factory=dict)
     quantities: dict[str, Rows] = field(default_factory=dict)
     clocks: dict[str, Rows] = field(default_factory=dict)
     gates: Rows | None = None  # thinned ROW
@@ -197,6 +202,9 @@ class _Reader:
             values[bad] = np.nan
             self._flagged.setdefault(name, Thinned(500)).add(rows[bad][["host_ns"]])
         at_ns = rows["host_ns"]
+        if signal is not None or not self._signals:  # not what is said now and then, as a phase is
+            flight.intervals.setdefault(name, Intervals()).add(rows)
+            flight.spectra.setdefault(name, Spectrum(values.shape[1])).add(rows["sequence"], values)
         if name not in self._envelopes:
             self._envelopes[name] = Envelope(flight.info.start_ns, values.shape[1], 1536)
         self._envelopes[name].add(at_ns, values)
@@ -248,12 +256,33 @@ class _Reader:
         flight.traces = {name: envelope.trace(zero_ns) for name, envelope in self._envelopes.items()}
         for (number, name), envelope in self._sweep_envelopes.items():
             flight.sweeps[number].traces[name] = envelope.trace(zero_ns)
+        _name_rests(flight)
         flight.quantities = {printable(name): _kept(thinned) for name, thinned in self._quantities.items()}
         flight.clocks = {printable(name): _kept(thinned) for name, thinned in self._clocks.items()}
         for sweep, thinned in zip(flight.sweeps, self._sweep_rows, strict=True):
             sweep.rows = thinned.rows
         flight.gates = self._thinned["row"].rows if "row" in self._thinned else None
         flight.flagged = {name: flight.seconds(_kept(thinned)["host_ns"]) for name, thinned in self._flagged.items()}
+
+
+def _name_rests(flight: FlightData) -> None:
+    """Call identification phases in which no joint moves ``at rest``, and number the others."""
+    joints = [joint for joint in flight.roles.joints if joint.channel in flight.traces] if flight.roles else []
+    whole = {joint.channel: _reach(flight.traces[joint.channel]) for joint in joints}
+    number = 0
+    named: dict[Phase, Phase] = {}
+    for sweep in flight.sweeps:
+        seen = [(_reach(trace), whole[name]) for name, trace in sweep.traces.items() if name in whole]
+        sweep.moving = not seen or any(own > _AT_REST * every for own, every in seen)
+        number += sweep.moving
+        named[sweep.phase] = sweep.phase._replace(name=f"sweep {number}" if sweep.moving else "at rest")
+        sweep.phase = named[sweep.phase]
+    flight.phases = tuple(named.get(phase, phase) for phase in flight.phases)
+
+
+def _reach(trace: Trace) -> float:
+    known = trace.mean[np.isfinite(trace.mean)]
+    return float(np.ptp(known)) if known.size else 0.0
 
 
 def _kind(name: str, dtype: np.dtype[np.void]) -> str:

@@ -1,6 +1,6 @@
 """HTML fragments; escapes all text that comes from a log."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 
@@ -41,9 +41,10 @@ def paragraph(text: str, kind: str = "") -> str:
     return f"<p{_class(kind)}>{escape(text)}</p>\n"
 
 
-def figure(svg: str, caption: str) -> str:
-    """A figure with its caption."""
-    return f"<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>\n"
+def figure(svg: str, caption: str, number: int) -> str:
+    """A figure with its caption; ``number`` is its place among those that zoom."""
+    told = f"<figcaption>{escape(caption)}</figcaption>"
+    return f'<figure data-zoom="{number}"><div class="still">{svg}</div>{told}</figure>\n'
 
 
 def card(what: str, value: str, unit: str, more: Iterable[str]) -> str:
@@ -59,17 +60,26 @@ def verdicts(lines: Iterable[tuple[str, str]]) -> str:
     return f'<ul class="verdicts">\n{items}</ul>\n'
 
 
-def page(title: str, head: str, sections: Sequence[tuple[str, str]]) -> str:
-    """The whole document; empty sections are left out."""
-    style = files("onboard.offline.report").joinpath("page.css").read_text(encoding="utf-8")
+def page(title: str, head: str, sections: Sequence[tuple[str, str]], packed: Mapping[str, str]) -> str:
+    """The whole document; empty sections are left out.
+
+    Args:
+        title: of the document.
+        head: HTML before the sections.
+        sections: heading and HTML.
+        packed: what the page's script unpacks, gzip in base64, by id.
+    """
+    room = files("onboard.offline.report")
+    style, player = (room.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "player.js"))
     shown = [(f"s{number}", name, body) for number, (name, body) in enumerate(sections) if body]
     links = "".join(f'<a href="#{key}">{escape(name)}</a>' for key, name, _ in shown)
     body = "".join(
         f'<section id="{key}"><h2>{escape(name)}</h2>\n{content}</section>\n' for key, name, content in shown
     )
+    carried = "".join(f'<script type="text/plain" id="{key}">{text}</script>\n' for key, text in packed.items())
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        f"{head}<nav>{links}</nav>\n{body}</body>\n</html>\n"
+        f"{head}<nav>{links}</nav>\n{body}{carried}<script>\n{player}</script>\n</body>\n</html>\n"
     )

@@ -5,34 +5,41 @@ from collections.abc import Iterator
 from html import escape
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from drivers.records import Severity
 from onboard.dynamics.errors import ModelError
 from onboard.estimation.gates import GateReason
-from onboard.offline.report import answers, figures, html, theme
+from onboard.offline.report import answers, arm, figures, html, instruments, theme
 from onboard.offline.report.alone import Alone, alone
 from onboard.offline.report.base_rate import base_rate
 from onboard.offline.report.base_rate import draw as draw_base_rate
 from onboard.offline.report.compared import Compared, compared, truths_of
 from onboard.offline.report.flight_data import FlightData
+from onboard.offline.report.gallery import Gallery
 from onboard.offline.report.health import health
 from onboard.offline.report.html import Cell
+from onboard.offline.views.summary import reason_words
 from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
 
 _EVENTS_SHOWN = 40
+_ENDED = {
+    ClockState.ACQUIRING: "never had marks enough for a solution: its samples have no vehicle time",
+    ClockState.FLYWHEEL: "had no marks it could use at the end of the log: its time is extrapolated at the last rate",
+    ClockState.INVALID: "was not to be trusted at the end of the log: extrapolated for too long",
+}
 _ROWS_SHOWN = 24
 
 
 def document(flight: FlightData) -> str:
     """The whole page."""
     with theme.figures():
-        return html.page(f"{flight.name}: {flight.info.path.name}", _head(flight), list(_sections(flight)))
+        draw = Gallery()
+        sections = list(_sections(flight, draw))
+        return html.page(f"{flight.name}: {flight.info.path.name}", _head(flight), sections, draw.packed())
 
 
-def _sections(flight: FlightData) -> Iterator[tuple[str, str]]:
-    draw = _Gallery()
+def _sections(flight: FlightData, draw: Gallery) -> Iterator[tuple[str, str]]:
     truths = truths_of(flight)
     found = compared(flight)
     yield "Answers", _answers(found)
@@ -41,12 +48,15 @@ def _sections(flight: FlightData) -> Iterator[tuple[str, str]]:
         "Encoder and load cell",
         draw(
             figures.joints_and_cells(flight),
-            "Joint angles and load cells over the whole flight; sweeps are tinted. Times are of arrival, which is some "
+            "Joint angles and load cells over the whole flight; sweeps are tinted. A load cell that end stops load far "
+            "more than the sweeps do is scaled to the sweeps. Times are of arrival, which is some "
             "milliseconds after the sample. Red crosses: samples marked unusable by their device or a range limit.",
         )
         + draw(figures.sweeps(flight), "The same, sweep by sweep."),
     )
     yield "Accelerations and rates", _imus(flight, draw)
+    yield "Spectra", instruments.spectra_section(flight, draw)
+    yield "Arm", arm.section(flight, draw)
     yield "Base rate", _base_rate(flight, draw)
     yield "Torque and acceleration", _torques(flight, draw)
     yield "Sweep by sweep", _by_sweep(flight, draw, truths)
@@ -56,26 +66,14 @@ def _sections(flight: FlightData) -> Iterator[tuple[str, str]]:
             answers.convergence(flight, truths, quantities=True),
             "Onboard estimates with their 95 % interval, from the time they are determined by the data. Dashed: truth.",
         )
-        + draw(answers.convergence(flight, truths, quantities=False), "Base parameters the data determine, SI units."),
+        + draw(answers.convergence(flight, truths, quantities=False), "Base parameters that the data determine."),
     )
     yield "Clocks", _clocks(flight, draw)
+    yield "Sample times", instruments.sample_times(flight, draw)
     yield "Channels", _channels(flight)
     yield "Health", health(flight.health)
     yield "Events", _events(flight)
     yield "Provenance", _provenance(flight)
-
-
-class _Gallery:
-    """Converts figures to HTML, each with unique ids."""
-
-    def __init__(self) -> None:
-        self._number = 0
-
-    def __call__(self, figure: Figure | None, caption: str) -> str:
-        if figure is None:
-            return ""
-        self._number += 1
-        return html.figure(theme.svg(figure, escape(caption), f"f{self._number}"), caption)
 
 
 def _head(flight: FlightData) -> str:
@@ -143,7 +141,7 @@ def _verdicts(flight: FlightData) -> Iterator[tuple[str, str]]:
     for name, rows in sorted(flight.clocks.items()):
         state = ClockState(int(rows[-1]["state"]))
         if state is not ClockState.LOCKED:
-            yield "warn", f"The clock of {name} ended {state.name.lower()}."
+            yield "warn", f"The clock of {name} {_ENDED[state]}."
 
 
 def _answers(found: list[Compared]) -> str:
@@ -168,7 +166,7 @@ def _answers(found: list[Compared]) -> str:
     return html.table([headings[n] for n in keep], ([row[n] for n in keep] for row in rows))
 
 
-def _timeline(flight: FlightData, draw: _Gallery) -> str:
+def _timeline(flight: FlightData, draw: Gallery) -> str:
     keys = [
         ("a", "sweep"), ("idle", "other phase, or refused"), ("good", "used, or locked"),
         ("warn", "flywheel, or warning"), ("bad", "lost, or error"),
@@ -177,7 +175,7 @@ def _timeline(flight: FlightData, draw: _Gallery) -> str:
     body = draw(figures.timeline(flight), "What happened when.") + f'<p class="note">{legend}</p>\n'
     if flight.rows_total:
         refused = ", ".join(
-            f"{(reason.name or '').lower().replace('_', ' ')} {flight.gate_counts[int(reason)]:,}"
+            f"{reason_words(reason)} {flight.gate_counts[int(reason)]:,}"
             for reason in GateReason
             if flight.gate_counts.get(int(reason))
         )
@@ -186,7 +184,7 @@ def _timeline(flight: FlightData, draw: _Gallery) -> str:
     return body
 
 
-def _imus(flight: FlightData, draw: _Gallery) -> str:
+def _imus(flight: FlightData, draw: Gallery) -> str:
     names = [name for name, trace in flight.traces.items() if trace.mean.shape[1] == 6]
     frames = {
         one.channels[0]: one.frame for one in (flight.roles.imus if flight.roles else ()) if len(one.channels) == 1
@@ -209,7 +207,7 @@ def _imus(flight: FlightData, draw: _Gallery) -> str:
     return body
 
 
-def _base_rate(flight: FlightData, draw: _Gallery) -> str:
+def _base_rate(flight: FlightData, draw: Gallery) -> str:
     found = base_rate(flight)
     if found is None:
         return ""
@@ -222,7 +220,7 @@ def _base_rate(flight: FlightData, draw: _Gallery) -> str:
     )
 
 
-def _torques(flight: FlightData, draw: _Gallery) -> str:
+def _torques(flight: FlightData, draw: Gallery) -> str:
     if flight.identifier is None or flight.roles is None:
         return ""
     rows = [row.name for row in flight.identifier.model.rows]
@@ -239,7 +237,7 @@ def _torques(flight: FlightData, draw: _Gallery) -> str:
     return body
 
 
-def _by_sweep(flight: FlightData, draw: _Gallery, truths: dict[str, float]) -> str:
+def _by_sweep(flight: FlightData, draw: Gallery, truths: dict[str, float]) -> str:
     if flight.identifier is None:
         return ""
     found = {sweep.phase.name: alone(sweep, flight.identifier) for sweep in flight.sweeps}
@@ -267,7 +265,7 @@ def _alone_row(sweep: str, one: Alone, truth: float | None) -> list[object]:
     return [sweep, one.name, Cell(_digits(factor * value, width)), Cell(span), unit, Cell(known), Cell(error)]
 
 
-def _clocks(flight: FlightData, draw: _Gallery) -> str:
+def _clocks(flight: FlightData, draw: Gallery) -> str:
     rows = []
     for name, said in sorted(flight.clocks.items()):
         last = said[-1]

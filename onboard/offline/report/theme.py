@@ -25,13 +25,16 @@ COLOUR = {  # by role: those of the light page in page.css; no two are alike, so
     "c": "#2a8a4a",
     "d": "#8a3fa8",
     "e": "#7d6b1e",
+    "f": "#0f8390",
+    "g": "#b0307a",
+    "h": "#5b6472",
     "bad": "#c3232b",
     "good": "#2f9e5b",
     "warn": "#d98e04",
     "idle": "#aab2bd",
-    "true": "#c3232c",
+    "true": "#b5123f",
 }
-CYCLE = [COLOUR[role] for role in "abcde"]
+CYCLE = [COLOUR[role] for role in "abcdefgh"]
 
 _SETTINGS: Any = {
     "svg.fonttype": "none",
@@ -40,6 +43,7 @@ _SETTINGS: Any = {
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.0,
     "text.color": COLOUR["ink"],
+    "text.parse_math": False,  # a name with two dollar signs is a name
     "axes.edgecolor": COLOUR["faint"],
     "axes.labelcolor": COLOUR["ink"],
     "axes.titlesize": 9.5,

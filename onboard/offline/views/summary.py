@@ -89,6 +89,11 @@ def count_gates(found: LogOverview, gate: np.ndarray) -> None:
             found.refused[name] = found.refused.get(name, 0) + count
 
 
+def reason_words(reason: GateReason) -> str:
+    """A reason in words; a kernel lacks samples also at both ends of a flight, where no record is missing."""
+    return "kernel not full" if reason is GateReason.GAP else (reason.name or "").lower().replace("_", " ")
+
+
 def _clock_json(row: np.void) -> dict[str, Any]:
     numbers = ("period_ns", "sigma_ns", "residual_rms_ns")
     counts = {name: int(row[name]) for name in ("marks", "rejected")}
@@ -146,7 +151,8 @@ def _delay_lines(found: LogOverview) -> RenderableType | None:
 def _gates(found: LogOverview) -> RenderableType | None:
     if not found.rows:
         return None
-    refused = ", ".join(f"{reason.replace('_', ' ')} {count:,}" for reason, count in found.refused.items())
+    named = {reason_words(GateReason[name.upper()]): count for name, count in found.refused.items()}
+    refused = ", ".join(f"{words} {count:,}" for words, count in named.items())
     return Text(
         f"rows: {found.used:,} of {found.rows:,} used; refused (a row may have several reasons): {refused or 'none'}"
     )
