@@ -161,7 +161,7 @@ class TestZoom:
         assert count["Scatter"] >= 2
         assert (count["BoxAnnotation"] >= 1, count["Span"], count["Legend"]) == (True, 1, 1)
         assert count["Patches"] >= 1
-        assert names.count("PlainText") >= 5  # title, two labels of axes, legend, second axis: none is mathematics
+        assert names.count("PlainText") == 4  # title, two labels of axes, second axis: none is mathematics
 
     def test_the_script_is_carried_once_and_unpacks(self, page: Path) -> None:
         text = page.read_text()
