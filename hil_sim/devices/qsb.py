@@ -39,6 +39,7 @@ _BOOT_NS: Final = 100_000_000
 _LONGEST_COMMAND: Final = 32
 _LOOK_AHEAD_NS: Final = 1_000_000_000
 _SPURIOUS_HIGH_NS: Final = 300_000
+_FREE_RUNNING: Final = {1: 0x01, 2: 0x02, 4: 0x03}  # MDR0, by counts in a cycle
 _CAPTURE_NOW: Final = 2  # beside the levels 0 and 1 in the queue of input events
 
 
@@ -56,6 +57,9 @@ class QsbTwin(SerialTwin):
         model: ``D``, ``M`` or ``S``.
         firmware: One byte.
         capture_latency_ns: From the edge on DIG I/O 0 to the count that CAPTURE holds.
+        zero_count: Count at angle zero when the mission begins, for it was set up and the joint moved before; None: it
+            begins with 0. A restart begins with 0.
+        counting: Counts in a cycle of the encoder, of that earlier set-up: 1, 2 or 4.
         faults: What breaks.
 
     Raises:
@@ -77,6 +81,8 @@ class QsbTwin(SerialTwin):
         model: str = "D",
         firmware: int = 0x0E,
         capture_latency_ns: int = 0,
+        zero_count: int | None = None,
+        counting: int = 4,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
         kinds = (FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS, *INPUT_KINDS, *CLOCK_KINDS)
@@ -97,6 +103,7 @@ class QsbTwin(SerialTwin):
         self._saved_line = _FACTORY_LINE
         self._dtr_line = True
         self._counter = QuadratureCounter(0)
+        self._zero_count, self._counting = zero_count, counting
         self._clear_state()
         if any(w.kind is FaultKind.PULSE_SPURIOUS for w in faults.windows):
             self._spurious(start_ns)
@@ -125,7 +132,11 @@ class QsbTwin(SerialTwin):
 
     def _power_up(self, now_ns: int) -> None:
         self._clear_state()
-        self._counter = QuadratureCounter(self._position(now_ns))
+        position = self._position(now_ns)
+        self._counter = QuadratureCounter(position)
+        if self._zero_count is not None and now_ns == self._start_ns:
+            self._counter.mdr0 = _FREE_RUNNING[self._counting]
+            self._counter.count = (position * self._counting // 4 + self._zero_count) & 0xFFFF_FFFF
         for register, value in self._saved.items():
             self._store(register, value)
         self.line = self._saved_line

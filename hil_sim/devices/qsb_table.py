@@ -10,7 +10,11 @@ from hil_sim.sensing.sensors import EncoderSensor
 
 
 class QsbTable(MeasuringEmulator):
-    """A US Digital QSB. It counts from 0 at power-up."""
+    """A US Digital QSB. It counts from 0 at power-up.
+
+    ``zero_count``: its count at angle zero, because it was set up and switched on there and the joint was moved since;
+    without it, its count at power-up is 0 wherever the joint stands.
+    """
 
     baud_rates = (230_400,)
     quantities = ("joint_angle",)
@@ -18,13 +22,18 @@ class QsbTable(MeasuringEmulator):
     kind: Literal["qsb"]
     tick: Literal["1/512 s", "1.9 ms"] = "1/512 s"
     sync_input: bool = True
+    zero_count: int | None = None
+    counting: Literal[1, 2, 4] = 4
 
     @classmethod
     def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
         """See ``Emulator``."""
         wired = sheets.pulse and said.get("sync_edge", "rising") != "none"
+        counting = said.get("counting", 4)
         table = {"sync_input": wired, "measures": name, "at": said["joint"]}
-        return Equivalent(table, {name: sheets.encoder(name, said)}, {name: "converter"})
+        table |= {"zero_count": said.get("zero_count", 0), "counting": counting}
+        quarters = {**said, "counts_per_revolution": said["counts_per_revolution"] * 4 // counting}
+        return Equivalent(table, {name: sheets.encoder(name, quarters)}, {name: "converter"})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
@@ -36,6 +45,8 @@ class QsbTable(MeasuringEmulator):
             counts_per_revolution=encoder.counts_per_revolution,
             tick_ns=TICK_512_HZ if self.tick == "1/512 s" else TICK_1900_US,
             sync_input=self.sync_input,
+            zero_count=self.zero_count,
+            counting=self.counting,
             faults=bench.faults,
         )
         pin = qsb.dig_io if self.sync_input else None

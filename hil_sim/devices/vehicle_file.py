@@ -106,6 +106,8 @@ def _tables(file: Table, said: Table, drawing: Drawing) -> Table:
     drag = estimation.get("gates", {}).get("specific_force_m_s2")
     if drag is not None:  # the base's own motion is no drag to the gate
         out["base_motion"] = {"acceleration_m_s2": drag / 6.0, "rate_rad_s": 0.02}
+    if estimation.get("zero") is not None:  # its accelerometer is zeroed at rest in free fall: it coasts
+        out["base_motion"] = {"acceleration_m_s2": 0.0, "rate_rad_s": 0.02, "still_s": _REST_S}
     if said.get("base") == "planar":
         out["table"] = {"pucks": [puck["frame"] for puck in file.get("planar", {}).get("puck", ())]}
         out["table"]["tilt_sigma_m_s2"] = file.get("planar", {}).get("tilt_sigma_m_s2", 0.0)

@@ -17,7 +17,10 @@ class BasePath(NamedTuple):
 
 
 def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BasePath:
-    """A drawn motion at evenly spaced times (n,); the base stands in the world's axes at the first."""
+    """A drawn motion at evenly spaced times (n,); the base stands in the world's axes at the first.
+
+    Up to ``still_s`` it coasts without turning; rate and acceleration then grow within ``ramp_s``.
+    """
     shape = (6, table.tones)
     w = 2.0 * np.pi * rng.uniform(*table.band_Hz, shape)
     phase = rng.uniform(0.0, 2.0 * np.pi, shape)
@@ -26,11 +29,17 @@ def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BaseP
     turn = time_s[:, None, None] * w + phase  # (n, 6, tones)
     sine, cosine = size * np.sin(turn), size * np.cos(turn)
     acceleration, velocity, pose = np.zeros((len(time_s), 6)), np.zeros((len(time_s), 6)), np.zeros((len(time_s), 7))
-    acceleration[:, :3] = sine.sum(axis=2)[:, :3]
-    velocity[:, :3] = -(cosine / w).sum(axis=2)[:, :3]
-    pose[:, :3] = -(sine / w**2).sum(axis=2)[:, :3]
-    velocity[:, 3:] = sine.sum(axis=2)[:, 3:]
-    acceleration[:, 3:] = (cosine * w).sum(axis=2)[:, 3:]
+    swings, slope = sine.sum(axis=2), (cosine * w).sum(axis=2)
+    grown, growth = _grown(table, time_s)
+    acceleration[:, :3] = grown * swings[:, :3]
+    if table.still_s > 0.0:
+        velocity[:, :3] = _integral(acceleration[:, :3], time_s)
+        pose[:, :3] = _integral(velocity[:, :3], time_s)
+    else:
+        velocity[:, :3] = -(cosine / w).sum(axis=2)[:, :3]
+        pose[:, :3] = -(sine / w**2).sum(axis=2)[:, :3]
+    velocity[:, 3:] = grown * swings[:, 3:]
+    acceleration[:, 3:] = grown * slope[:, 3:] + growth * swings[:, 3:]
     middle = 0.5 * (velocity[1:, 3:] + velocity[:-1, 3:])
     attitude = np.array([1.0, 0.0, 0.0, 0.0])
     pose[0, 3:] = attitude
@@ -38,6 +47,21 @@ def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BaseP
         attitude = _turned(attitude, middle[k] * step_s)
         pose[k + 1, 3:] = attitude
     return BasePath(pose, velocity, acceleration)
+
+
+def _grown(table: BaseSway, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Share of the motion at times (n,) and its rate of change, (n, 1) each: a quintic after ``still_s``."""
+    if table.still_s == 0.0:
+        return np.ones((len(time_s), 1)), np.zeros((len(time_s), 1))
+    s = np.clip((time_s - table.still_s) / table.ramp_s, 0.0, 1.0)[:, None]
+    return s**3 * (10.0 + s * (-15.0 + 6.0 * s)), 30.0 * (s * (1.0 - s)) ** 2 / table.ramp_s
+
+
+def _integral(values: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Of values (n, 3) over time, zero at the first, by trapezoids."""
+    out = np.zeros_like(values)
+    out[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, None], axis=0)
+    return out
 
 
 def _turned(attitude: FloatArray, turn: FloatArray) -> FloatArray:

@@ -135,8 +135,13 @@ class Motion(Table):
 
 
 class BaseSway(Table):
-    """``[base_motion]`` of a prescribed base: rms of its rate and of its acceleration by axis, as tones of a band."""
+    """``[base_motion]`` of a prescribed base: rms of its rate and of its acceleration by axis, as tones of a band.
 
+    ``still_s``: up to then it coasts without turning; the motion then grows within ``ramp_s``.
+    """
+
+    still_s: NonNegative = 0.0
+    ramp_s: PositiveFloat = 2.0
     rate_rad_s: NonNegative = 0.05
     acceleration_m_s2: NonNegative = 0.1
     tones: PositiveInt = 4

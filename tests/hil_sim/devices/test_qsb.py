@@ -586,3 +586,20 @@ def test_any_commands_are_each_answered_once(heads):
     for head in heads:
         bench.ask(head + (b"" if head[:1] in b"RS" else b"1") + b"\r", 4)
     assert bench.device.commands == len(heads)
+
+
+@pytest.mark.parametrize(("counting", "zero_count"), [(4, 0), (4, 1000), (2, 0), (4, -500)])
+def test_a_mission_may_begin_away_from_the_joint_s_zero(counting, zero_count):
+    """The adapter was set up at angle zero and the joint moved since; a restart loses that."""
+    position = -12_345  # quarter cycles
+    mode = {4: b"W0303", 2: b"W0302"}[counting]
+    bench = Bench(angle=lambda _: (position + 0.25) * COUNT, zero_count=zero_count, counting=counting)
+    bench.do(mode)
+    expected = position * counting // 4 + zero_count
+    [answer] = bench.do(b"R0E")
+    assert int(answer.split()[2].strip("!"), 16) == expected & 0xFFFF_FFFF
+    bench.device.restart(bench.now_ns)
+    bench.run(150)
+    bench.do(mode)
+    [answer] = bench.do(b"R0E")
+    assert int(answer.split()[2].strip("!"), 16) == 0

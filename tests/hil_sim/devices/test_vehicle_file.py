@@ -100,6 +100,38 @@ def test_a_scenario_file_says_otherwise(tmp_path):
     assert truth["faults"][0]["device"] == "imu_2"
 
 
+def test_gravity_release_and_truth_off_the_drawing_are_the_scenario_s(tmp_path):
+    exact = "".join(
+        f"[as_built.{link}]\nmass_relative = 0.0\ncentre_mm = 0.0\ninertia_relative = 0.0\n"
+        for link in ("base", *(f"link_{n}" for n in range(1, 6)))
+    )
+    spin = "[release]\nrate_rad_s = 0.0\nvelocity_m_s = 0.0\nspin_rad_s = [0.1, -0.2, 0.3]\n"
+    over = written(tmp_path, SHORT + "[payload]\nmass_kg = [4.0, 4.0]\n" + spin + exact, "spin.toml")
+    path = copied(tmp_path)
+    plant = Mission(rehearsal(path, over), 3).plant
+    assert math.hypot(*plant.inertial("imu_base").rate_rad_s[0]) == pytest.approx(math.sqrt(0.14))
+    as_drawn = plant.truth()["links"]["base"]["mass_kg"]
+    assert as_drawn == Mission(rehearsal(path, over), 4).plant.truth()["links"]["base"]["mass_kg"]
+    off = Mission(rehearsal(path, _off(over)), 3).plant.truth()["links"]["base"]["mass_kg"]
+    assert 0.01 < abs(off / as_drawn - 1.0) < 0.6
+    text = path.read_text().replace('base = "free"', 'base = "fixed"')
+    path.write_text(text)
+    for fall in (9.80665, 1.62):
+        moon = written(tmp_path, f"{SHORT}[physics]\ngravity_m_s2 = [0.0, 0.0, {-fall}]\n", "moon.toml")
+        felt = Mission(rehearsal(path, moon), 3).plant.inertial("imu_base").specific_force_m_s2
+        assert math.hypot(*felt[10]) == pytest.approx(fall)
+
+
+def _off(over):
+    text = over.read_text().replace("[as_built.base]\nmass_relative = 0.0", "[as_built.base]\nmass_relative = 0.2")
+    return written(over.parent, text, "off.toml")
+
+
+def test_a_vehicle_that_is_zeroed_in_free_fall_coasts(tmp_path):
+    motion = rehearsal(copied(tmp_path, "rocksat")).base_motion
+    assert (motion.acceleration_m_s2, motion.rate_rad_s, motion.still_s) == (0.0, 0.02, 4.0)
+
+
 def test_joints_stay_within_the_limits_of_the_urdf(tmp_path):
     path = copied(tmp_path)
     urdf = tmp_path / "dymaflex.urdf"
