@@ -86,7 +86,7 @@ class ImuPredictor:
                 "start": Block(tuple(f"rate_{axis}" for axis in "xyz"), np.full(3, np.nan)),
                 "payload": Block(self._links.payload_names, np.full(10, np.nan)),
                 **imu_blocks(imu_prior._replace(clock_rate_error=0.0)),
-                "links": Block(tuple(f"links_{k}" for k in range(r)), np.ones(r)),
+                "links": Block(self._links.inertial_names, np.ones(r)),
                 **geometry.blocks(vehicle),
             }
         )

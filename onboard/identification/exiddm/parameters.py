@@ -114,6 +114,7 @@ class UncertainLinks:
         indices: of the payload and of these links in ``vehicle.links``.
         covariances: (10, 10) each.
         names: of the links' parameters.
+        inertial_names: of the directions of each covariance's Cholesky factor, one sigma long.
 
     Raises:
         UnknownFrameError: no payload link, or a covariance of a link that the URDF does not have or of the payload.
@@ -132,6 +133,7 @@ class UncertainLinks:
         self.indices = (vehicle.links.index(payload), *others)
         self.covariances = [covariance[vehicle.links[k]] for k in others]
         self.names = tuple(f"{kind}_{vehicle.links[k]}" for k in others for kind in STANDARD)
+        self.inertial_names = tuple(f"{vehicle.links[k]}_inertial_{n}" for k in others for n in range(10))
         self.payload_names = tuple(f"{kind}_{payload}" for kind in STANDARD)
 
     def chi(self, payload: FloatArray, deviations: FloatArray) -> FloatArray:

@@ -366,7 +366,7 @@ def test_no_information_comes_from_where_no_motion_tells_any():
     recursive.update(ticks_of(signals))
     assert recursive.held is False
     assert recursive.changes == []
-    at = [k for k, name in enumerate(recursive.predictor.names) if name.startswith("links_")]
+    at = [k for k, name in enumerate(recursive.predictor.names) if "_inertial_" in name]
     assert len(at) == 60
     chi = recursive.predictor.vehicle.chi[:60].reshape(6, 10)
     heavier = np.concatenate(
