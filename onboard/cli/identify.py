@@ -37,6 +37,7 @@ def add(commands: Commands) -> None:
     identify.add_argument("--urdf-in", type=Path, metavar="FILE", help="the vehicle's URDF, in place of its file's")
     identify.add_argument("--urdf", type=Path, metavar="FILE", help="write the URDF with the bodies of one log")
     identify.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    identify.add_argument("--report", type=Path, metavar="FILE", help="also write a page with the residuals")
     identify.set_defaults(command=_identify)
 
 
@@ -80,6 +81,11 @@ def _identify_with(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> 
     show(identify_view.render(found))
     if arguments.json:
         arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if arguments.report:
+        from onboard.offline.report import identified
+
+        identified.write(found, arguments.report)
+        print(arguments.report)
     warn(found.damage)
     if arguments.urdf and found.usable:
         arguments.urdf.write_text(identify.urdf(vehicle, found.logs[0]), encoding="utf-8")

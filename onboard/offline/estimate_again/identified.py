@@ -12,6 +12,7 @@ from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.verdict import Level, Standing, Verdict, standing
+from onboard.offline.estimate_again.residuals import Residuals
 from onboard.offline.estimate_again.throws import Throw, plain
 
 
@@ -55,6 +56,7 @@ class Identified:
     observability: ObservedDirections | None = None
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
     links: tuple[LinkEstimate, ...] = field(default=())
+    residuals: Residuals = field(default_factory=dict)  # whitened
 
     @property
     def supported(self) -> bool:

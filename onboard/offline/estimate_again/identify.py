@@ -32,6 +32,7 @@ from onboard.offline.estimate_again.feed import check_channels, check_times, fee
 from onboard.offline.estimate_again.identified import Answer, Identified
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.estimate_again.planar_log import identify_planar
+from onboard.offline.estimate_again.residuals import keep_rows
 from onboard.offline.estimate_again.throws import Calibration, LoadSummary
 from onboard.recording.reader import LogReader
 from onboard.recording.texts import printable
@@ -133,6 +134,7 @@ def identify(
 def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:
     estimator = Estimator(vehicle)
     who = estimator.identifier
+    kept = keep_rows(who)
     method = vehicle.file.estimation.method
     last = None
     for channel, rows in feed(estimator, log):
@@ -182,6 +184,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         observability=observed_directions(who.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         links=links,
+        residuals=kept.residuals(who.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
     )
 
 

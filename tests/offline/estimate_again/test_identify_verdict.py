@@ -158,7 +158,12 @@ def test_the_json_holds_all_of_it_and_the_urdf_the_same_body(tmp_path: Path, rng
     log = throw(tmp_path, TUMBLES[0], rng)
     report, urdf = tmp_path / "report.json", tmp_path / "out.urdf"
     arguments = ["identify", "--vehicle", "tudelft", str(log), "--json", str(report), "--urdf", str(urdf)]
+    page = tmp_path / "page.html"
+    arguments += ["--report", str(page)]
     assert cli.main(arguments) == cli.OK
+    text = page.read_text()
+    assert text.count("<figure") == 1  # the residuals
+    assert "correlation, next tick" in text
     told = json.loads(report.read_text())["logs"][0]
     assert told["verdict"] == {"level": "good", "reasons": [], "weak": [], "text": "good"}
     assert told["observable"]["condition"] > 1.0
