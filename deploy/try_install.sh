@@ -6,8 +6,9 @@
 #
 # It installs twice (the second time must change nothing), checks the unit with systemd-analyze, boots the root where this
 # machine allows it, lets the service fly as systemd starts it for HEFT_TRY_FLIGHT_S (15), kills it, lets it go on with the
-# flight, reads the logs it made, uninstalls, and compares the files of the root with those before. HEFT_TRY_ROOT=FILE.tar keeps the fresh root for the next run. PIP_* variables are handed
-# on. Exit codes: 0 all held; 69 this machine cannot do it; 1 something did not hold (the last line says what).
+# flight, reads the logs it made, uninstalls, and compares the files of the root with those before.
+# HEFT_TRY_ROOT=FILE.tar keeps the fresh root for the next run. PIP_* variables are handed on. Exit codes: 0 all held;
+# 69 this machine cannot do it; 1 something did not hold (the last line says what).
 set -eu
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
 suite=${1:-bookworm}
