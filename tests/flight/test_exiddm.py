@@ -169,7 +169,7 @@ def test_refused_ticks_are_marked_and_counted(vehicle):
     assert np.count_nonzero(found) == 13
     assert online.refused[GateReason.GAP] == 1
     assert online.refused[GateReason.PHASE] == 12
-    with pytest.raises(Exception, match=r"\(n, 6\)"):
+    with pytest.raises(Exception, match=r"need \(50, 6\) readings"):
         online.update(signals._replace(measured=np.zeros((50, 2))), np.ones(50, np.bool_), excluded)
 
 
