@@ -118,12 +118,19 @@ def possible_body(chi: FloatArray, covariance: FloatArray) -> RigidBody:
 
     Raises:
         SignalError: a mass that is not positive.
-        ConvergenceError: no minimum was found, which is a bug.
+        ConvergenceError: no minimum was found: the covariance spans more than numbers can, or is none.
     """
     body = body_of(chi)
-    if np.linalg.eigvalsh(pseudo_inertia(chi))[0] > 0.0:
-        return body
-    start = standard_of(_nearby(body))
+    try:
+        if np.linalg.eigvalsh(pseudo_inertia(chi))[0] > 0.0:
+            return body
+        return _likeliest(chi, covariance, standard_of(_nearby(body)))
+    except np.linalg.LinAlgError as error:
+        raise ConvergenceError(f"the likeliest possible body was not found ({error})") from error
+
+
+def _likeliest(chi: FloatArray, covariance: FloatArray, start: FloatArray) -> RigidBody:
+    """The minimum, by Newton's method with a barrier, from a possible body's parameters ``start``, (10,)."""
     sigma = np.sqrt(np.diag(covariance))
     sigma = np.maximum(sigma, _CERTAIN * np.abs(start).max())  # exact parameters get a very small sigma
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))

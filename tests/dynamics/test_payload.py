@@ -17,6 +17,7 @@ from onboard.dynamics.payload import (
     standard_covariance,
     standard_of,
 )
+from onboard.estimation.errors import ConvergenceError
 
 
 @pytest.fixture
@@ -96,6 +97,13 @@ def test_nothing_that_can_exist_is_likelier_by_much(rng):
         with np.errstate(all="ignore"):
             better = minimize(half, start, jac=True, method="BFGS", options={"maxiter": 300}).fun
         assert half(start)[0] - better < 0.4
+
+
+@pytest.mark.parametrize("covariance", [np.full((10, 10), np.nan), np.diag([np.inf] * 10)])
+def test_a_covariance_that_is_none_has_no_likeliest_body(covariance):
+    impossible = np.array([1.0, 0.5, 0.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1])
+    with np.errstate(invalid="ignore"), pytest.raises(ConvergenceError, match="likeliest possible body"):
+        possible_body(impossible, covariance)
 
 
 def test_no_mass_is_no_body():

@@ -14,6 +14,7 @@ from onboard.dynamics.inertia import RigidBody, composite_functional, elements, 
 from onboard.dynamics.payload import body_jacobian, body_of, possible_body, standard_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import ConvergenceError
 from onboard.identification.rows.free_body import Whole
 from onboard.identification.rows.identifier import Identifier
 
@@ -26,7 +27,9 @@ class LinkEstimate(NamedTuple):
     link: str
     mean: FloatArray  # (10,)
     covariance: FloatArray  # (10, 10)
-    body: RigidBody | None  # physically possible: the estimate, or the most likely one; None for a mass below zero
+    body: (
+        RigidBody | None
+    )  # physically possible: the estimate, or the most likely one; None: mass below zero, or not found
     away: float  # distance of the estimate from it, sigmas; zero if the estimate is possible
 
 
@@ -34,7 +37,10 @@ def link_estimate(link: str, mean: FloatArray, covariance: FloatArray) -> LinkEs
     """Standard parameters with their body, by :func:`onboard.dynamics.payload.possible_body`."""
     if not mean[0] > 0.0:
         return LinkEstimate(link, mean, covariance, None, np.inf)
-    body = possible_body(mean, covariance)
+    try:
+        body = possible_body(mean, covariance)
+    except ConvergenceError:
+        return LinkEstimate(link, mean, covariance, None, np.inf)
     if np.linalg.eigvalsh(pseudo_inertia(mean))[0] > 0.0:
         return LinkEstimate(link, mean, covariance, body, 0.0)
     gap = standard_of(body) - mean
