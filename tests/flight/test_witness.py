@@ -1,38 +1,86 @@
-"""A second IMU that the estimator does not use: its rates are compared with the first one's."""
+"""DYMAFLEX's second IMU and wrist cell, which its estimator does not use: silent on a healthy flight, loud on a lie.
+
+One flight; each lie is a copy of its log in which one instrument is off by a scale.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drivers.records import Rows
 from onboard import config
-from onboard.flight.identification import build_model
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import ChannelAtTicks
-from onboard.flight.witness import RateWitness
+from onboard.flight.estimator import Estimator
+from onboard.offline.estimate_again.feed import feed
+from onboard.recording.reader import LogReader
+from tests.flight.missions import Result, fly
 
-NOISE_rad_s = 6e-4
-
-
-class Shown:
-    """What two IMUs show of one motion, the second one's rates off by a scale."""
-
-    def __init__(self, axes, scale: float) -> None:
-        self._axes, self._scale = axes, scale
-        self._rng = np.random.default_rng(2)
-
-    def means(self, names, timebase, at_ns, period_ns) -> ChannelAtTicks:
-        second = names[0] == "imu_2"
-        t = at_ns[:, None] * 1e-9
-        rate = (self._scale if second else 1.0) * 0.1 * np.sin(t * [1.0, 1.7, 2.9]) @ self._axes[int(second)]
-        rate = rate + NOISE_rad_s * self._rng.standard_normal(rate.shape) + 0.02  # noise and a bias
-        return ChannelAtTicks((rate,), (np.full((len(t), 6), NOISE_rad_s),), np.zeros(len(t), np.int64))
+DO_NOT_USE = 2  # level of QUANTITY
+SEQUENCE = [
+    {"phase": 0, "action": "hold", "duration_s": 1.0},
+    {
+        "phase": 1,
+        "action": "swing",
+        "duration_s": 24.0,
+        "ramp_s": 1.5,
+        "swing_deg": 20.0,
+        "tones": 3,
+        "band_Hz": [0.1, 0.6],
+    },
+    {"phase": 9, "action": "hold", "duration_s": 0.5},
+]
 
 
-@pytest.mark.parametrize(("scale", "contradicts"), [(1.0, False), (1.04, False), (0.8, True), (-1.0, True)])
-def test_rates_that_differ_by_a_scale_contradict_each_other(scale: float, contradicts: bool) -> None:
-    vehicle = config.load(config.packaged("dymaflex"))
-    model, imus = build_model(vehicle), roles_of(vehicle).imus
-    axes = [model.pose_in_base(imu.frame)[0] for imu in imus]
-    witness, shown = RateWitness(model, (imus[0], imus[1]), 0.003), Shown(axes, scale)
-    begun = [witness.check(shown, None, 10_000_000 * np.arange(k, k + 10), 10_000_000) for k in range(0, 600, 10)]
-    assert sum(begun) == int(contradicts)
-    assert ("imu_base and imu_2 contradict each other" in witness.contradiction) == contradicts
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    path = tmp_path_factory.mktemp("witness") / "flight.mcap"
+    return fly(path, 11, vehicle="dymaflex", sequence=SEQUENCE, capture={"earliest_s": 4.0, "latest_s": 5.0})
+
+
+def told(log: Path, channel: str = "", spoil: Callable[[Rows], None] = lambda rows: None) -> tuple[list[str], set[int]]:
+    """Contradictions told, and the levels of the last answers, when one channel of the log is spoilt on its way in."""
+    reader = LogReader(log)
+    estimator = Estimator(config.load(config.packaged("dymaflex")))
+    process, texts, levels = estimator.process, list[str](), dict[bytes, int]()
+
+    def spoilt(now_ns, batches, *rest):
+        taken = dict(batches)
+        if channel in taken:
+            taken[channel] = taken[channel].copy()
+            spoil(taken[channel])
+        return process(now_ns, taken, *rest)
+
+    estimator.process = spoilt
+    for name, rows in feed(estimator, reader):
+        if "code" in (rows.dtype.names or ()):
+            texts += [row["text"].decode() for row in rows if row["code"] == b"contradiction"]
+        elif name == "quantity":
+            levels |= {row["name"]: int(row["level"]) for row in rows}
+    return texts, set(levels.values())
+
+
+def test_a_healthy_flight_contradicts_nothing(flown: Result) -> None:
+    texts, levels = told(flown.flown.log)
+    assert texts == []
+    assert DO_NOT_USE not in levels
+
+
+@pytest.mark.parametrize("factor", [0.5, -1.0, 1.6])
+def test_a_wrist_cell_that_is_off_by_a_scale_contradicts_the_payload(flown: Result, factor: float) -> None:
+    def spoil(rows: Rows) -> None:
+        rows["value_raw"] = np.rint(rows["value_raw"] * factor)
+
+    texts, levels = told(flown.flown.log, "load_cell", spoil)
+    assert len(texts) == 1
+    assert levels == {DO_NOT_USE}
+    assert "load_cell contradicts the payload" in texts[0]
+
+
+@pytest.mark.parametrize("channel", ["imu_base", "imu_2"])
+def test_imus_whose_rates_differ_contradict_each_other(flown: Result, channel: str) -> None:
+    def spoil(rows: Rows) -> None:
+        rows["gyro_raw"] = np.rint(0.7 * rows["gyro_raw"])
+
+    texts, _ = told(flown.flown.log, channel, spoil)
+    assert any("imu_base and imu_2 contradict each other" in text for text in texts)

@@ -25,9 +25,8 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
 from onboard.identification.exiddm.claims import KINDS, Claim
-from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
-from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations, Prior
+from onboard.identification.exiddm.innovation import Innovation, innovation_of
 from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.ticks import Ticks
@@ -36,12 +35,20 @@ from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
 BATCH_TICKS = 10
+DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 WORK = 80  # ticks predicted (50 us each) per tick taken in
 _STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
-_SNAPSHOTS = 22  # batches of states kept, to restore the one before a change
+_SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
+
+
+_IMMODERATE = 1e12  # of a prediction in SI units: the joints' signals are nonsense, and its squares may overflow
+
+
+def _moderate(*arrays: FloatArray) -> bool:
+    return all(bool((np.abs(array) < _IMMODERATE).all()) for array in arrays)  # False for NaN
 
 
 class RecursiveExiddm:
@@ -66,8 +73,7 @@ class RecursiveExiddm:
         exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
             the model changed, and the estimate contradicts what was known before.
         unexplained: windows in which a longer stretch contradicted a shorter one, since the filter's last steps.
-        lines: coherent lines in the first IMU's innovations.
-        fusion: the instruments, and which of them are left out.
+        lines: coherent lines in the innovations.
         misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
     """
 
@@ -90,7 +96,7 @@ class RecursiveExiddm:
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
         self._due = 0  # ticks that may be predicted in this call; negative after an excess
         self._solve: WindowSolve | None = None  # under way
-        self._none = self._pending = Ticks.none(len(predictor.vehicle.joints), predictor.lines[-1].stop)
+        self._pending = Ticks.none(len(predictor.vehicle.joints))
         p = len(predictor.names)
         self.state: FloatArray | None = None
         self.covariance = np.zeros((p, p))
@@ -99,18 +105,17 @@ class RecursiveExiddm:
         self.exchanged = False
         self.unexplained = 0
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
-        self.fusion = Fusion(("imu", *(one.name for one in predictor.further)), predictor.lines)
         batches_per_hour = 3600.0 / (BATCH_TICKS * predictor.period_s)
         self._detector = ChangeDetector(false_alarms_per_hour, batches_per_hour, 6)
         self._snapshots: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_SNAPSHOTS)
-        self._innovations = Innovations(predictor, self.fusion)
-        self._carried = np.array([*range(3), *(at for at, _ in predictor.biases)], np.intp)  # vary with time
+        self._drifts = np.array([at for _, at in predictor.biases], np.intp)
+        carried = [*range(3), *(at for at, _ in predictor.biases)]
+        self._carried = np.array(carried, np.intp)  # indices of the time-varying states
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
             mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
             self.held, self._before, hypotheses = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
-        self._initial = mean, covariance
         self._open(hypotheses, mean, covariance)
 
     def update(self, ticks: Ticks) -> None:
@@ -192,11 +197,10 @@ class RecursiveExiddm:
         self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._stepped: Ticks | None = None  # ticks of the window and of the steps since
-        self._pending = self._none
+        self._pending = Ticks.none(len(self.predictor.vehicle.joints))
         self._detector.forget()
         self.misfit.forget()
         self.lines.forget()
-        self._innovations.forget()
         self._snapshots.clear()
 
     def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int) -> None:
@@ -220,18 +224,13 @@ class RecursiveExiddm:
     def _window_ticks(self) -> int:
         return round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
 
-    def _window(self, ticks: Ticks, hypotheses: tuple[Hypothesis, ...], without: tuple[int, ...] = ()) -> WindowSolve:
-        seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *without], ticks.measured))
+    def _window(self, ticks: Ticks, hypotheses: tuple[Hypothesis, ...]) -> WindowSolve:
         return WindowSolve(
-            self.predictor, self._imu_frame, self.payload_sigma, seen, self._prior, hypotheses, self._start
+            self.predictor, self._imu_frame, self.payload_sigma, ticks, self._prior, hypotheses, self._start
         )
 
-    def _begin_window(self, without: tuple[int, ...] = ()) -> None:
-        """Solve the window; where it is not explained, again without one of the further instruments each."""
-        if not without:
-            self._doubted = [k for k in self.fusion.order[1:] if self._solves and k not in self.fusion.left_out]
-        self._without = without
-        self._begin(self._window(self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses, without))
+    def _begin_window(self) -> None:
+        self._begin(self._window(self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses))
 
     def _begin(self, solve: WindowSolve) -> None:
         if solve.over:
@@ -243,16 +242,15 @@ class RecursiveExiddm:
         """Take in the result of a window."""
         if not self._hypotheses:  # steps since the window are replaced, and stay where the window is not explained
             if solve.found is not None:
-                self.state, self.covariance = solve.found.state, solve.found.covariance
-                self.ticks_used = solve.found.used
+                self.state, self.covariance, self.ticks_used = (
+                    solve.found.state,
+                    solve.found.covariance,
+                    solve.found.used,
+                )
             assert self.state is not None
             self._snapshots.append((self.state, self.covariance))
         elif solve.found is not None:
-            for instrument in self._without:
-                self.fusion.leave_out(instrument)
             self._explained(solve.found)
-        elif self._doubted:
-            self._begin_window((self._doubted.pop(0),))
         else:
             self._not_explained()
 
@@ -308,32 +306,34 @@ class RecursiveExiddm:
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
-        if not predicted.moderate:
+        if not _moderate(predicted.values, predicted.jacobian, predicted.state, predicted.transition):
             self.glitches += BATCH_TICKS
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
             return
-        batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
+        measured, sigma = ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1]
+        use = np.logical_and.reduce(np.isfinite(measured), axis=1)  # (b,)
         state, covariance = self.state, self.covariance
-        there, suspect = self.fusion.whole(batch.measured), False
-        innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
-        base = np.flatnonzero(there[:, 0])  # ticks with the first IMU
-        if base.size:
-            verdict = self._detector.check((innovation.of_first_imu[base] ** 2).sum(axis=1))
+        seen = use.copy()
+        if use.any():
+            innovation = innovation_of(predicted, measured, sigma, use, self.covariance)
+            verdict = self._detector.check((innovation.e.reshape(-1, 6) ** 2).sum(axis=1))
             if verdict.alarm:
                 self._alarm(verdict.score, verdict.batches)
                 return
-            suspect = verdict.suspect
-            if verdict.glitches.any() and not suspect:
+            if verdict.suspect:
+                use[:] = False
+            elif verdict.glitches.any():
                 self.glitches += int(verdict.glitches.sum())
-                there[base[verdict.glitches], :6] = False
-                innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
-            self._innovations.judge(innovation, there, self.misfit)
-            self.lines.add(innovation.of_first_imu[there[:, 0]].ravel(), there[:, 0])
-        if not suspect:
-            prior = Prior(state, covariance, bool(self.held))
-            now = self._innovations.updated(ticks, batch, there, prior, innovation, self.misfit)
-            innovation, state, covariance = now
-            self.ticks_used += int(there[:, 0].sum())
+                use[np.flatnonzero(use)[verdict.glitches]] = False
+                if use.any():
+                    innovation, seen = innovation_of(predicted, measured, sigma, use, self.covariance), use.copy()
+            if use.any() or verdict.suspect:
+                self._judge(innovation)
+                self.lines.add(innovation.e, seen)
+            if use.any():
+                state = state + innovation.W.T @ innovation.e
+                covariance = covariance - innovation.W.T @ innovation.W
+                self.ticks_used += int(use.sum())
         self._carry(state, covariance, predicted)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
@@ -343,20 +343,15 @@ class RecursiveExiddm:
                 self._begin(self._window(again, (Hypothesis.NEW,)))
                 return
         self._snapshots.append((self.state, self.covariance))
-        if not suspect:
-            self._compare(innovation)
 
-    def _compare(self, innovation: Innovation) -> None:
-        """Leave out an instrument that contradicts the others over some time, and begin a window without it."""
-        assert self.state is not None
-        if found := self._innovations.contradicting(innovation, self.state, self.covariance):
-            instrument, batches = found
-            self.fusion.leave_out(instrument)
-            if not batches:
-                self._snapshots.clear()
-                self.state, self._prior = None, self._initial
-            kept = Hypothesis.SAME if batches else Hypothesis.NEW
-            self._reopen((kept if self.held else Hypothesis.NOTHING,), batches + 1)
+    def _judge(self, innovation: Innovation) -> None:
+        """Add the batch's chi-squared, of each instrument and of both together, to the misfit."""
+        self.misfit.add("imu", float(innovation.e @ innovation.e), innovation.e.size)
+        rows = np.arange(innovation.e.size).reshape(-1, 6)
+        for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
+            L = innovation.L[own]
+            r = L @ innovation.e
+            self.misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)
 
     def _carry(self, state: FloatArray, covariance: FloatArray, predicted: Prediction) -> None:
         """Propagate to the last tick but one."""
@@ -366,7 +361,9 @@ class RecursiveExiddm:
         P = covariance.copy()
         P[c] = F[c] @ covariance
         P[:, c] = P @ F[c].T
-        self.covariance = self.predictor.aged(P, BATCH_TICKS)
+        aged_s = BATCH_TICKS * self.predictor.period_s
+        P[self._drifts, self._drifts] += 2.0 * aged_s / DRIFT_MEMORY_s * self.predictor.sigma[self._drifts] ** 2
+        self.covariance = P
 
     def _alarm(self, score: float, batches: int) -> None:
         now_s = float(self._pending.time_s[-1])
@@ -394,4 +391,4 @@ class RecursiveExiddm:
             self.covariance = F @ self.covariance @ F.T
             self.covariance[RATE, RATE] += (rates.max() * gap_s) ** 2 * of_a_turn
             self._stepped = None
-            self._pending = self._none
+            self._pending = Ticks.none(len(self.predictor.vehicle.joints))

@@ -14,10 +14,11 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import body_jacobian, standard_of
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import correlation_inflation
-from onboard.flight.identification import build_exiddm, build_model, channels_of, samples_per_tick
+from onboard.flight.identification import build_exiddm, build_model, samples_per_tick
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import kernel_of
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.recursive import DRIFT_MEMORY_s
 from onboard.offline.foresee.plan import Foreseen, Plan, axes_words, body_values, expected, joint_noise
 
 _BATCH_TICKS = 50
@@ -41,7 +42,7 @@ def foresee_free(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     if payload is None or not plan.held.any():
         return Foreseen((), (), None, 0.0, ())
     used = plan.used(vehicle)
-    sigma = _noise(vehicle, plan, predictor)
+    sigma = _noise(vehicle, plan)
     state, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
     state[RATE] = plan.rate_rad_s
     rate = np.zeros((len(plan.q), 3))
@@ -82,6 +83,7 @@ def _fly(
     q, dq, ddq = (signal[part] for signal in (plan.q, plan.dq, plan.ddq))
     here, joints = used[part], of_joints[part]
     rate = np.zeros((len(q), 3))
+    drifts = np.array([at for _, at in predictor.biases], np.intp)
     for first in range(0, len(q) - 3, _BATCH_TICKS):
         ticks = slice(first, min(first + _BATCH_TICKS + 2, len(q)))
         now = predictor.predict(q[ticks], dq[ticks], ddq[ticks], state)
@@ -94,21 +96,19 @@ def _fly(
             gained = HP.T @ np.linalg.solve(HP @ whitened.T + np.eye(len(HP)), HP)
             covariance = covariance - gained
         covariance = now.transition @ covariance @ now.transition.T
-        covariance = predictor.aged(covariance, len(now.values))
+        aged_s = len(now.values) * predictor.period_s
+        covariance[drifts, drifts] += 2.0 * aged_s / DRIFT_MEMORY_s * predictor.sigma[drifts] ** 2
         covariance = 0.5 * (covariance + covariance.T)
         state = now.state
     rate[0] = rate[min(1, len(rate) - 1)]
     return state, covariance, rate
 
 
-def _noise(vehicle: config.Vehicle, plan: Plan, predictor: ImuPredictor) -> tuple[FloatArray, FloatArray]:
-    """Of the means over a tick, (m,); of rates and accelerations of the joints, inflated, (n, 2, joints)."""
+def _noise(vehicle: config.Vehicle, plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """Of the IMU's means over a tick, (6,); of rates and accelerations of the joints, inflated, (n, 2, joints)."""
     settings, roles = vehicle.file.estimation, roles_of(vehicle)
-    samples = [samples_per_tick(vehicle), *(one.samples for one in predictor.further)]
     means = [
-        np.array(roles.signals[channel].noise) / np.sqrt(count)
-        for count, names in zip(samples, [roles.imu.channels, *channels_of(roles, predictor.further)], strict=True)
-        for channel in names
+        np.array(roles.signals[channel].noise) / np.sqrt(samples_per_tick(vehicle)) for channel in roles.imu.channels
     ]
     joints = joint_noise(vehicle, build_model(vehicle), plan.dq)
     inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle))
