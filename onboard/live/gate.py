@@ -46,6 +46,7 @@ class Gate:
     def __init__(self, host: str, port: int, behind: int, address: str, stall_s: float) -> None:
         self._behind, self._address, self._stall_s = behind, address, stall_s
         self._clients = 0
+        self._serving: set[asyncio.Task[None] | None] = set()  # else one that waits can be collected
         self._loop = asyncio.new_event_loop()
         try:
             self._server = self._loop.run_until_complete(
@@ -67,13 +68,16 @@ class Gate:
 
     async def _end(self) -> None:
         self._server.close()
-        tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        while tasks := asyncio.all_tasks() - {asyncio.current_task()}:  # also those that begin or swallow it meanwhile
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait(tasks, timeout=0.1)
+        for _ in range(3):
+            await asyncio.sleep(0)  # what was aborted is closed in the loop's next turns
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._clients += 1
+        self._serving.add(task := asyncio.current_task())
         try:
             refused, request = await _request(reader, self._clients)
             if refused:
@@ -84,8 +88,12 @@ class Gate:
             await self._pass_on(request, reader, writer)
         except (OSError, asyncio.IncompleteReadError):
             return  # it went, or the server behind did
+        except asyncio.CancelledError:
+            writer.transport.abort()
+            raise
         finally:
             self._clients -= 1
+            self._serving.discard(task)
             writer.close()
 
     async def _pass_on(self, request: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -105,8 +113,8 @@ class Gate:
         finally:
             for task in tasks:
                 task.cancel()
+            outward.transport.abort()  # a close would wait for a server that takes nothing more
             await asyncio.gather(*tasks, return_exceptions=True)
-            outward.close()
 
 
 async def _request(reader: asyncio.StreamReader, clients: int) -> tuple[str, bytes]:
