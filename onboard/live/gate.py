@@ -45,7 +45,6 @@ class Gate:
 
     def __init__(self, host: str, port: int, behind: int, address: str, stall_s: float) -> None:
         self._behind, self._address, self._stall_s = behind, address, stall_s
-        self._clients = 0
         self._serving: set[asyncio.Task[None] | None] = set()  # else one that waits can be collected
         self._loop = asyncio.new_event_loop()
         try:
@@ -76,10 +75,9 @@ class Gate:
             await asyncio.sleep(0)  # what was aborted is closed in the loop's next turns
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._clients += 1
         self._serving.add(task := asyncio.current_task())
         try:
-            refused, request = await _request(reader, self._clients)
+            refused, request = await _request(reader, len(self._serving))
             if refused:
                 writer.write(f"HTTP/1.1 {refused}\r\nConnection: close\r\nContent-Length: 0\r\n\r\n".encode())
                 with contextlib.suppress(TimeoutError):
@@ -92,7 +90,6 @@ class Gate:
             writer.transport.abort()
             raise
         finally:
-            self._clients -= 1
             self._serving.discard(task)
             writer.close()
 
