@@ -1,6 +1,7 @@
 """What one call of the mechanics costs at five joints, beside the same result in plain NumPy; medians.
 
-Run ``python bench/mechanics.py [--calls N]`` from a checkout.
+Then the block system beside MuJoCo: the same chain of ball joints, the same steps. Run ``python bench/mechanics.py
+[--calls N] [--block-seconds S]`` from a checkout.
 """
 
 import argparse
@@ -16,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 
+from bench.block_race import BlockRace
 from onboard.cli.common import load_vehicle
 from onboard.dynamics.mechanics import barycentric, virtual_manipulator
 from onboard.dynamics.mechanics.block_system import BlockSystem
@@ -41,7 +43,11 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--calls", type=int, default=2000)
-    calls = parser.parse_args().calls
+    parser.add_argument("--block-seconds", type=float, default=60.0)
+    parser.add_argument("--block-step-ms", type=float, default=1.0)
+    parser.add_argument("--block-seeds", type=int, default=1)
+    arguments = parser.parse_args()
+    calls = arguments.calls
     arm = arm_of(load_vehicle("dymaflex"), None)
     chain, rng = chain_of(arm), np.random.default_rng(1)
     q, dq, ddq = rng.uniform(-1.0, 1.0, (3, arm.joints))
@@ -70,6 +76,17 @@ def main() -> None:
         mine = median_us(ours, calls)
         other = median_us(peer, max(calls // 10, 10)) if peer else float("nan")
         print(f"{name:46}{mine:12.1f}{other:10.1f}{other / mine:8.1f}")
+    seconds, step_s = arguments.block_seconds, 1e-3 * arguments.block_step_ms
+    print(f"\nblock system of {len(chain.mass)} bodies, rates 0.1 rad/s: {seconds:g} s in steps of {1e3 * step_s:g} ms")
+    for seed in range(1, arguments.block_seeds + 1):
+        start = np.random.default_rng(seed).normal(0.0, 0.1, (len(chain.mass), 3))
+        race = BlockRace(chain, start, step_s)
+        race.run(seconds)
+        steps = seconds / step_s * 1e-6
+        print(
+            f"seed {seed}: rates within {race.relative_error():.1e} of MuJoCo's, relative; "
+            f"{race.ours_s / steps:.0f} us a step, MuJoCo {race.theirs_s / steps:.0f} us"
+        )
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from onboard.dynamics.mechanics.base_parameter_count import first_cluster, fixed
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.offline.mechanics.counts import counted
 from onboard.regressor.base_parameters import (
     BaseParameters,
     SampledMotion,
@@ -20,12 +21,16 @@ from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, 
 from tests.dynamics.mujoco_twin import random_link, random_vehicle, to_urdf
 
 
-def chain(rng, axes, kind=BaseKind.FIXED, spacing=(0.3, 0.0, 0.2)):
+def chain_urdf(rng, axes, spacing=(0.3, 0.0, 0.2)):
     """A chain of revolute joints whose axes are those given, in parallel frames."""
     links = random_vehicle(rng, ["revolute"] * len(axes))
     for link, axis in zip(links[1:], axes, strict=True):
         link.axis, link.rpy, link.xyz = np.array(axis, float), np.zeros(3), np.array(spacing)
-    return VehicleModel(to_urdf(links), VehicleSpec(kind, "base"))
+    return to_urdf(links)
+
+
+def chain(rng, axes, kind=BaseKind.FIXED, spacing=(0.3, 0.0, 0.2)):
+    return VehicleModel(chain_urdf(rng, axes, spacing), VehicleSpec(kind, "base"))
 
 
 def torque_rows(vehicle, friction=False):
@@ -74,6 +79,20 @@ def test_counts_of_arms_at_random(rng, joints, upright):
         serial = chain_of(FloatingArm(vehicle, vehicle.links[-1]))
         assert first_cluster(serial) == first
         assert fixed_base_count(serial, np.array([0.0, 0.0, -9.81])).parameters == found
+
+
+@pytest.mark.parametrize("joints", range(1, 6))
+def test_counts_on_a_level_bed_and_in_free_flight(rng, joints):
+    """Parallel, perpendicular and odd first axes: forces and vertical moment on a bed, the whole wrench in flight."""
+    odd = (0.48, 0.6, 0.64)
+    for first in (X, Z, odd):
+        axes = [first]
+        while len(axes) < joints:
+            axes.append((X, Y, Z)[rng.integers(3)] if first is not Z or rng.uniform() < 0.5 else axes[-1])
+        urdf = chain_urdf(rng, axes, rng.uniform(0.1, 0.4, 3))
+        found = {one.base: one for one in counted(urdf, VehicleModel(urdf, VehicleSpec(BaseKind.FREE, "base")))}
+        for base in (BaseKind.PLANAR, BaseKind.FREE):
+            assert found[base].closed_form.parameters == found[base].numerical, (axes, base)
 
 
 @pytest.mark.parametrize("joints", range(1, 7))

@@ -8,13 +8,18 @@ columns vanish besides (an offset that is zero, an axis through the next joint) 
 
 On a free base whose own wrench is known the base counts as a link that moves in every direction: its ten parameters,
 and seven a joint.
+
+On a level bed the base is a link of its own whose joint is vertical, and which slides besides: ``7 (N + 1) - 4 B + 1``,
+B counting the base and the vertical joints after it. Of a base whose wrench alone is seen (two forces, the vertical
+moment, no joint torques) each horizontal joint that follows directly upon those hides one more: the inertia about its
+own axis never turns about the vertical.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.mechanics.chain import Chain
+from onboard.dynamics.mechanics.chain import Chain, rotations
 from onboard.estimation.arrays import FloatArray
 
 
@@ -25,9 +30,9 @@ class Count(NamedTuple):
     formula: str
 
 
-def first_cluster(chain: Chain) -> int:
-    """B: how many joints, from the first on, have parallel axes (the first link cluster of section 2.1.4)."""
-    cosines = [chain.axis[k] @ chain.next_axes[k + 1] @ chain.axis[k + 1] for k in range(len(chain.axis) - 1)]
+def first_cluster(chain: Chain, first: int = 0) -> int:
+    """B: how many joints, from ``first`` on, have parallel axes (a link cluster of section 2.1.4)."""
+    cosines = [chain.axis[k] @ chain.next_axes[k + 1] @ chain.axis[k + 1] for k in range(first, len(chain.axis) - 1)]
     parallel = [abs(abs(cosine) - 1.0) < 1e-9 for cosine in cosines]
     return 1 + (parallel.index(False) if False in parallel else len(parallel))
 
@@ -47,3 +52,17 @@ def free_base_count(chain: Chain) -> Count | None:
     """Count for an arm on a free base of known wrench (derived here: 10 + 7 per joint); None if not all revolute."""
     n = len(chain.axis)
     return Count(10 + 7 * n, f"10 + 7 x {n}") if all(chain.revolute) else None
+
+
+def planar_base_count(chain: Chain) -> Count | None:
+    """Count for the base wrench on a level bed, z of the base vertical (derived here); None if not all revolute."""
+    if not all(chain.revolute):
+        return None
+    n, rotation = len(chain.axis), rotations(chain, np.zeros(len(chain.axis)))
+    upright = [abs((rotation[k + 1] @ chain.axis[k])[2]) for k in range(n)]
+    vertical = first_cluster(chain) if abs(upright[0] - 1.0) < 1e-9 else 0
+    level = vertical < n and upright[vertical] < 1e-9  # a vertical cluster turns it about z: it stays across
+    hidden = first_cluster(chain, vertical) if level else 0
+    cluster = 1 + vertical
+    less = f" - {hidden}" if hidden else ""
+    return Count(7 * (n + 1) - 4 * cluster + 1 - hidden, f"7 x {n + 1} - 4 x {cluster} + 1{less}")

@@ -40,9 +40,9 @@ class BlockSystem:
         if n < 2:
             raise SignalError("a block system joins two bodies or more")
         self.bodies, self.order = n, 6 * n + 3 * (n - 1)
-        self._mass, self._inertia = chain.mass, chain.inertia
-        self._to_next = chain.next_origin - chain.centre  # from the centre of mass to the next joint, body axes
-        self._to_previous = -chain.centre
+        self._inertia = chain.inertia
+        self._to_next = _skews(chain.next_origin - chain.centre)  # lever to the next joint, body axes
+        self._to_previous = _skews(-chain.centre)
         self._matrix = np.zeros((self.order, self.order))
         for i in range(n):
             self._matrix[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = chain.inertia[i]
@@ -53,6 +53,11 @@ class BlockSystem:
             first, second = slice(3 * (n + joint), 3 * (n + joint) + 3), slice(3 * (n + joint + 1), 3 * (n + joint) + 6)
             self._matrix[first, force] = self._matrix[force, first] = -np.eye(3)
             self._matrix[second, force] = self._matrix[force, second] = np.eye(3)
+        in_block, joints = np.arange(3), np.arange(n - 1)
+        forces = 6 * n + 3 * joints[:, None, None] + in_block  # columns of each joint's force, (n - 1, 1, 3)
+        self._levers = [  # where lever x R' of each joint and side stands; its transpose stands across the diagonal
+            (3 * (joints + side)[:, None, None] + in_block[:, None], forces) for side in (0, 1)
+        ]
 
     def accelerations(self, R: FloatArray, rate: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Angular accelerations (N, 3), body axes, and the first body's linear one (3,), inertial axes (2.109).
@@ -64,22 +69,21 @@ class BlockSystem:
         """
         n, A = self.bodies, self._matrix
         b = np.zeros(self.order)
-        gyroscopic = np.cross(rate, np.einsum("iab,ib->ia", self._inertia, rate))
-        applied = -gyroscopic
-        applied[1:] += np.einsum("iba,ib->ia", R[1:], torque)
-        applied[:-1] -= np.einsum("iba,ib->ia", R[:-1], torque)
+        applied = -_cross(rate, (self._inertia @ rate[:, :, None])[:, :, 0])
+        turning = np.swapaxes(R, 1, 2)  # R_iW
+        applied[1:] += (turning[1:] @ torque[:, :, None])[:, :, 0]
+        applied[:-1] -= (turning[:-1] @ torque[:, :, None])[:, :, 0]
         b[: 3 * n] = applied.ravel()
-        for joint in range(n - 1):
-            force = slice(6 * n + 3 * joint, 6 * n + 3 * joint + 3)
-            constraint = np.zeros(3)
-            sides = (joint, self._to_next[joint], -1.0), (joint + 1, self._to_previous[joint + 1], 1.0)
-            for body, place, sign in sides:
-                spin = slice(3 * body, 3 * body + 3)
-                lever = pin.skew(place)
-                A[spin, force] = sign * lever @ R[body].T
-                A[force, spin] = -sign * R[body] @ lever
-                constraint -= sign * R[body] @ np.cross(rate[body], np.cross(rate[body], place))
-            b[force] = constraint
+        constraint = np.zeros((n - 1, 3))
+        sides = (slice(None, -1), self._to_next[:-1], -1.0), (slice(1, None), self._to_previous[1:], 1.0)
+        for (bodies, lever, sign), (rows, columns) in zip(sides, self._levers, strict=True):
+            block = sign * lever @ turning[bodies]
+            A[rows, columns] = block
+            A[np.swapaxes(columns, 1, 2), np.swapaxes(rows, 1, 2)] = np.swapaxes(block, 1, 2)
+            spin = rate[bodies]
+            swing = -(lever @ spin[:, :, None])[:, :, 0]  # rate x place
+            constraint -= sign * (R[bodies] @ _cross(spin, swing)[:, :, None])[:, :, 0]
+        b[6 * n :] = constraint.ravel()
         x: FloatArray = np.asarray(np.linalg.solve(A, b), np.float64)
         return x[: 3 * n].reshape(n, 3), x[3 * n : 3 * n + 3]
 
@@ -108,3 +112,13 @@ class BlockSystem:
 
 def _turned(R: FloatArray, angle: FloatArray) -> FloatArray:
     return np.stack([one @ pin.exp3(by) for one, by in zip(R, angle, strict=True)])
+
+
+def _skews(places: FloatArray) -> FloatArray:
+    return np.stack([pin.skew(place) for place in places])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """As ``np.cross`` of (n, 3) each, at a fifth of its overhead."""
+    ax, ay, az, bx, by, bz = *a.T, *b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

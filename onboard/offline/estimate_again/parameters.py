@@ -10,6 +10,7 @@ from rich.text import Text
 from onboard import config
 from onboard.flight.identification import NAMING_SEED, build_identifier, build_model
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
+from onboard.offline.mechanics.counts import Counted, counted
 from onboard.regressor.base_parameters import BaseParameters, base_parameters
 from onboard.regressor.groupings import Groupings, groupings
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
@@ -23,6 +24,7 @@ class Parameters(NamedTuple):
     standard: int  # how many standard parameters the rows have columns for
     base: BaseParameters
     written: Groupings
+    counts: tuple[Counted, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -33,6 +35,15 @@ class Parameters(NamedTuple):
             "base_parameters": [{"name": name, "short": short, "grouping": text} for name, short, text in told],
             "lengths": [length._asdict() for length in self.written.lengths],
             "links": self.written.links,
+            "counts": [
+                {
+                    "base": str(one.base),
+                    "rows": one.rows,
+                    "closed_form": None if one.closed_form is None else one.closed_form._asdict(),
+                    "numerical": one.numerical,
+                }
+                for one in self.counts
+            ],
         }
 
 
@@ -43,15 +54,16 @@ def parameters(vehicle: config.Vehicle) -> Parameters:
         ConfigError: the vehicle file does not fit its URDF.
         ModelError: a vehicle without any row.
     """
+    drawn = build_model(vehicle)
     if vehicle.file.estimation.method == EXIDDM:  # it uses no rows; the zero wrench gives its identifiable parameters
-        drawn = build_model(vehicle)
         model = RowModel(drawn, [*base_force_rows(drawn), *base_moment_rows(drawn)])
         base = base_parameters(model, np.random.default_rng(NAMING_SEED))
     else:
         identifier, _ = build_identifier(vehicle)
         model, base = identifier.model, identifier.base
     rows = tuple(row.name for row in model.rows)
-    return Parameters(vehicle, rows, len(model.names), base, groupings(model, base))
+    counts = counted(vehicle.urdf_text, drawn)
+    return Parameters(vehicle, rows, len(model.names), base, groupings(model, base), counts)
 
 
 def render(found: Parameters) -> RenderableType:
@@ -74,4 +86,20 @@ def render(found: Parameters) -> RenderableType:
     ]
     if written.lengths:
         parts += [Text(), lengths]
+    if found.counts:
+        parts += [Text(), _counts(found.counts)]
     return Group(*parts)
+
+
+def _counts(counts: tuple[Counted, ...]) -> Table:
+    table = Table(
+        *("base", "rows", "closed form", "numerical"),
+        box=None,
+        pad_edge=False,
+        title="base parameters of this arm by kind of base, payload held",
+        title_justify="left",
+    )
+    for one in counts:
+        closed = "-" if one.closed_form is None else f"{one.closed_form.parameters} = {one.closed_form.formula}"
+        table.add_row(one.base, one.rows, closed, str(one.numerical))
+    return table

@@ -7,14 +7,15 @@ import numpy as np
 import pinocchio as pin
 
 from onboard import config
-from onboard.dynamics.mechanics import base_parameter_count, nonholonomic, virtual_manipulator, workspace
-from onboard.dynamics.mechanics.chain import Chain, chain_of
+from onboard.dynamics.mechanics import nonholonomic, virtual_manipulator, workspace
+from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.inverse_kinematics import TipMotion, follow, straight_line
 from onboard.dynamics.mechanics.reaction import reaction
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.identification import build_model
+from onboard.offline.mechanics.counts import closed_forms
 
 
 class LineMotion(NamedTuple):
@@ -143,17 +144,9 @@ def analyse(name: str, arm: FloatingArm, tip: str, q: FloatArray) -> Mechanics:
     except ValueError:  # a tree: the tables that need a chain stay out
         return found
     found.virtual_links_m = virtual_manipulator.virtual_links(chain, q)
-    found.counts = closed_form_counts(chain, np.array(arm.vehicle.spec.gravity_m_s2))
+    closed = closed_forms(chain, arm.vehicle.spec.gravity_m_s2)
+    found.counts = {str(base): f"{count.parameters} = {count.formula}" for base, count in closed.items()}
     return found
-
-
-def closed_form_counts(chain: Chain, gravity: FloatArray) -> dict[str, str]:
-    """Mayeda's counts of a chain (section 2.1.4) as text, by base; empty where the closed form does not apply."""
-    counts = {
-        "fixed base, joint torques": base_parameter_count.fixed_base_count(chain, gravity),
-        "free base": base_parameter_count.free_base_count(chain),
-    }
-    return {base: f"{count.parameters} = {count.formula}" for base, count in counts.items() if count is not None}
 
 
 def line(arm: FloatingArm, q: FloatArray, step_m: FloatArray, duration_s: float) -> LineMotion:

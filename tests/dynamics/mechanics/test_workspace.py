@@ -1,15 +1,14 @@
 """Singularities, workspaces and attitude drift: closed forms, the generalized Jacobian, MuJoCo."""
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from bench.block_race import BlockRace
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.mechanics import barycentric as bary
 from onboard.dynamics.mechanics import nonholonomic, workspace
 from onboard.dynamics.mechanics import virtual_manipulator as virtual
-from onboard.dynamics.mechanics.block_system import BlockState, BlockSystem
 from onboard.dynamics.mechanics.chain import chain_of, rotations
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
@@ -137,53 +136,13 @@ def test_a_turn_that_is_too_large_for_the_cycles_is_refused():
         nonholonomic.reorient(arm(), START, np.array([4.0, 0.0, 0.0]))
 
 
-def ball_jointed(chain):
-    """The same chain in MJCF, its joints spherical."""
-
-    def numbers(values):
-        return " ".join(repr(float(v)) for v in np.ravel(values))
-
-    def body(i):
-        I = chain.inertia[i]  # noqa: E741
-        full = numbers([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
-        inertial = f'<inertial pos="{numbers(chain.centre[i])}" mass="{float(chain.mass[i])!r}" fullinertia="{full}"/>'
-        w = pin.Quaternion(chain.next_axes[i - 1]).coeffs() if i else None
-        place = f'pos="{numbers(chain.next_origin[i - 1])}" quat="{numbers([w[3], *w[:3]])}"' if i else ""
-        joint = '<joint type="ball"/>' if i else "<freejoint/>"
-        inner = body(i + 1) if i + 1 < len(chain.mass) else ""
-        return f'<body name="b{i}" {place}>{joint}{inertial}{inner}</body>'
-
-    return mujoco.MjModel.from_xml_string(
-        '<mujoco><compiler boundmass="0" boundinertia="0"/><option gravity="0 0 0" integrator="RK4" timestep="0.002">'
-        f'<flag contact="disable"/></option><worldbody>{body(0)}</worldbody></mujoco>'
-    )
-
-
-def test_the_block_system_moves_as_mujoco_does(rng):
-    chain = chain_of(arm())
-    n = len(chain.mass)
-    model = ball_jointed(chain)
-    data = mujoco.MjData(model)
-    relative = rng.normal(0.0, 0.1, (n, 3))  # of each body in the one before, its axes
-    data.qvel[3:6] = relative[0]
-    data.qvel[6:] = relative[1:].ravel()
-    mujoco.mj_forward(model, data)
-    R = np.array([data.body(f"b{i}").xmat.reshape(3, 3) for i in range(n)])
-    rate = np.empty((n, 3))
-    for i in range(n):
-        rate[i] = relative[i] + (R[i].T @ R[i - 1] @ rate[i - 1] if i else 0.0)
-    state = BlockState(R, rate, np.array(data.body("b0").xipos), R[0] @ np.cross(rate[0], chain.centre[0]))
-    system = BlockSystem(chain)
-    assert system.order == 6 * n + 3 * (n - 1)
-    for _ in range(500):
-        state = system.step(state, 0.002)
-        mujoco.mj_step(model, data)
-    mujoco.mj_forward(model, data)
-    theirs = np.empty((n, 3))
-    for i in range(n):
-        twist = np.zeros(6)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, data.body(f"b{i}").id, twist, 1)
-        theirs[i] = twist[:3]
-    assert np.linalg.norm(theirs - rate) > 0.01  # it did change
-    np.testing.assert_allclose(state.rate, theirs, rtol=0, atol=1e-6 * np.abs(theirs).max())
-    np.testing.assert_allclose(state.position, data.body("b0").xipos, atol=1e-6)
+def test_the_block_system_moves_as_mujoco_does_for_a_minute(rng):
+    """Equal steps; both integrators are of the third order in rate times step where rotations do not commute."""
+    race = BlockRace(chain_of(arm()), rng.normal(0.0, 0.01, (6, 3)), 0.02)
+    assert race.system.order == 6 * 6 + 3 * 5
+    start = race.state
+    race.run(60.0)
+    theirs = race.mujoco_rates()
+    assert np.abs(theirs - start.rate).max() > 0.5 * np.abs(start.rate).max()  # it did change
+    np.testing.assert_allclose(race.state.rate, theirs, rtol=0, atol=1e-6 * np.abs(theirs).max())
+    np.testing.assert_allclose(race.state.position, race.data.body("b0").xipos, atol=1e-6)

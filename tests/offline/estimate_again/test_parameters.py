@@ -21,6 +21,10 @@ def test_a_free_flyers_groupings_are_printed(
     assert "L3 = 0.26 m to joint_3, along z" in said
     read = json.loads(report.read_text())
     assert len(read["base_parameters"]) == 55
+    assert "free base wrench 45 = 10 + 7 x 5 45" in said
+    assert [(one["base"], one["closed_form"]["parameters"], one["numerical"]) for one in read["counts"]] == [
+        *(("fixed", 29, 29), ("free", 45, 45), ("planar", 34, 34))
+    ]
     grouping = {"name": "MY_link_1_R", "short": "MY1R", "grouping": "MY1 + MY2"}
     assert grouping in read["base_parameters"]
 
@@ -37,3 +41,10 @@ def test_neither_a_log_nor_parameters(capsys: pytest.CaptureFixture[str]) -> Non
     assert "no log to identify from" in capsys.readouterr().err
     assert cli.main(["identify", "--vehicle", "rocksat", "--parameters", "a.mcap"]) == cli.BAD_INPUT
     assert "leave the logs out" in capsys.readouterr().err
+
+
+def test_a_bench_without_inertia_has_no_count_in_flight(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["identify", "--vehicle", "workshop", "--parameters"]) == cli.OK
+    said = " ".join(capsys.readouterr().out.split())
+    assert "fixed joint torques 29 = 7 x 5 - 4 x 1 - 2 29" in said
+    assert "base wrench" not in said

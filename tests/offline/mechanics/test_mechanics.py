@@ -24,7 +24,7 @@ def test_tables_json_and_figures(tmp_path, capsys):
     low, high = found["workspace"]["reachable_m"]
     assert 0.0 < low < high < 1.0
     assert found["workspace"]["path_dependent_m"]
-    assert found["base_parameters"]["free base"] == "45 = 10 + 7 x 5"
+    assert found["base_parameters"]["free"] == "45 = 10 + 7 x 5"
     assert "virtual manipulator" in shown
     drawn = sorted(tmp_path.glob("*.svg"))
     assert [one.name for one in drawn] == ["dymaflex_line.svg", "dymaflex_workspace.svg"]
