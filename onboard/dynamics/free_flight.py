@@ -129,6 +129,26 @@ def _predict(
     return BasePrediction(w[:, 0], spin[:, 0], force[:, 0], d_rate, d_thrust[:, 3:], d_thrust[:, :3], eta, d_eta)
 
 
+def rate_of_momentum(
+    inverse: FloatArray, still: FloatArray, momentum: FloatArray, period_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Base rate ``w = J eta - k`` on an even grid, with eta constant in inertial axes (Limparis 2.90, 3.6).
+
+    Args:
+        inverse: J, (n, 3, 3), base axes, 1 / (kg m^2).
+        still: k, (n, 3) rad/s, less the rate without a momentum.
+        momentum: eta at the first tick, about the centre of mass, (3,) N m s.
+        period_s: between ticks.
+
+    Returns:
+        The rate (n, 3), rad/s, and its derivative by the momentum (n, 3, 3).
+    """
+    eta = _integrate_momentum(inverse, still, momentum, period_s)
+    rate = turned(inverse, eta) - still
+    nothing = np.zeros((len(still), 3, 0))
+    return rate, inverse @ _integrate_sensitivity(rate, eta, inverse, nothing, np.eye(3), period_s)
+
+
 def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rate and specific force of a sensor fixed in the base, in its own axes.
 

@@ -76,7 +76,7 @@ def to_urdf(links):
     return "".join(parts) + "</robot>"
 
 
-def to_mujoco(links):
+def to_mujoco(links, free="<freejoint/>"):
     def body(index):
         link = links[index]
         x, y, z, w = Rotation.from_euler("xyz", link.rpy).as_quat()
@@ -84,7 +84,7 @@ def to_mujoco(links):
         full = numbers([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
         place = "" if link.kind == "free" else f'pos="{numbers(link.xyz)}" quat="{numbers([w, x, y, z])}"'
         joint = {
-            "free": "<freejoint/>",
+            "free": free,
             "fixed": "",
             "prismatic": f'<joint type="slide" axis="{numbers(link.axis)}"/>',
         }.get(link.kind, f'<joint type="hinge" axis="{numbers(link.axis)}"/>')

@@ -4,37 +4,21 @@ The prediction uses the joints, the nominal vehicle and the last payload estimat
 to the first part of the interval, and the rest is prediction.
 """
 
-from typing import NamedTuple
-
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from drivers.records import Rows
-from onboard.dynamics.free_flight import predict_base
-from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.mechanics.momentum_form import Method, momentum_form
 from onboard.estimation.arrays import FloatArray
+from onboard.offline.base_motion.fit import BaseRate, fit
 from onboard.offline.report.figures import legend
 from onboard.offline.report.flight_data import FlightData
 from onboard.offline.report.theme import COLOUR, CYCLE, subplots
 from onboard.recording.reader import LogReader
 
 _LONGEST_S, _SHORTEST_S = 30.0, 6.0
-_FITTED = 1.0 / 3.0
-_FIRST, _ROUNDS = 10, 8
-
-
-class BaseRate(NamedTuple):
-    """Rates in IMU axes over one interval without a gap, rad/s."""
-
-    time_s: FloatArray  # (n,) since the log's start
-    measured: FloatArray  # (n, 3)
-    predicted: FloatArray  # (n, 3)
-    fitted: int  # first ticks, used to fit momentum and offset
-
-    @property
-    def rms(self) -> FloatArray:
-        """Rms of measured minus predicted after the fitted part, (3,) rad/s."""
-        return np.asarray(np.sqrt(np.mean((self.measured - self.predicted)[self.fitted :] ** 2, axis=0)))
+_DEGREES = float(np.degrees(1.0))
 
 
 def base_rate(flight: FlightData) -> BaseRate | None:
@@ -61,19 +45,10 @@ def base_rate(flight: FlightData) -> BaseRate | None:
         return None
     chi = model.chi.copy()
     chi[model.payload_columns()] = parts["estimate"][-1]["mean"][-1]
-    links = link_motions(model, rows["joint_rad"], rows["joint_rad_s"], rows["joint_rad_s2"])
     R, _ = model.pose_in_base(roles.imu.frame)
-    measured: FloatArray = rows["measured"][:, :3].astype(np.float64)
-    fitted = round(_FITTED * len(rows))
-    momentum, offset = np.zeros(3), np.zeros(3)
-    for part, free in ((_FIRST, 3), *[(fitted, 6)] * _ROUNDS):  # over the first few the rate is linear in the momentum
-        base = predict_base(links, period_s, chi, momentum, ())
-        gap = measured - base.rate @ R - offset
-        A = np.concatenate([R.T @ base.d_rate, np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)[:part, :, :free]
-        step = np.linalg.lstsq(A.reshape(-1, free), gap[:part].ravel())[0]
-        momentum, offset = momentum + step[:3], offset + np.append(step[3:], np.zeros(6 - free))
-    predicted = predict_base(links, period_s, chi, momentum, ()).rate @ R + offset
-    return BaseRate(flight.seconds(rows["vehicle_ns"]), measured, predicted, fitted)
+    form = momentum_form(model, chi, Method.EXIDDM, rows["joint_rad"], rows["joint_rad_s"])
+    measured: FloatArray = rows["measured"][:, :3].astype(np.float64) @ R.T
+    return fit(form, measured, flight.seconds(rows["vehicle_ns"]), period_s)
 
 
 def _unbroken(rows: Rows, start_ns: int, period_ns: int) -> Rows:
@@ -88,24 +63,33 @@ def _unbroken(rows: Rows, start_ns: int, period_ns: int) -> Rows:
     return run[1:] if len(run) and not np.isfinite(run["measured"][0]).all() else run
 
 
-def draw(found: BaseRate) -> Figure:
-    """Plot of each axis: gyro, prediction, and their difference."""
-    figure, every = subplots(4, sharex=True)
-    degrees = np.degrees(1.0)
-    for axis, axes in enumerate(every[:3]):
-        axes.plot(found.time_s, degrees * found.measured[:, axis], color=COLOUR["idle"], linewidth=3.0, label="gyro")
-        axes.plot(found.time_s, degrees * found.predicted[:, axis], color=CYCLE[axis], linewidth=1.0, label="predicted")
-        axes.set_title(f"base rate, {'xyz'[axis]} of the IMU")
-        axes.set_ylabel("deg/s")
-        legend(axes)
-    for axis, colour in zip(range(3), CYCLE, strict=False):
-        left = degrees * (found.measured - found.predicted)[:, axis]
-        every[3].plot(found.time_s, left, color=colour, linewidth=0.7, label="xyz"[axis])
-    every[3].set_title("gyro less prediction")
-    every[3].set_ylabel("deg/s")
-    every[3].set_xlabel("time, s")
-    legend(every[3])
+def rates(axes: Axes, found: BaseRate, axis: int) -> None:
+    """What the gyro measured about one axis of the base."""
+    axes.plot(found.time_s, _DEGREES * found.measured[:, axis], color=COLOUR["idle"], linewidth=3.0, label="gyro")
+    axes.set_title(f"base rate, {'xyz'[axis]}")
+    axes.set_ylabel("deg/s")
+
+
+def common(every: list[Axes], found: BaseRate) -> None:
+    """The end of the fitted part, and the axis of time."""
     for axes in every:
         axes.axvline(found.time_s[found.fitted], color=COLOUR["faint"], linestyle="--", linewidth=0.8)
-    every[3].set_xlim(found.time_s[0], found.time_s[-1])
+    every[-1].set_xlabel("time, s")
+    every[-1].set_xlim(found.time_s[0], found.time_s[-1])
+
+
+def draw(found: BaseRate) -> Figure:
+    """The report's figure: each axis with its prediction, and the difference."""
+    figure, every = subplots(4, sharex=True)
+    for axis, axes in enumerate(every[:3]):
+        rates(axes, found, axis)
+        predicted = _DEGREES * found.predicted[:, axis]
+        axes.plot(found.time_s, predicted, color=CYCLE[axis], linewidth=1.0, label="predicted")
+        legend(axes)
+        left = _DEGREES * (found.measured - found.predicted)[:, axis]
+        every[3].plot(found.time_s, left, color=CYCLE[axis], linewidth=0.7, label="xyz"[axis])
+    every[3].set_title("gyro less prediction")
+    every[3].set_ylabel("deg/s")
+    legend(every[3])
+    common(every, found)
     return figure

@@ -1,0 +1,62 @@
+"""``heft predict``: base motion predicted from the joints beside what the gyro measured (figure 4.14)."""
+
+import argparse
+import json
+import math
+import tempfile
+from pathlib import Path
+
+from onboard.cli.common import DAMAGED, OK, Commands, load_vehicle, show, warn
+
+_METHODS = ("exiddm", "virtual_manipulator", "generalized_jacobian")
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    predict = commands.add_parser("predict", help="predict a log's base motion from its joints, beside the gyro")
+    predict.add_argument("log", type=Path, metavar="LOG")
+    predict.add_argument("--method", choices=_METHODS, action="append", help="derivation; repeatable (default: all)")
+    predict.add_argument(
+        "--vehicle", help="vehicle.toml, or a packaged vehicle (default: the one that the log carries)"
+    )
+    which = predict.add_mutually_exclusive_group()
+    which.add_argument(
+        "--urdf", type=Path, metavar="FILE", help="bodies to predict with, as heft identify --urdf writes"
+    )
+    which.add_argument("--drawn", action="store_true", help="predict with the vehicle's URDF, whatever was identified")
+    predict.add_argument("--seconds", type=float, default=30.0, metavar="S", help="of the interval (default 30)")
+    predict.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
+    predict.add_argument("--figure", type=Path, metavar="FILE", help="also draw it, as SVG or PNG by its ending")
+    predict.set_defaults(command=_predict)
+
+
+def _predict(arguments: argparse.Namespace) -> int:
+    from onboard.dynamics.errors import ModelError
+    from onboard.dynamics.mechanics.momentum_form import Method
+    from onboard.offline.base_motion import view
+    from onboard.offline.base_motion.flown import SHORTEST_S
+    from onboard.offline.base_motion.predicted import predict
+    from onboard.offline.tables.vehicle_file import vehicle_of
+    from onboard.recording.reader import LogReader
+
+    seconds: float = arguments.seconds
+    if not (math.isfinite(seconds) and seconds >= SHORTEST_S):
+        raise ValueError(f"--seconds {seconds:g}: give {SHORTEST_S:g} or more")
+    if arguments.figure and arguments.figure.suffix not in (".svg", ".png"):
+        raise ValueError(f"--figure {arguments.figure}: name a .svg or a .png file")
+    log = LogReader(arguments.log)
+    with tempfile.TemporaryDirectory() as directory:
+        vehicle = load_vehicle(arguments.vehicle) if arguments.vehicle else vehicle_of(log, Path(directory))
+        methods = [Method(name) for name in dict.fromkeys(arguments.method or _METHODS)]
+        try:
+            found = predict(vehicle, log, methods, seconds, arguments.urdf, drawn=arguments.drawn)
+        except ModelError as error:
+            raise ValueError(str(error)) from error
+    show(view.render(found))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if arguments.figure:
+        view.draw(found, arguments.figure)
+        print(arguments.figure)
+    warn(log.damage)
+    return DAMAGED if log.damage else OK
