@@ -10,6 +10,7 @@
 : "${root:?is the checkout, set by the script that sources this}"
 
 unset PYTHONPATH PYTHONHOME    # packages of another distribution (ROS, for one) must not shadow the locked ones
+unset PYTHONDONTWRITEBYTECODE    # the suite starts a few hundred Pythons: none compiles again what another has
 export PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"    # matrices of 10 to 70 columns: a second thread only costs
 

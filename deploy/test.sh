@@ -1,6 +1,6 @@
 #!/bin/sh
-# The test suite, from nothing. Without arguments all of it, as .ci/run does: on all cores, a file a process at a time; then,
-# with the machine to themselves, the tests that run against the wall clock; then one closing line of both.
+# The test suite, from nothing. Without arguments all of it, as .ci/run does: on all cores, a file a process at a time; then
+# the tests that run against the wall clock, one a core, for they mostly wait; then one closing line of both.
 # Arguments go to one pytest, which runs in the checkout's root: sh deploy/test.sh tests/drivers -k ring
 set -eu
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
@@ -21,8 +21,8 @@ part() {    # name, and arguments of pytest; its last line is kept
     tail -n 1 "$said/$name" >>"$said/last"
     [ ! -f "$said/code" ] || code=$(cat "$said/code")
 }
-part 'all cores' -m 'not realtime' --numprocesses auto --dist loadfile
-part 'real time' -m realtime
+part 'all cores' -m 'not realtime' --numprocesses auto --dist loadfile --no-loadscope-reorder
+part 'real time' -m realtime --numprocesses auto --dist worksteal
 
 # Counts of both, in pytest's own words: 1 failed, 4731 passed, 2 skipped in 655.20s
 awk '

@@ -1,5 +1,6 @@
 """What every room's tests share: a seeded generator, a clock that moves when told, the recorded data sets."""
 
+import gc
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: results do not hang on the core count
@@ -12,6 +13,8 @@ import pytest
 
 SEED = 20190812  # the day RockSat-X 2019 flew
 DATASETS_BESIDE_THE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "datasets"
+
+gc.disable()  # while tests are collected nothing dies, and looking for it is a quarter of the time
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("repeatable")
@@ -49,6 +52,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "datasets" in getattr(item, "fixturenames", ()):
             item.add_marker("realdata")
+
+
+def pytest_collection_finish() -> None:
+    """From here on garbage is looked for among what the tests make."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture

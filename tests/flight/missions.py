@@ -11,6 +11,23 @@ from onboard.flight import hil
 from onboard.offline.views import mission_table as table
 from onboard.recording.reader import LogReader
 
+_SWEEP = {
+    "phase": 3,
+    "action": "sweep",
+    "amplitude_deg": 11.5,
+    "stroke_s": 1.2,
+    "strokes": 6,
+    "pause_s": 0.1,
+    "transfer_s": 0.9,
+}
+SWEPT = [  # of RockSat: 27 s in which all three masses are found
+    {"phase": 0, "action": "hold", "duration_s": 5.0},
+    _SWEEP,
+    {"phase": 5, "action": "eject", "duration_s": 1.5},
+    _SWEEP,
+    {"phase": 9, "action": "hold", "duration_s": 1.0},
+]
+
 
 class Result(NamedTuple):
     """A flown mission."""

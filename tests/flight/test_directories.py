@@ -28,12 +28,16 @@ def test_what_is_made_is_for_this_user_alone(place: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", [0o755, 0o701, 0o770, 0o777])
-def test_a_place_that_others_may_enter_is_refused(place: Path, mode: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_place_that_others_may_enter_is_refused(place: Path, mode: int) -> None:
     place.mkdir()
     place.chmod(mode)
     with pytest.raises(NotPrivateError, match="chmod 700"), directories.made("log", "1"):
         pytest.fail("it was used")
     assert list(place.iterdir()) == []
+
+
+def test_no_flight_begins_in_a_place_that_others_may_enter(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place.mkdir(mode=0o755)
     assert cli.main(["fly", str(config.packaged("rocksat")), "--log", str(place.parent / "a.mcap")]) == cli.BAD_INPUT
     assert "other users may enter" in capsys.readouterr().err
 

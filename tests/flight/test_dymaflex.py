@@ -113,21 +113,15 @@ def test_the_second_imu_is_recorded_and_the_first_one_has_the_marks(flown: Resul
     assert not other["sync"].any()
 
 
-def test_one_seed_one_log(flown: Result, tmp_path: Path) -> None:
-    again = fly(tmp_path / "again.mcap", SEED, vehicle="dymaflex", **SHORT)
-    assert again.path.read_bytes() == flown.path.read_bytes()
-
-
 @pytest.mark.realtime
 @pytest.mark.timeout(120)
 def test_it_flies_in_real_time_too(tmp_path: Path) -> None:
     """The devices in a process of their own at the full rate, the flight app in its own processes."""
     tables = {
         "scenario": {"name": "short", "description": "", "based_on": "dymaflex"},
-        "capture": {"earliest_s": 16.0, "latest_s": 17.0},  # the flight app takes seconds to start
+        "capture": SHORT["capture"],
     }
-    rest, *others = SHORT["sequence"]
-    sequence = ", ".join(map(inline, [rest | {"duration_s": 13.0}, *others]))
+    sequence = ", ".join(map(inline, SHORT["sequence"]))
     scenario = tmp_path / "short.toml"
     scenario.write_text("".join(f"{k} = {inline(v)}\n" for k, v in tables.items()) + f"sequence = [{sequence}]\n")
     vehicle = config.load(config.packaged("dymaflex"))

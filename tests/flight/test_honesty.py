@@ -51,9 +51,8 @@ def test_a_cell_at_half_its_scale_is_told_by_the_drawn_arm(tmp_path: Path) -> No
     assert not any(mass["supported"] for mass in flown.table["masses"])
 
 
-def test_an_answer_says_which_calibration_it_leans_on(tmp_path: Path) -> None:
-    flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", 0.05, 0.0))
-    tip = flown.mass("m_tip_mass")
+def test_an_answer_says_which_calibration_it_leans_on(mission: Result) -> None:
+    tip = mission.mass("m_tip_mass")
     assert tip["supported"]
     assert tip["leans"].startswith("leans on load_cell scale_sigma and lever_sigma_m 0.354 %, joint_1 scale_sigma 0.05")
 

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,18 +23,10 @@ from onboard.offline.views.info import info
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
 
 WORKERS = ("heft-record", "heft-estimate", "heft-acquire")
 DEVICES = ("imu_base", "can_sync", "joint_1", "load_cell", "pulse")
-
-
-@pytest.fixture(autouse=True)
-def _rings_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    place = Path(f"/dev/shm/heft-test-{os.getpid()}-{tmp_path.name}")
-    monkeypatch.setenv("HEFT_RINGS", str(place))
-    yield
-    shutil.rmtree(place, ignore_errors=True)
 
 
 @pytest.fixture
@@ -119,13 +110,14 @@ def test_each_worker_killed_in_turn_is_started_again_and_the_log_replays(tmp_pat
 
 
 @pytest.mark.timeout(180)
-def test_a_worker_that_hangs_is_killed_and_started_again(tmp_path: Path, urls: list[str]) -> None:
+def test_workers_that_hang_are_killed_and_started_again(tmp_path: Path, urls: list[str]) -> None:
     log = tmp_path / "hung.mcap"
     with flying(log, urls, 200) as flight:
-        for name in ("heft-record", "heft-estimate"):
-            victim = pids(flight.pid)[name]
+        victims = {name: pids(flight.pid)[name] for name in ("heft-record", "heft-estimate")}
+        for victim in victims.values():
             os.kill(victim, signal.SIGSTOP)
-            deadline = time.monotonic() + 40
+        deadline = time.monotonic() + 60
+        for name, victim in victims.items():
             while pids(flight.pid).get(name, victim) == victim and time.monotonic() < deadline:
                 time.sleep(0.1)
             assert pids(flight.pid)[name] != victim
@@ -136,7 +128,7 @@ def test_a_worker_that_hangs_is_killed_and_started_again(tmp_path: Path, urls: l
     adds_up(log)
     supervisor = LogReader(log).read("event_supervisor")
     told = [(row["code"].decode(), row["source"].decode()) for row in supervisor]
-    assert [source for code, source in told if code == "worker_hung"] == ["recording", "estimation"]
+    assert sorted(source for code, source in told if code == "worker_hung") == ["estimation", "recording"]
     assert cli.main(["replay", str(log)]) == cli.OK
 
 

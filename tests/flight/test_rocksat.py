@@ -17,8 +17,10 @@ from onboard.flight.estimator import Estimator
 from onboard.offline.estimate_again import replay as replay_module
 from onboard.offline.estimate_again.replay import replay
 from onboard.offline.views import mission_table as table
-from tests.flight.missions import Result, fly
+from tests.flight.missions import SWEPT, Result, fly
 from tests.hil_sim.built import AS_DRAWN
+
+HEAVY = {"sequence": SWEPT, "body": {"tip_mass": {"as_built_factor": 1.2}}, "as_built": AS_DRAWN}
 
 
 def test_the_masses_are_found_within_what_was_promised(mission: Result) -> None:
@@ -101,7 +103,13 @@ def test_replay_gives_the_onboard_estimates_to_the_bit(mission: Result, capsys: 
     assert "identical to the last bit" in capsys.readouterr().out
 
 
-def test_replay_notices_another_vehicle(mission: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """A shorter one, with a tip mass a fifth heavier than drawn, as the flight's may have been."""
+    return fly(tmp_path_factory.mktemp("heavy") / "heavy.mcap", **HEAVY)
+
+
+def test_replay_notices_another_vehicle(heavy: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     laid_out = replay_module.vehicle_of
 
     def other(log: object, directory: Path) -> object:
@@ -111,19 +119,17 @@ def test_replay_notices_another_vehicle(mission: Result, tmp_path: Path, monkeyp
         return replay_module.config.parse(text, vehicle.path)
 
     monkeypatch.setattr(replay_module, "vehicle_of", other)
-    found = replay(mission.path)
+    found = replay(heavy.path)
     assert not found.identical
     assert "differs from row" in found.summary
 
 
-def test_one_seed_one_log(mission: Result, tmp_path: Path) -> None:
-    again = fly(tmp_path / "again.mcap")
-    assert again.path.read_bytes() == mission.path.read_bytes()
+def test_one_seed_one_log(heavy: Result, tmp_path: Path) -> None:
+    again = fly(tmp_path / "again.mcap", **HEAVY)
+    assert again.path.read_bytes() == heavy.path.read_bytes()
 
 
-def test_the_answer_follows_the_truth_and_not_the_drawing(tmp_path: Path) -> None:
-    """A tip mass a fifth heavier than drawn (as the flight's may have been) is found heavier."""
-    heavy = fly(tmp_path / "heavy.mcap", body={"tip_mass": {"as_built_factor": 1.2}}, as_built=AS_DRAWN)
+def test_the_answer_follows_the_truth_and_not_the_drawing(heavy: Result) -> None:
     tip = heavy.mass("m_tip_mass")
     assert tip["truth"] == pytest.approx(1.2 * 0.06627)
     assert abs(tip["our_error_percent"]) < 5.0

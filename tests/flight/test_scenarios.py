@@ -52,11 +52,6 @@ def test_every_sample_of_every_channel_is_accounted_for(flown: Result) -> None:
     assert all(counted["recorded"] > 5 for counted in flown.table["channels"].values())
 
 
-def test_one_seed_one_log(flown: Result, tmp_path: Path) -> None:
-    again = fly(tmp_path / "again.mcap", SEED, vehicle=flown.table["vehicle"], **SHORT)
-    assert again.path.read_bytes() == flown.path.read_bytes()
-
-
 def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
     found = replay(flown.path)
     assert found.identical, found.summary
@@ -96,8 +91,7 @@ def test_serial_devices_fly_in_real_time_on_terminals(tmp_path: Path) -> None:
     """The devices in a process of their own, the flight app in its own processes, a port for each device."""
     scenario = tmp_path / "short.toml"
     header = {"name": "short", "description": "", "based_on": "rocksat_serial"}
-    steps = [{**step, "duration_s": 20.0} if place == 0 else step for place, step in enumerate(SHORT["sequence"])]
-    scenario.write_text(f"scenario = {inline(header)}\nsequence = [{', '.join(map(inline, steps))}]\n")
+    scenario.write_text(f"scenario = {inline(header)}\nsequence = [{', '.join(map(inline, SHORT['sequence']))}]\n")
     vehicle = config.load(config.packaged("rocksat_serial"))
     flown = hil.fly_realtime(vehicle, ["-m", "hil_sim.serve", str(scenario), "--seed", "3"], tmp_path / "rt.mcap")
     result = table.result(flown)

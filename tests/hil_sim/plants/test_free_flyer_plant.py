@@ -246,6 +246,13 @@ def test_the_rockets_arm_has_one_place_of_a_kind() -> None:
         Mission(load("rocksat", {"device": {"joint_1": {"at": "joint_2"}}}), 1)
 
 
+def test_one_seed_one_flight(plant: FreeFlyerPlant) -> None:
+    again, other = (FreeFlyerPlant(load("dymaflex", SHORT), np.random.default_rng(seed)) for seed in (5, 6))
+    for signal in ("rate_rad_s", "specific_force_m_s2", "wrist_force_n"):
+        assert np.array_equal(getattr(again.flight, signal), getattr(plant.flight, signal))
+        assert not np.array_equal(getattr(other.flight, signal), getattr(plant.flight, signal))
+
+
 def test_swings_are_the_same_whoever_asks_when() -> None:
     program = ArmSwings(load("dymaflex", SHORT), np.random.default_rng(3))
     times = np.linspace(0.0, 4.0, 61)
