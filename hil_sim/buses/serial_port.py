@@ -277,7 +277,6 @@ class PtySerial:
         self._output = bytearray()
         self._master = -1
         self._terminal = ""
-        self._poll = select.poll()
         self.plug()
 
     @property
@@ -336,7 +335,6 @@ class PtySerial:
         fcntl.ioctl(self._master, termios.TIOCPKT, struct.pack("i", 1))  # every read begins with a status
         self._terminal = os.ttyname(slave)
         os.close(slave)
-        self._poll.register(self._master, 0)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
             self._link.symlink_to(self._terminal)
@@ -346,13 +344,14 @@ class PtySerial:
         if self._master >= 0:
             if self._link is not None:  # first: who sees the end of file may look for it at once
                 self._link.unlink(missing_ok=True)
-            self._poll.unregister(self._master)
             os.close(self._master)
             self._master = -1
             self._output.clear()
 
     def _is_hung_up(self) -> bool:
-        return any(events & select.POLLHUP for _, events in self._poll.poll(0))
+        terminal = select.poll()  # a thread at a time may use one: whoever asks for the line has its own
+        terminal.register(self._master, 0)
+        return any(events & select.POLLHUP for _, events in terminal.poll(0))
 
     def _flush(self) -> None:
         if not self._output or self._master < 0:
