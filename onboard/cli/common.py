@@ -1,8 +1,8 @@
 """Common parts of the commands: exit codes, console, warnings, shared options."""
 
 import sys
-from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +67,18 @@ def progress() -> "Progress":
     percent = TextColumn("{task.percentage:3.0f} %")
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), percent, TimeRemainingColumn())
     return Progress(*columns, console=where, transient=True, disable=not where.is_terminal)
+
+
+@contextmanager
+def busy(what: str) -> Iterator[Callable[[str], None]]:
+    """Shows what is being done and for how long, where nobody can say how much is left; call it with what follows."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    shown = progress().console
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=shown, transient=True, disable=not shown.is_terminal) as bar:
+        task = bar.add_task(what)
+        yield lambda then: bar.update(task, description=then)
 
 
 def next_log(directory: str, name: str) -> Path:

@@ -9,6 +9,7 @@ from onboard.cli.common import (
     OK,
     Commands,
     bus_and_url,
+    busy,
     console,
     load_vehicle,
     show,
@@ -37,11 +38,11 @@ def _preflight(arguments: argparse.Namespace) -> int:
     if not 0.0 < minutes < 1e6:
         raise ValueError(f"--minutes {minutes:g}: give the length of the flight, e.g. 30")
     vehicle = load_vehicle(arguments.vehicle).with_urls(dict(bus_and_url(text) for text in arguments.url))
-    estimator = Estimator(vehicle)  # what heft fly would refuse is refused here
     flight_s = 60.0 * minutes
-    found = preflight.preflight(
-        *(vehicle, time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds, flight_s, estimator, time.time())
-    )
+    with busy("the estimator is built") as told:
+        estimator = Estimator(vehicle)  # what heft fly would refuse is refused here
+        looks = time.monotonic_ns, time.sleep, workers.run_for, arguments.seconds, flight_s, estimator, time.time()
+        found = preflight.preflight(vehicle, *looks, told)
     show(preflight.render(found))
     _foresee(vehicle)
     return OK if found.ready else NOT_READY
@@ -57,7 +58,8 @@ def _foresee(vehicle: "config.Vehicle") -> None:
         return
     motion = "the default motion of a rehearsal"
     try:
-        plan = default_plan(scenario_of(vehicle.path), 1.0 / vehicle.file.estimation.row_rate_hz)
+        with busy(f"what {motion} determines"):
+            plan = default_plan(scenario_of(vehicle.path), 1.0 / vehicle.file.estimation.row_rate_hz)
     except ValueError as error:
         console().print(f"what {motion} determines is not known: {error}")
         return

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from onboard.cli.common import FAILED, OK, Commands, complain, load_vehicle, show
+from onboard.cli.common import FAILED, OK, Commands, busy, complain, load_vehicle, progress, show
 
 
 def add(commands: Commands) -> None:
@@ -35,7 +35,8 @@ def _resync(arguments: argparse.Namespace) -> int:
     groups = flights(arguments.logs)
     try:
         logs = [LogReader(one) for one in named(arguments.logs)]
-        placed = resync(logs, vehicle, arguments.peak_hz, arguments.rate_limit, arguments.shocks)
+        with busy("resync") as told:
+            placed = resync(logs, vehicle, arguments.peak_hz, arguments.rate_limit, arguments.shocks, told)
     except ResyncError as error:
         complain(error)
         return FAILED
@@ -46,6 +47,7 @@ def _resync(arguments: argparse.Namespace) -> int:
     if arguments.output:
         clocks = {one.log: (round(one.shift_s * 1e9), 1.0 + one.rate) for one in placed}
         parts = [Part(group, *clocks.get(group[0], (0, 1.0))) for group in groups]
-        merge(sorted(parts, key=lambda part: part.segments[0] in clocks), arguments.output)
+        with progress() as bar:
+            merge(sorted(parts, key=lambda part: part.segments[0] in clocks), arguments.output, progress=bar)
         print(arguments.output)
     return OK

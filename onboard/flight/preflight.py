@@ -105,6 +105,7 @@ def preflight(
     flight_s: float = FLIGHT_S,
     estimator: Estimator | None = None,
     wall_s: float | None = None,
+    told: Callable[[str], object] = lambda text: None,
 ) -> Preflight:
     """Look a vehicle over.
 
@@ -118,10 +119,13 @@ def preflight(
         flight_s: how long the flight is to last.
         estimator: that flies with it, and whose answers are recorded too.
         wall_s: what the system clock says, Unix time; None: it is not looked at.
+        told: called with what is done next.
     """
     slowest_hz = min(vehicle.rate_hz(name) for name, _ in _on_buses(vehicle))
     run_s = seconds or min(max(SECONDS, FEWEST_ROWS / slowest_hz), LONGEST_SECONDS)
+    told("self tests")
     self_tests = _self_tests(vehicle, clock, wait)
+    told(f"the devices run for {run_s:.2g} s")
     opened = open_devices(vehicle, clock)
     try:
         said_by_devices = run(opened, run_s) if run else _run_in_turn(opened.devices, clock, wait, run_s)

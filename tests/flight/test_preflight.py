@@ -15,14 +15,15 @@ from tests.flight.mixed import DEVICES, MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import MS
 
 
-def look_over(directory, text=DEVICES, seconds=None, urls=None, **world_is):
+def look_over(directory, text=DEVICES, seconds=None, urls=None, told=lambda text: None, **world_is):
     with MixedWorld(directory, **world_is) as world:
 
         def wait(waited_s):
             for _ in range(max(1, round(waited_s * 1e3))):
                 world.advance(MS)
 
-        return preflight(vehicle(directory, {**world.urls, **(urls or {})}, text), world.clock, wait, seconds=seconds)
+        flown = vehicle(directory, {**world.urls, **(urls or {})}, text)
+        return preflight(flown, world.clock, wait, seconds=seconds, told=told)
 
 
 def shown(found):
@@ -111,7 +112,9 @@ def test_buses_that_are_not_there_and_a_sync_line_that_does_not_reach_the_imu(tm
 
 def test_room_for_the_flight(tmp_path):
     text = DEVICES + '\n[recording]\ndirectory = "/proc/flights"\n'
-    found = look_over(tmp_path, text, 0.5)
+    said = []
+    found = look_over(tmp_path, text, 0.5, told=said.append)
+    assert said == ["self tests", "the devices run for 0.5 s"]
     assert "/proc has room for 0 minutes of this vehicle" in " ".join(found.problems)
 
 

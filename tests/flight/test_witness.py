@@ -1,8 +1,8 @@
 """A flight of DYMAFLEX looked at: by the instruments that its estimator does not use, and by the report.
 
 Second IMU and wrist cell are silent on the healthy flight and loud on a lie: a copy of its log in which one instrument
-is off by a scale. In the report and by
-``heft predict`` what was identified predicts the gyro, and something else does not.
+is off by a scale. In the report and by ``heft predict`` what was identified predicts the gyro, and something else does
+not.
 """
 
 import json

@@ -6,7 +6,7 @@ floats freely and whose joints the other log has goes further, through its own m
 bytes a sample.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,6 +90,7 @@ def resync(
     peak_Hz: float,
     rate_limit: float,
     by_shocks: bool = False,
+    told: Callable[[str], object] = lambda text: None,
 ) -> list[AlignedLog]:
     """The clock of every log but the reference.
 
@@ -100,6 +101,7 @@ def resync(
         peak_Hz: where the motion is liveliest, see :func:`onboard.timebase.resync.align`.
         rate_limit: largest accepted relative error of a clock.
         by_shocks: compare taps of a mallet, which every recorder feels, and nothing else; good to some milliseconds.
+        told: called with what is done next.
 
     Raises:
         ResyncError: a clock that cannot be told, with the reason.
@@ -111,11 +113,13 @@ def resync(
     if not imus:
         raise ValueError("none of the logs has an IMU: give the one that recorded it first")
     first = next(iter(imus))
+    told(f"reads {logs[first].path.name}")
     rate, force = _imu(logs[first], imus[first])
     placed = []
     for number, log in enumerate(logs):
         if number == first:
             continue
+        told(f"{log.path.name} on the time of {logs[first].path.name}")
         try:
             seen = (force,) if by_shocks else (rate, force)
             placed.append(_place(log, logs[first], imus.get(number), seen, vehicle, peak_Hz, rate_limit))

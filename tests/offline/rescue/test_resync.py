@@ -108,7 +108,7 @@ def test_logs_of_different_flights_are_refused(
 
 
 def test_two_imus_on_one_body_are_aligned_without_a_vehicle_file(
-    parabola: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    parabola: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = np.load(parabola[0].parents[1] / "imu.npz")
     late = {"t": rows["t"][500:] + 40.0, "gyro": rows["gyro"][500:, [2, 0, 1]], "accel": rows["accel"][500:]}
@@ -116,10 +116,14 @@ def test_two_imus_on_one_body_are_aligned_without_a_vehicle_file(
     (tmp_path / "imu.toml").write_text(IMU_MAPPING)
     log = import_recordings(tmp_path / "imu.toml", tmp_path / "second.npz", tmp_path)[0].path
 
+    monkeypatch.setenv("FORCE_COLOR", "1")  # stderr is a terminal
+    monkeypatch.setenv("COLUMNS", "200")
     assert cli.main(["resync", str(parabola[0]), str(log), "--json"]) == cli.OK
 
-    (found,) = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    (found,) = json.loads(said.out)
     assert found["offset_s"] == pytest.approx(-40.0, abs=1e-4)
+    assert f"{log.name} on the time of {parabola[0].name}" in said.err
 
 
 def test_imus_whose_rows_share_arrival_stamps_are_aligned_by_their_ticks(
