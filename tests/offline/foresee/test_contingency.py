@@ -1,0 +1,95 @@
+"""What a loss leaves: never more than there was, nothing without a row or a motion, and the bound of a batch fit."""
+
+import json
+
+import numpy as np
+import pytest
+
+from onboard.cli import main
+from onboard.dynamics.free_flight import predict_base_from_rate
+from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.payload import standard_of
+from onboard.dynamics.ticks import FlightSignals
+from onboard.flight.identification import build_exiddm, exiddm_prior
+from onboard.identification.exiddm.free_base import free_exiddm
+from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.verdict import Level
+from onboard.offline.foresee.contingency import foresee_without
+from tests.offline.foresee.test_foresee import made
+
+FREE = ("--base", "free", "--joints", "2")
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory):
+    return made(tmp_path_factory.mktemp("free"), *FREE)
+
+
+def test_a_lost_joint_costs_as_much_as_a_batch_fit_of_the_parked_motion_says(tmp_path):
+    """The filter's bound without joint_2 against the information of all ticks at once, joints and place exact."""
+    exact = "position_m = 0.0\nzero_rad = 0.0\nscale = 0.0\ndelay_s = 0.0\n"
+    edits = (
+        ("gyro_drift_rad_s2 = 8.7e-5", "gyro_drift_rad_s2 = 0.0\nposition_m = 0.0"),
+        ("accelerometer_drift_m_s3 = 1e-3", "accelerometer_drift_m_s3 = 0.0"),
+        (
+            "[estimation.prior.link]",
+            f"[estimation.prior.joint.joint_1]\n{exact}[estimation.prior.joint.joint_2]\n{exact}\n[estimation.prior.link]",
+        ),
+        ("noise_rad = 4e-6", "noise_rad = 1e-9"),
+    )
+    vehicle, plan = made(tmp_path, *FREE, edits=edits)
+    found = foresee_without(vehicle, plan, ["joint_2"])
+    identifier, model = build_exiddm(vehicle)
+    at = [joint.name for joint in model.joints].index("joint_2")
+    q, dq, ddq = (np.array(part) for part in (plan.q, plan.dq, plan.ddq))
+    q[:, at], dq[:, at], ddq[:, at] = q[0, at], 0.0, 0.0
+    links, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
+    period_s, nothing = 1.0 / vehicle.file.estimation.row_rate_hz, np.zeros((len(q), 3))
+    noise = [np.full(3, sigma / np.sqrt(10.0)) for sigma in (1.95e-3, 0.088)]
+    signals = FlightSignals(period_s, q, dq, ddq, nothing, nothing, *noise, 10)
+    exiddm = free_exiddm(model, "imu_base", signals, payload_sigma, links, ImuPrior(**imu_prior._asdict()))
+    chi = model.chi.copy()
+    chi[model.payload_columns()] = standard_of(plan.payload)
+    base = predict_base_from_rate(link_motions(model, q, dq, ddq), period_s, chi, plan.rate_rad_s, ())
+    bound = exiddm.bound(exiddm.parameters(base.momentum[0], plan.payload))
+    left = {one.name: one for one in found.left.quantities}
+    sigma = np.array([left[name].sigma for name in identifier.quantity_names])
+    whole = np.array([one.sigma for one, _ in found.pairs()])
+    assert (sigma / whole).max() > 1.5  # it is a loss
+    np.testing.assert_allclose(sigma, np.sqrt(np.diag(bound.covariance)), rtol=0.03)
+
+
+@pytest.mark.parametrize("lost", ["joint_1", "joint_2", "pulse"])
+def test_nothing_is_known_better_without(free, lost):
+    pairs = foresee_without(*free, [lost]).pairs()
+    assert len(pairs) == 10
+    ratios = np.array([left.sigma / whole.sigma for whole, left in pairs])
+    assert ratios.min() > 1.0 - 1e-6
+    assert (ratios.max() > 1.05) == lost.startswith("joint")
+
+
+def test_without_any_joint_only_the_spin_is_left_and_nothing_is_good(free):
+    found = foresee_without(*free, ["joint_1", "joint_2"])
+    assert found.words[1].startswith("joint_2 is parked at")
+    assert all(left.level is not Level.GOOD for _, left in found.pairs() if left.name.startswith(("m_", "I_")))
+
+
+def test_without_what_measures_the_base_there_is_nothing(free):
+    found = foresee_without(*free, ["imu_base"])
+    assert found.left is None
+    assert "no IMU is left, and the base moves" in found.why
+    assert not found.useful
+
+
+def test_the_command_says_what_is_left_and_fails_where_nothing_is(tmp_path, capsys):
+    assert main(["checkout", "rocksat", "--without", "load_cell"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nothing can be determined: no load cell, torque or base wrench is left to make a row of" in said
+    report = tmp_path / "left.json"
+    assert main(["checkout", "rocksat", "--without", "pulse", "--json", str(report)]) == 0
+    assert "no pulse: times by arrival, 1 sigma imu_base 2.9 ms" in " ".join(capsys.readouterr().out.split())
+    read = {one["name"]: one for one in json.loads(report.read_text())["quantities"]}
+    assert read["m_tip_mass"]["level_without"] == "good"
+    assert read["XX_arm_R"]["sigma"] is None
+    assert main(["checkout", "rocksat", "--without", "joint_9"]) == 2
+    assert "name one of joint_1, imu_base" in capsys.readouterr().err
