@@ -62,7 +62,7 @@ def spoils() -> dict[str, Spoil]:
     """Every way of spoiling, by name."""
     made: dict[str, Spoil] = {"as flown": lambda name, rows: None}
     for words, field in (("gyro", "gyro_raw"), ("accel", "accel_raw")):
-        for factor in (0.9, 0.95, 0.97, 1.03, 1.05, 1.1, -1.0):
+        for factor in (0.9, 0.95, 0.96, 0.97, 1.03, 1.04, 1.05, 1.1, -1.0):
             made[f"{words} x {factor:g}"] = partial(_scaled, _IMU, field, factor, None)
         made[f"{words} y sign"] = partial(_scaled, _IMU, field, -1.0, (1,))
         made[f"{words} z x 1.1"] = partial(_scaled, _IMU, field, 1.1, (2,))

@@ -146,6 +146,10 @@ class WholeFlight:
             x[at : at + 3] = first_rate(self._predictor, one.ticks, self._state(x, k))
         return x
 
+    def widen(self, parameters: IndexArray, factor: float) -> None:
+        """Take the prior sigmas of some parameters for so many times as large."""
+        self.sigma[np.unique(parameters)] *= factor
+
     def fit(self, start: FloatArray, stages_s: Sequence[float] = ()) -> FlightFit:
         """Maximum likelihood, first of the parts of each segment up to so many seconds, then of all ticks.
 

@@ -6,7 +6,7 @@ the onboard answer in the log. A log without one, or whose fit leaves more than 
 recursive estimator first, and the fit starts from its state.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -26,6 +26,7 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.parts import differences, halves
 from onboard.identification.exiddm.recursive import BATCH_TICKS
+from onboard.identification.exiddm.stated import Kind, freely, kinds_of
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.whole_flight import FlightFit, Segment, WholeFlight
@@ -48,6 +49,7 @@ from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
 _DOUBTED, _REFUSED = 1e-4, 1e-6  # chance of a difference between parts of the flight
+_NOT_AS_STATED = 1e-3  # chance of a correction, of a kind
 _SUSPECT = 1.3  # misfit of an instrument beyond which another start is tried
 _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
@@ -137,9 +139,14 @@ class _Flight:
             idle = {} if failure else {"while nothing was held": seen}
             return no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
         flight, found = best
+        corrections, kinds = _corrections(flight, found), kinds_of(flight, found)
+        try:
+            found = freely(flight, found, kinds)
+        except EstimationError as error:
+            return no_answer(kept, seen, f"the fit failed: {kinds[0].text}, and without that: {error}")
         if found.glitches:
             refused = {**refused, "residual": refused.get("residual", 0) + 6 * found.glitches}
-        return told(kept._replace(refused=refused), _fitted(flight, found, phase_at))
+        return told(kept._replace(refused=refused), _fitted(flight, found, phase_at, corrections, kinds))
 
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
@@ -219,8 +226,23 @@ def _end(run: Run) -> int:
     return int(run.ticks.stop) - 1
 
 
-def _fitted(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], int]) -> Fitted:
-    """The checks of a fit: halves, parts, instruments, corrections."""
+def _corrections(flight: WholeFlight, found: FlightFit) -> dict[str, float]:
+    """What was fitted besides the payload, in the sigmas that are stated."""
+    return {
+        name: float(x / sigma)
+        for name, x, sigma in zip(found.names[10:], found.fit.x[10:], flight.sigma[10:], strict=True)
+        if np.isfinite(sigma)
+    }
+
+
+def _fitted(
+    flight: WholeFlight,
+    found: FlightFit,
+    phase_at: Callable[[float], int],
+    corrections: Mapping[str, float],
+    kinds: Sequence[Kind],
+) -> Fitted:
+    """The checks of a fit: halves, parts, instruments, corrections as they were within the stated sigmas."""
     held_out, unchecked = None, ""
     try:
         held_out = halves(flight, found)
@@ -241,11 +263,8 @@ def _fitted(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], i
             doubts.append(f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise")
     rows = sum(block.rows for block in found.blocks)
     wider = max(1.0, found.misfit, *found.by_instrument.values())
-    corrections = {
-        name: float(x / sigma)
-        for name, x, sigma in zip(found.names[10:], found.fit.x[10:], flight.sigma[10:], strict=True)
-        if np.isfinite(sigma)
-    }
+    against += [kind.text for kind in kinds if kind.chance < _REFUSED]
+    doubts += [kind.text for kind in kinds if _REFUSED <= kind.chance < _NOT_AS_STATED]
     return Fitted(
         found.payload,
         found.chi,

@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers.records import Batch
 from onboard import config
+from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimator import Estimator
 from onboard.flight.roles import roles_of
 from onboard.offline.tables.source import Interleaved
@@ -51,10 +52,10 @@ def check_times(vehicle: config.Vehicle, log: LogReader) -> None:
         ChannelError: a channel's times are of another unit.
     """
     for name, signal in roles_of(vehicle).signals.items():
-        rows = next((rows for _, rows in log.batches([name]) if len(rows) >= _FEWEST_ROWS), None)
-        if rows is None:
+        stamps_ns = _first_stamps(log, name)
+        if len(stamps_ns) < _FEWEST_ROWS:
             continue
-        spread_ns = np.median(rows["host_ns"][_SPREAD:].astype(np.float64) - rows["host_ns"][:-_SPREAD])
+        spread_ns = np.median(stamps_ns[_SPREAD:] - stamps_ns[:-_SPREAD])
         ratio = 1e-9 * float(spread_ns) / _SPREAD / signal.period_s
         if not 1.0 / _FARTHEST_TIMES < ratio < _FARTHEST_TIMES:
             found, stated = (f"{1e3 * ms:.4g} ms" for ms in (ratio * signal.period_s, signal.period_s))
@@ -62,6 +63,17 @@ def check_times(vehicle: config.Vehicle, log: LogReader) -> None:
                 f"{log.path}: samples of {name} are {found} apart where the vehicle file says {stated}; check the unit "
                 "of the recording's times, or the device's period"
             )
+
+
+def _first_stamps(log: LogReader, channel: str) -> FloatArray:
+    """Arrival of the first rows of a channel, ns; twice as many as are compared, or all of them."""
+    found, count = [np.zeros(0)], 0
+    for _, rows in log.batches([channel]):
+        found.append(rows["host_ns"].astype(np.float64))
+        count += len(rows)
+        if count >= 2 * _FEWEST_ROWS:
+            break
+    return np.concatenate(found)
 
 
 def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> Iterator[Batch]:

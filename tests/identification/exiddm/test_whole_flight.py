@@ -11,6 +11,7 @@ from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
 from onboard.identification.exiddm.parts import differences, halves
+from onboard.identification.exiddm.stated import KINDS, UNLIKELY, freely, kinds_of
 from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight, total_of
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
@@ -134,3 +135,47 @@ def test_a_flight_too_short_to_halve(ticks, predictor, fitted):
     with pytest.raises(SingularError, match="halves"):
         halves(flight, found)
     assert differences(found, lambda _: 0)[0].freedom == 0
+
+
+def scaled(ticks, columns, factor):
+    """All that was flown, some readings of the IMU times a factor."""
+    measured = ticks.measured.copy()
+    measured[:, columns] *= factor
+    return segments(ticks._replace(measured=measured))
+
+
+def test_a_kind_as_stated_is_likely_and_not_freed(fitted):
+    flight, found = fitted
+    kinds = kinds_of(flight, found)
+    assert {one.name for one in kinds} == set(KINDS)
+    assert sum(one.common for one in kinds) == len(KINDS) - 1  # a delay has no axes
+    assert all(one.freedom == (1 if one.common or one.name == "delay_s" else 3) for one in kinds)
+    assert kinds[0].chance > UNLIKELY
+    assert freely(flight, found, kinds) is found
+
+
+@pytest.mark.parametrize(
+    ("columns", "factor", "kind"), [([3, 4, 5], 0.93, "accelerometer_scale"), ([0, 1, 2], 1.05, "gyro_scale")]
+)
+def test_a_scale_of_all_axes_is_found_and_fitted_freely(ticks, predictor, fitted, columns, factor, kind):
+    _, whole = fitted
+    flight = WholeFlight(predictor, WIDE, scaled(ticks, columns, factor))
+    stated = flight.fit(whole.fit.x)
+    kinds = kinds_of(flight, stated)
+    assert (kinds[0].name, kinds[0].common) == (kind, True)
+    assert kinds[0].chance < 1e-4
+    assert f"{kind} of the IMU, common to its axes, is not as stated" in kinds[0].text
+    free = freely(flight, stated, kinds)
+    off, wrong = (np.abs(one.chi - standard_of(TRUTH))[0] for one in (free, stated))
+    assert off < 2.0 * np.sqrt(free.chi_covariance[0, 0])
+    assert off < 0.5 * wrong
+
+
+def test_the_chi_squared_of_a_kind_is_what_the_fit_gains_without_its_sigmas(ticks, predictor, fitted):
+    _, whole = fitted
+    flight = WholeFlight(predictor, WIDE, scaled(ticks, [4], 1.02))
+    stated = flight.fit(whole.fit.x)
+    [kind] = [one for one in kinds_of(flight, stated) if one.name == "accelerometer_scale" and not one.common]
+    assert kind.freedom == 3
+    flight.widen(kind.parameters, 1e4)
+    assert stated.fit.residual_sum - flight.fit(stated.fit.x).fit.residual_sum == pytest.approx(kind.squares, rel=0.02)

@@ -1,0 +1,105 @@
+"""Corrections of the IMU, kind by kind, against the sigmas that are stated for them.
+
+Under the stated sigmas s the fitted corrections c, of covariance P, are ``c ~ N(0, diag(s^2) - P)`` (the difference of
+an efficient estimate and its prior; Hausman, Econometrica 46, 1978). Each kind is tested by itself, and the mean of its
+axes too, as a reference voltage changes them alike: where the flight hardly tells a correction, c stays within s
+whatever the error is, and a sum over all corrections hides it. A scale of DYMAFLEX's accelerometer that is common to
+its axes moves the mass by half of it, and c by a fortieth: 5 % are corrected by less than one sigma, and found by four
+to six. The flight is then fitted again with that kind hardly bound, as widens the interval of the mass by a quarter.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
+
+KINDS = (
+    "gyro_scale",
+    "gyro_misalignment_rad",
+    "accelerometer_scale",
+    "accelerometer_misalignment_rad",
+    "place",
+    "delay_s",
+)
+UNLIKELY = 0.02  # chance below which a kind is fitted freely
+_FREE = 10.0  # times its stated sigma
+_TOLD = 0.005  # share of a correction's variance that the flight takes away, in a direction that is tested
+
+
+class Kind(NamedTuple):
+    """A kind of correction of the IMU."""
+
+    name: str  # of :data:`KINDS`
+    common: bool  # the mean of its axes
+    parameters: IndexArray
+    squares: float  # chi-squared if it is as stated
+    freedom: int
+
+    @property
+    def chance(self) -> float:
+        """Probability of so large a correction."""
+        return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
+
+    @property
+    def text(self) -> str:
+        """``accelerometer_scale of the IMU, common to its axes, is not as stated (chance 3e-05)``."""
+        which = f"{self.name} of the IMU{', common to its axes,' if self.common else ''}"
+        return f"{which} is not as stated (chance {self.chance:.0e})"
+
+
+def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:
+    """Every kind that has a stated sigma, the least likely first.
+
+    Args:
+        flight: that was fitted, with the sigmas as they are stated.
+        found: its fit.
+    """
+    made = []
+    for name in KINDS:
+        at = np.array([k for k, own in enumerate(found.names) if _is_of(own, name)], np.intp)
+        if not at.size:
+            continue
+        sigma = flight.sigma[at]
+        scaled = found.fit.x[at] / sigma
+        told = np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
+        made.append(_tested(name, at, scaled, told, np.eye(at.size)))
+        if at.size > 1:
+            made.append(_tested(name, at, scaled, told, np.full((at.size, 1), at.size**-0.5)))
+    return sorted(made, key=lambda one: one.chance)
+
+
+def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[Kind]) -> FlightFit:
+    """The fit once more, with the unlikely kinds hardly bound by what is stated; the same fit where there are none.
+
+    Args:
+        flight: that was fitted; its sigmas of these kinds are changed.
+        found: its fit.
+        kinds: that it found.
+
+    Raises:
+        ConvergenceError, SingularError: as :meth:`WholeFlight.fit`.
+    """
+    unlikely = [one.parameters for one in kinds if one.chance < UNLIKELY]
+    if not unlikely:
+        return found
+    flight.widen(np.concatenate(unlikely), _FREE)
+    return flight.fit(found.fit.x)
+
+
+def _is_of(parameter: str, kind: str) -> bool:
+    if kind == "place":
+        return parameter.endswith("_imu")
+    return parameter == kind or (parameter[:-2] == kind and parameter[-2:] in ("_x", "_y", "_z"))
+
+
+def _tested(name: str, at: IndexArray, scaled: FloatArray, told: FloatArray, along: FloatArray) -> Kind:
+    """Chi-squared of corrections in their sigmas, (k,), of which a share (k, k) is told, along columns (k, d)."""
+    values, vectors = np.linalg.eigh(along.T @ told @ along)
+    counts = values > _TOLD
+    projected = (vectors[:, counts].T @ along.T @ scaled) ** 2
+    common = along.shape[1] < at.size
+    return Kind(name, common, at, float((projected / values[counts]).sum()), int(np.count_nonzero(counts)))
