@@ -12,6 +12,8 @@ from hil_sim.plants import planar_bed
 from hil_sim.plants.free_flyer import Body, JointMotion
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, Samples, sample
 from onboard import cli, config
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.urdf import with_bodies
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimator import Estimator
 from onboard.identification.verdict import Level
@@ -32,12 +34,14 @@ ERRORS = ImuErrors(0.0087, 8.7e-5, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
 SWING = np.array([[1.0], [1.0], [1.0], [1.0], [3.0]])
 
 
-def fly(rng: np.random.Generator, seconds: float, swing: float = 1.0) -> Samples:
+def fly(
+    rng: np.random.Generator, seconds: float, swing: float = 1.0, drags: tuple[planar_bed.Drag, ...] = DRAGS
+) -> Samples:
     motion = JointMotion.draw(rng)
     amplitude = swing * SWING * motion.amplitude_rad
     motion = replace(motion, start_rad=np.array([0.0, 1.2, 0.0, -1.2, 0.0]), amplitude_rad=amplitude)
     world = planar_bed.world(BOX, tilt_m_s2=(0.002, -0.001))
-    return sample(planar_bed.fly(world, motion, (0.02, -0.01, 0.05), DRAGS, seconds), ERRORS, rng)
+    return sample(planar_bed.fly(world, motion, (0.02, -0.01, 0.05), drags, seconds), ERRORS, rng)
 
 
 def write(path: Path, read: Samples, imu_until_s: float = np.inf) -> Path:
@@ -190,3 +194,23 @@ def test_a_puck_at_a_frame_that_the_urdf_does_not_have(
         said = " ".join(capsys.readouterr().err.split())
         assert f"vehicle.toml:{line}: " in said.replace("toml: ", "toml:")
         assert why in said
+
+
+def test_what_the_predicted_yaw_leaves_is_drag(log: Path, tmp_path: Path) -> None:
+    """``heft predict`` with the true payload: without drag it is the measured yaw, and one dragging puck shows."""
+    urdf = tmp_path / "held.urdf"
+    urdf.write_text(
+        with_bodies(VEHICLE.urdf_text, {"payload": RigidBody(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2)})
+    )
+    nothing = (planar_bed.Drag(0.0, 0.0),) * 3
+    free = write(tmp_path / "free.mcap", fly(np.random.default_rng(3), 8.0, drags=nothing))
+    errors = []
+    for one in (free, log):
+        report = tmp_path / f"{one.stem}.json"
+        asked = ["--vehicle", "dymaflex_air_bearing", "--method", "generalized_jacobian", "--urdf", str(urdf)]
+        assert cli.main(["predict", str(one), *asked, "--json", str(report)]) == cli.OK
+        read = json.loads(report.read_text())
+        assert read["swing_deg_s"][2] > 10.0
+        errors.append(read["methods"]["generalized_jacobian"]["rms_deg_s"][2] / read["swing_deg_s"][2])
+    assert errors[0] < 0.01
+    assert errors[1] > 5.0 * errors[0]

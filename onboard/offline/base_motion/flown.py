@@ -7,7 +7,7 @@ import numpy as np
 from onboard import config
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.gates import ReasonArray
 from onboard.flight.answers import change_of
 from onboard.flight.estimation import SUFFIX
 from onboard.flight.estimator import Estimator
@@ -23,7 +23,7 @@ from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
-SHORTEST_S = 1.0
+SHORTEST_S = 0.25  # a throw by hand
 _STEP_s = 1.0  # in which the log is read
 _EVENTS = "event" + SUFFIX
 
@@ -52,7 +52,9 @@ class _Recorder(TableRun):
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         found = super().update(signals, attached, excluded)
         rate = signals.measured[:, :3] @ self._R_BS.T if self._means else signals.motion.rate_rad_s
-        rate = np.where((excluded & ~int(GateReason.PHASE))[:, None] == 0, rate, np.nan)
+        rate = np.where(
+            np.asarray(excluded)[:, None] == 0, rate, np.nan
+        )  # of what is no free flight nothing is predicted
         self.ticks.append(ticks_of(signals, np.concatenate([rate, np.zeros_like(rate)], axis=1)))
         self.attached.append(attached)
         return found
@@ -93,8 +95,9 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Flown:
             "heft info says what is missing"
         )
     part = ticks.part(slice(max(best.ticks.start, best.ticks.stop - round(longest_s / period_s)), best.ticks.stop))
+    payload_held = best.payload > 0 and model.spec.payload_link is not None
     time_s = part.time_s - 1e-9 * (Interleaved(log, estimator.inputs).start_ns or 0)
-    return Flown(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], best.payload > 0)
+    return Flown(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], payload_held)
 
 
 def _told(log: LogReader) -> list[Change]:
