@@ -26,10 +26,11 @@ from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.checkout_checks import Outcome, judge_motion, judge_tare
+from onboard.flight.clocks import sync_line
 from onboard.flight.devices import OpenDevices, open_devices
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_model
-from onboard.flight.preflight import Preflight, preflight
+from onboard.flight.preflight import Preflight, preflight, require_devices
 from onboard.flight.roles import roles_of
 
 _TARE_S = 2.0
@@ -110,7 +111,11 @@ def checkout(
         bench: clock, devices, dry run.
         operator: asked and told.
         lengths: of what is waited for.
+
+    Raises:
+        ConfigError: a vehicle of recorded data, without a device on a bus.
     """
+    require_devices(vehicle)
     steps = []
     for step in _steps(vehicle, estimator, bench, operator, lengths):
         operator.tell(f"{step.outcome}: {step.name}" + (f" - {step.found}" if step.found else ""))
@@ -142,7 +147,7 @@ def _steps(
     yield _checked(bench, operator, "devices", "Nothing touches the vehicle, and it is at rest.", look)
     if not found:
         return
-    yield _pulse(bench, found[-1])
+    yield _pulse(vehicle, bench, found[-1])
     host = found[-1].host
     hours = f"room for {host.free_bytes / host.bytes_per_s / 3600.0:.1f} h" if host.bytes_per_s else ""
     yield _judged(bench, "disk", Outcome(host.problems, hours), "")
@@ -201,13 +206,16 @@ def _checked(bench: Bench, operator: Operator, name: str, text: str, check: Call
             return step._replace(said=rest.strip())
 
 
-def _pulse(bench: Bench, looked: Preflight) -> Step:
+def _pulse(vehicle: config.Vehicle, bench: Bench, looked: Preflight) -> Step:
     """Whether every recorder that can mark the sync pulse has."""
-    marks = {check.device: check.marks for check in looked.checks if check.marks is not None}
-    if not marks:
-        found = "no recorder marks pulses: times come from arrival (heft checkout --without pulse)"
+    line = sync_line(vehicle)
+    if line is None or not line.coded:
+        found = "the file has no coded pulse line: times come from arrival (heft checkout --without pulse)"
         return Step("pulse", "check", LEFT_OUT, found, "none is wired", _now(bench))
+    marks = {check.device: check.marks for check in looked.checks if check.marks is not None}
     unseen = [f"{device} marked no pulse: check the sync line to it" for device, count in marks.items() if not count]
+    if not marks:
+        unseen = ["no recorder was read that could mark a pulse: check power and wiring of the devices"]
     seen = ", ".join(f"{device} {count}" for device, count in marks.items() if count)
     return _judged(bench, "pulse", Outcome(tuple(unseen), f"marked: {seen}" if seen else ""), "")
 

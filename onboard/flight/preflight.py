@@ -120,7 +120,11 @@ def preflight(
         estimator: that flies with it, and whose answers are recorded too.
         wall_s: what the system clock says, Unix time; None: it is not looked at.
         told: called with what is done next.
+
+    Raises:
+        ConfigError: a vehicle of recorded data, without a device on a bus.
     """
+    require_devices(vehicle)
     slowest_hz = min(vehicle.rate_hz(name) for name, _ in _on_buses(vehicle))
     run_s = seconds or min(max(SECONDS, FEWEST_ROWS / slowest_hz), LONGEST_SECONDS)
     told("self tests")
@@ -146,6 +150,18 @@ def preflight(
     computer = look_over(vehicle, estimator, flight_s, clock, wall_s, unsynchronised())
     warnings = [*computer.warnings, *_without_pulses(vehicle, checks)]
     return Preflight(checks, (*dict.fromkeys(problems), *computer.problems), tuple(warnings), computer)
+
+
+def require_devices(vehicle: config.Vehicle) -> None:
+    """Check that there is a device to look at.
+
+    Raises:
+        ConfigError: a vehicle of recorded data, without a device on a bus.
+    """
+    if not _on_buses(vehicle):
+        raise config.ConfigError(
+            f"{vehicle.label}: no device is on a bus, its data are imported; name a vehicle that flies"
+        )
 
 
 def _on_buses(vehicle: config.Vehicle) -> list[tuple[str, BusDevice]]:

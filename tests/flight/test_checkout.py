@@ -3,17 +3,19 @@
 import json
 import re
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from onboard.cli import main
 from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.vehicle import Joint
-from onboard.flight.checkout import Bench, Lengths, Record, checkout, render, write
+from onboard.flight.checkout import Bench, Lengths, Record, _pulse, checkout, render, write
 from onboard.flight.checkout_checks import Outcome, judge_motion, judge_tare
 from onboard.flight.preflight import _run_in_turn
-from tests.flight.mixed import MixedWorld, vehicle
+from tests.flight.mixed import DEVICES, MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import MS
 
 HINGE = Joint("joint_1", (0.0, 0.0, 1.0), True, 7, 1, 6, -1.5, 1.5)
@@ -117,6 +119,24 @@ def test_nobody_who_answers_leaves_everything_open(tmp_path):
     assert {step.outcome for step in record.steps} == {"left out"}
     assert [step.name for step in record.steps] == ["power", "devices"]  # of a vehicle not looked at no more is asked
     assert not record.ready
+
+
+def test_a_pulse_that_nobody_marks_fails_and_one_that_is_not_wired_is_left_out(tmp_path):
+    class Looked(NamedTuple):
+        checks: tuple
+
+    bench = Bench(None, None, lambda: datetime(2026, 11, 21, tzinfo=UTC), None, None)
+    wired = vehicle(tmp_path, {})
+    assert _pulse(wired, bench, Looked(())).outcome == "failed"
+    text = re.sub(r"\[device\.(pulse|second|loop)\]\n(?:[^\[\n].*\n|\n)*", "", DEVICES)
+    bare = vehicle(tmp_path, {}, text)
+    assert _pulse(bare, bench, Looked(()))[2:5:2] == ("left out", "none is wired")
+
+
+def test_recorded_data_have_nothing_to_check(capsys):
+    for command in ("checkout", "preflight"):
+        assert main([command, "workshop"]) == 2
+        assert "no device is on a bus, its data are imported" in capsys.readouterr().err
 
 
 def test_ready_needs_a_signature_and_a_reason_for_what_is_left_out(walked):
