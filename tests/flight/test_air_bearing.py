@@ -118,6 +118,9 @@ def test_an_answer_that_half_of_the_run_cannot_check_is_weak(read: Samples, tmp_
     (found,) = identify(VEHICLE, [write(tmp_path / "half.mcap", read, 5.0)]).logs
     assert found.verdict.level is Level.WEAK
     assert "not checked on motion that was not used: half of the run determines too little (more" in found.verdict.text
+    left = np.array(list(found.residuals.values()))  # (6, ticks)
+    assert np.isfinite(left).all(axis=0).sum() == found.rows_used // 6
+    assert np.nanmean(left**2) == pytest.approx(1.0, abs=0.1)
     (mass,) = (answer for answer in found.answers if answer.name == "m_payload")
     assert mass.supported
     assert mass.low < BOX.mass_kg < mass.high

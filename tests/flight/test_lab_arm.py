@@ -10,6 +10,7 @@ from bench import arms
 from drivers.records import SCALAR
 from onboard import cli
 from onboard.recording.writer import LogWriter
+from tests.conftest import SEED
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
 
 JOINTS = [f"joint_link_{k}" for k in (1, 2, 3)]
@@ -99,9 +100,16 @@ def identify(directory: Path, vehicle: Path, log: Path, *more: str) -> tuple[int
     return code, json.loads(report.read_text())
 
 
-def test_friction_rotors_and_a_coupled_wrist_come_out_of_currents(tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[list, Path]:
+    """The arm, and the log of its motion."""
+    rng = np.random.default_rng(SEED)
     links = random_vehicle(rng, ["revolute"] * 3)
-    log = recorded(tmp_path, links, rng)
+    return links, recorded(tmp_path_factory.mktemp("run"), links, rng)
+
+
+def test_friction_rotors_and_a_coupled_wrist_come_out_of_currents(tmp_path: Path, run: tuple[list, Path]) -> None:
+    links, log = run
     vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.02)
     code, report = identify(tmp_path, vehicle, log, "--predict", str(log))
     told = report["logs"][0]
@@ -119,9 +127,8 @@ def test_friction_rotors_and_a_coupled_wrist_come_out_of_currents(tmp_path: Path
         assert found[name]["sigma"] > 0.015 * TRUTH[name]  # and its 2 % is in the interval
 
 
-def test_a_gain_that_is_not_given_leaves_currents_out(tmp_path: Path, rng: np.random.Generator) -> None:
-    links = random_vehicle(rng, ["revolute"] * 3)
-    log = recorded(tmp_path, links, rng)
+def test_a_gain_that_is_not_given_leaves_currents_out(tmp_path: Path, run: tuple[list, Path]) -> None:
+    links, log = run
     vehicle = vehicle_toml(tmp_path, to_urdf(links), 0.0)
     vehicle.write_text(vehicle.read_text().replace(f"gain_N_m_A = {GAIN_N_m_A}\n", ""))
     code, report = identify(tmp_path, vehicle, log)

@@ -227,6 +227,12 @@ class Exiddm:
         values, jacobian = tick_mean(shown.values, signals.samples), tick_mean(jacobian, signals.samples)
         return whitened(values, jacobian, self._measured[:n], self._sigma, self._valid[:n])
 
+    def residuals_by_tick(self, parameters: FloatArray) -> FloatArray:
+        """As :meth:`residuals`, (n, 6), NaN at ticks without an IMU."""
+        left = np.full((len(self._valid), 6), np.nan)
+        left[self._valid] = self.residuals(parameters)[0].reshape(-1, 6)
+        return left
+
     def predicted(self, x: FloatArray, own: FloatArray) -> HeldOutFit:
         """Residual of this flight for parameters found elsewhere, relative to that without a payload.
 

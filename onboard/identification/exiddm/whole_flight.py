@@ -206,6 +206,15 @@ class WholeFlight:
                     found.append(Block(normal, int(own.sum()), instrument, one.held, middle_s))
         return found
 
+    def residuals(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened, predicted less measured, of all segments at x, (p,): times (n,), (n, 6) with NaN where not used."""
+        every = [np.full((len(one.ticks.time_s), 6), np.nan) for one in self.segments]
+        for k, (one, left) in enumerate(zip(self.segments, every, strict=True)):
+            for along in self._along(x, k, np.inf):
+                here = (along.values - one.ticks.measured[along.ticks]) / self._sigma[k][along.ticks]
+                left[along.ticks] = np.where(self._use[k][along.ticks, None], here, np.nan)
+        return np.concatenate([one.ticks.time_s for one in self.segments]), np.concatenate(every)
+
     def without_payload(self, x: FloatArray) -> list[Block]:
         """Normal equations if nothing were held, all else as in x, (p,), rates by the first readings."""
         bare = x[: self._constants].copy()

@@ -3,11 +3,16 @@
 Constant memory; later estimates and predictions of any half, instrument or time span are made from them.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.consistency import BlockScores
+
+Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray], None]
+"""Gets the rows too: times (m,), instruments (m,), whitened ``[Y, y]`` (m, p + 1)."""
 
 
 class RowBlocks:
@@ -17,10 +22,14 @@ class RowBlocks:
         parameters: p.
         block_s: first length of a block.
         instruments: that made the rows, by name.
+
+    Attributes:
+        listener: hears of the rows, if there is one.
     """
 
     def __init__(self, parameters: int, block_s: float, instruments: tuple[str, ...]) -> None:
         self.instruments = instruments
+        self.listener: Listener | None = None
         self._blocks = {
             (held, k): BlockScores(parameters + 2, block_s) for held in (True, False) for k in range(len(instruments))
         }
@@ -36,6 +45,8 @@ class RowBlocks:
         noise: FloatArray | None,
     ) -> None:
         """Takes rows in as :meth:`BlockScores.add` does; ``held`` and ``instrument``, its number, are (m,)."""
+        if self.listener is not None:
+            self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None])
         rows = np.column_stack([Y, y, sigma])  # whitened, the last is one: it counts
         wider = None
         if noise is not None:

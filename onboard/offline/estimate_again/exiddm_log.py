@@ -45,6 +45,7 @@ from onboard.offline.estimate_again.likelihood_log import (
     runs_of,
     told,
 )
+from onboard.offline.estimate_again.residuals import Residuals, by_axis
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
@@ -146,7 +147,8 @@ class _Flight:
             return no_answer(kept, seen, f"the fit failed: {kinds[0].text}, and without that: {error}")
         if found.glitches:
             refused = {**refused, "residual": refused.get("residual", 0) + 6 * found.glitches}
-        return told(kept._replace(refused=refused), _fitted(flight, found, phase_at, corrections, kinds))
+        left = by_axis(*flight.residuals(found.fit.x), self._period_s)
+        return told(kept._replace(refused=refused), _fitted(flight, found, phase_at, corrections, kinds, left))
 
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
@@ -241,6 +243,7 @@ def _fitted(
     phase_at: Callable[[float], int],
     corrections: Mapping[str, float],
     kinds: Sequence[Kind],
+    residuals: Residuals,
 ) -> Fitted:
     """The checks of a fit: halves, parts, instruments, corrections as they were within the stated sigmas."""
     held_out, unchecked = None, ""
@@ -275,5 +278,6 @@ def _fitted(
         corrections,
         held_out,
         unchecked or Evidence._field_defaults["unchecked"],
+        residuals,
         findings=Findings(tuple(against), tuple(doubts)),
     )

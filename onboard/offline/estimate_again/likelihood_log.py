@@ -27,6 +27,7 @@ from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.verdict import Evidence, is_positive, verdict
 from onboard.offline.estimate_again.identified import Answer, Identified
+from onboard.offline.estimate_again.residuals import Residuals, by_axis
 from onboard.recording.reader import LogReader
 
 EXIDDM = "exiddm"
@@ -65,6 +66,7 @@ class Fitted(NamedTuple):
     corrections: Mapping[str, float]  # what was fitted besides the payload, in stated sigmas
     halves: HeldOut | None
     unchecked: str  # why nothing is held out, where it is not
+    residuals: Residuals  # by axis of the base IMU
     judged: Judged = Judged()
     findings: Findings = Findings()
 
@@ -101,7 +103,8 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
             unchecked = half_too_short(error)
     corrections = _corrections(exiddm, found, kept.payload)
     numbers = found.payload, found.chi, found.chi_covariance
-    return told(kept, Fitted(*numbers, used, found.misfit, wider, corrections, halves, unchecked, judged))
+    left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
+    return told(kept, Fitted(*numbers, used, found.misfit, wider, corrections, halves, unchecked, left, judged))
 
 
 def half_too_short(error: Exception) -> str:
@@ -151,6 +154,7 @@ def told(kept: Kept, found: Fitted) -> Identified:
         misfit=found.misfit,
         observability=observed_directions(body_seen(body), names),
         links=(link,),
+        residuals=found.residuals,
     )
 
 

@@ -1,47 +1,38 @@
-"""Whitened residuals of an identification by rows, at its final estimate, on an even grid of ticks.
+"""Whitened residuals of an identification at its final estimate, on an even grid of ticks.
 
-A model that is right leaves them with unit variance, correlated over the smoothing kernel only.
+A model that is right leaves them with unit variance: by rows correlated over the smoothing kernel only, by maximum
+likelihood not at all.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.row_blocks import RowBlocks
 
 MOST = 60_000  # rows that are kept: the first
 Residuals = dict[str, FloatArray]  # by series, (ticks,) in sigmas; NaN where none was used
 
 
-class KeptRows(RowBlocks):
-    """The blocks of an identifier, which also keep the rows themselves.
+class KeptRows:
+    """Rows of an identifier.
 
     Args:
-        blocks: of the identifier, not filled yet.
+        instruments: that make them, by name.
     """
 
-    def __init__(self, blocks: RowBlocks) -> None:
-        super().__init__(1, 1.0, blocks.instruments)
-        self.__dict__.update(blocks.__dict__)
+    def __init__(self, instruments: Sequence[str]) -> None:
+        self._instruments = instruments
         self._kept: list[tuple[FloatArray, NDArray[np.intp], FloatArray]] = []
         self._count = 0
 
-    def add(
-        self,
-        times_s: FloatArray,
-        held: BoolArray,
-        instrument: NDArray[np.intp],
-        Y: FloatArray,
-        y: FloatArray,
-        sigma: FloatArray,
-        noise: FloatArray | None,
-    ) -> None:
-        """As of the base class."""
-        super().add(times_s, held, instrument, Y, y, sigma, noise)
+    def keep(self, times_s: FloatArray, instrument: NDArray[np.intp], rows: FloatArray) -> None:
+        """Rows ``[Y, y]`` (m, p + 1), whitened, with their times and instruments, (m,)."""
         if self._count < MOST:
-            self._count += len(y)
-            self._kept.append((times_s, instrument, np.column_stack([Y, y]) / sigma[:, None]))
+            self._count += len(rows)
+            self._kept.append((times_s, instrument, rows))
 
     def residuals(self, mean: FloatArray, period_s: float) -> Residuals:
         """Of base parameters ``mean`` (p,), ticks ``period_s`` apart; rows of one instrument at a tick by number."""
@@ -52,7 +43,7 @@ class KeptRows(RowBlocks):
         tick = np.round((times_s - times_s[0]) / period_s).astype(np.int64)
         tick -= tick.min()
         found: Residuals = {}
-        for number, name in enumerate(self.instruments):
+        for number, name in enumerate(self._instruments):
             at, values = tick[instrument == number], left[instrument == number]
             order = np.argsort(at, kind="stable")
             at, values = at[order], values[order]
@@ -66,9 +57,26 @@ class KeptRows(RowBlocks):
 
 def keep_rows(who: Identifier) -> KeptRows:
     """Have ``who``, which has taken in nothing yet, keep its rows."""
-    kept = KeptRows(who.seen)
-    who.seen = kept
+    kept = KeptRows(who.seen.instruments)
+    who.seen.listener = kept.keep
     return kept
+
+
+def by_axis(time_s: FloatArray, left: FloatArray, period_s: float) -> Residuals:
+    """Series of the base IMU's six axes.
+
+    Args:
+        time_s: of the ticks, (n,).
+        left: their whitened residuals, (n, 6), gyro and accelerometer; NaN where none was used.
+        period_s: between ticks.
+    """
+    tick = np.round((time_s - time_s[0]) / period_s).astype(np.int64)
+    found: Residuals = {}
+    for column, name in enumerate(f"{one} {axis}" for one in ("gyro", "accelerometer") for axis in "xyz"):
+        series = np.full(int(tick[-1]) + 1, np.nan)
+        series[tick] = left[:, column]
+        found[name] = series
+    return found
 
 
 def autocorrelation(series: FloatArray, lags: int) -> FloatArray:

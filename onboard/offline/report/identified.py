@@ -26,7 +26,8 @@ _KIND = {Level.GOOD: "good", Level.WEAK: "warn", Level.DO_NOT_USE: "bad"}
 _CAPTION = (
     "Residuals divided by their sigmas. Left: their histogram beside the normal distribution that they should have. "
     "Right: their autocorrelation over ticks, and the band that holds 95 % of a white series. Signals smoothed "
-    "before the rows are made correlate over the kernel; the intervals allow for that by blocks of time."
+    "before the rows are made correlate over the kernel; the intervals allow for that by blocks of time. By maximum "
+    "likelihood they are wider by what the residuals are above their sigmas."
 )
 
 
@@ -67,12 +68,12 @@ def residual_section(residuals: Residuals, draw: Gallery) -> str:
     """Figure and table of whitened residuals; a sentence where none were kept."""
     shown = {name: series for name, series in residuals.items() if np.isfinite(series).sum() > 1}
     if not shown:
-        return html.paragraph("No residuals: nothing was fitted, or not by rows.")
+        return html.paragraph("No residuals: nothing was fitted.")
     rows = []
     for name, series in shown.items():
         known = series[np.isfinite(series)]
         beyond = 100.0 * float(np.mean(np.abs(known) > 3.0))
-        line = [f"{len(known):,}", f"{known.mean():+.3f}", f"{known.std():.3f}", f"{beyond:.2f}"]
+        line = [f"{len(known):,}", f"{known.mean():+.3f}", f"{np.sqrt(np.mean(known**2)):.3f}", f"{beyond:.2f}"]
         rows.append([name, *map(Cell, [*line, f"{autocorrelation(series, 1)[1]:+.3f}"])])
     table = html.table(["residuals of", "number", "mean", "rms", "beyond 3 sigma, %", "correlation, next tick"], rows)
     return table + draw(draw_residuals(shown), _CAPTION)

@@ -150,11 +150,11 @@ def render(found: Comparison) -> RenderableType:
     table.add_column("unit", no_wrap=True)
     table.add_column("", no_wrap=True)
     for one in found.quantities:
-        each = [_interval(value, sigma) for value, sigma in zip(one.value, one.sigma, strict=True)]
-        trend = "" if one.trend is None else _interval(*one.trend, sign="+")
+        each = [interval(value, sigma) for value, sigma in zip(one.value, one.sigma, strict=True)]
+        trend = "" if one.trend is None else interval(*one.trend, sign="+")
         differ = one.chance is not None and one.chance < DISAGREE
         word = Text("they disagree", style="yellow") if differ else Text("")
-        table.add_row(Text(one.name), *each, _interval(one.mean, one.sigma_mean), trend, one.unit, word)
+        table.add_row(Text(one.name), *each, interval(one.mean, one.sigma_mean), trend, one.unit, word)
     told = (
         "Values with 95 % intervals; together: weighted mean, no surer than a flight is, for errors of calibration are "
         "common to all; a flight: change from one to the next."
@@ -162,7 +162,7 @@ def render(found: Comparison) -> RenderableType:
     return Group(flights, Text(), table, Text(told))
 
 
-def _interval(value: float, sigma: float, sign: str = "") -> str:
+def interval(value: float, sigma: float, sign: str = "") -> str:
     """``value`` with the half width of its 95 % interval, to two digits of that."""
     if not np.isfinite(value + sigma):
         return "-"

@@ -70,8 +70,10 @@ def test_the_payload_with_its_verdict_and_urdf(
     flown: Twin, tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, report, urdf = write(tmp_path / "parabola.mcap", flown, rng), tmp_path / "r.json", tmp_path / "out.urdf"
+    page = tmp_path / "page.html"
     arguments = ["--vehicle", "dymaflex_parabolic", str(log), "--json", str(report), "--urdf", str(urdf)]
-    assert cli.main(["identify", *arguments]) == cli.OK
+    assert cli.main(["identify", *arguments, "--report", str(page)]) == cli.OK
+    assert "accelerometer z: autocorrelation" in page.read_text()
     assert "method exiddm" in " ".join(capsys.readouterr().out.split())
     told = json.loads(report.read_text())["logs"][0]
     assert told["verdict"]["level"] == "good"

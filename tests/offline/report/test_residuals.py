@@ -4,20 +4,22 @@ import numpy as np
 import pytest
 
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.offline.estimate_again.residuals import KeptRows, autocorrelation
+from onboard.offline.estimate_again.residuals import KeptRows, autocorrelation, by_axis
 from onboard.offline.report import theme
 from onboard.offline.report.gallery import Gallery
 from onboard.offline.report.identified import residual_section
 
 
 def test_rows_come_back_whitened_by_instrument_with_gaps_kept(rng: np.random.Generator) -> None:
-    kept, mean = KeptRows(RowBlocks(2, 1.0, ("cell", "base"))), np.array([3.0, -2.0])
+    blocks, mean = RowBlocks(2, 1.0, ("cell", "base")), np.array([3.0, -2.0])
+    kept = KeptRows(blocks.instruments)
+    blocks.listener = kept.keep
     ticks = np.delete(np.arange(100), 40)  # a tick is missing
     errors, series = rng.normal(size=(99, 3)), []
     for tick, error in zip(ticks, errors, strict=True):  # a row of the cell, two of the base
         Y, sigma = rng.normal(size=(3, 2)), np.array([0.1, 0.2, 0.3])
         held, instrument = np.ones(3, bool), np.array([0, 1, 1])
-        kept.add(np.full(3, 7.0 + 0.01 * tick), held, instrument, Y, Y @ mean + sigma * error, sigma, None)
+        blocks.add(np.full(3, 7.0 + 0.01 * tick), held, instrument, Y, Y @ mean + sigma * error, sigma, None)
         series.append(error)
     found = kept.residuals(mean, 0.01)
     assert list(found) == ["cell", "base 1", "base 2"]
@@ -25,6 +27,16 @@ def test_rows_come_back_whitened_by_instrument_with_gaps_kept(rng: np.random.Gen
         assert len(found[name]) == 100
         assert np.flatnonzero(np.isnan(found[name])).tolist() == [40]
         assert found[name][ticks] == pytest.approx(expected, abs=1e-9)
+
+
+def test_ticks_of_a_fit_come_back_by_axis_with_gaps_kept(rng: np.random.Generator) -> None:
+    ticks, left = np.array([0, 1, 2, 7, 8]), rng.normal(size=(5, 6))
+    left[1] = np.nan
+    found = by_axis(3.0 + 0.01 * ticks, left, 0.01)
+    assert list(found) == ["gyro x", "gyro y", "gyro z", "accelerometer x", "accelerometer y", "accelerometer z"]
+    for series, expected in zip(found.values(), left.T, strict=True):
+        assert np.flatnonzero(np.isfinite(series)).tolist() == [0, 2, 7, 8]
+        assert series[ticks].tolist() == pytest.approx(expected.tolist(), nan_ok=True)
 
 
 def test_autocorrelation_of_a_known_process_over_holes(rng: np.random.Generator) -> None:

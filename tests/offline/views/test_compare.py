@@ -80,3 +80,19 @@ def test_one_log_or_none_that_answers_is_refused(tmp_path, capsys):
     other = log_of(tmp_path / "b.mcap", 5.0, 0.1, supported=0)
     assert cli.main(["compare", str(log), str(other)]) == cli.BAD_INPUT
     assert "heft identify" in capsys.readouterr().err
+
+
+def test_a_page_shows_each_flight_the_mean_the_trend_and_who_disagrees(tmp_path):
+    logs = [log_of(tmp_path / f"<b>{n}.mcap", 5.0 + 0.5 * n, 0.1) for n in range(4)]
+    page = tmp_path / "made" / "page.html"
+    assert cli.main(["compare", *map(str, logs), "--report", str(page)]) == cli.OK
+    text = page.read_text()
+    assert "mass: the flights disagree" in text
+    assert "mass changes by +0.500 ± 0.088 kg from a flight to the next" in text
+    assert "5.75 ± 0.20" in text  # together
+    assert text.count("<svg") == 1
+    assert "&lt;b&gt;3.mcap" in text
+    assert "<b>3" not in text
+    same = [log_of(tmp_path / f"same_{n}.mcap", 5.0, 0.1) for n in range(2)]
+    assert cli.main(["compare", *map(str, same), "--report", str(page)]) == cli.OK
+    assert "all agree, none has a trend" in page.read_text()
