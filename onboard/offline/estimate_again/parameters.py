@@ -54,12 +54,13 @@ def parameters(vehicle: config.Vehicle) -> Parameters:
         ConfigError: the vehicle file does not fit its URDF.
         ModelError: a vehicle without any row.
     """
-    drawn = build_model(vehicle)
     if vehicle.file.estimation.method == EXIDDM:  # it uses no rows; the zero wrench gives its identifiable parameters
+        drawn = build_model(vehicle)
         model = RowModel(drawn, [*base_force_rows(drawn), *base_moment_rows(drawn)])
         base = base_parameters(model, np.random.default_rng(NAMING_SEED))
     else:
-        identifier, _ = build_identifier(vehicle)
+        identifier, _ = build_identifier(vehicle)  # first: it says which file is wrong
+        drawn = build_model(vehicle)
         model, base = identifier.model, identifier.base
     rows = tuple(row.name for row in model.rows)
     counts = counted(vehicle.urdf_text, drawn)
