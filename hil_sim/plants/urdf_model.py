@@ -12,6 +12,7 @@ from hil_sim.plants.urdf_drawing import PREFIX, Drawing
 from hil_sim.scenario.tables import ScenarioError
 
 BASE_FREEDOM = {"free": 6, "prescribed": 6, "fixed": 0, "planar": 3}
+_LEAST_kg_m2 = 1e-12  # of a joint that carries nothing: MuJoCo factors the inertia matrix, and complains of a zero
 _SENSED = {
     "gyro": mujoco.mjtSensor.mjSENS_GYRO,
     "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER,
@@ -60,7 +61,8 @@ class UrdfModel:
             ) from error
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self.model.opt.gravity = gravity_m_s2
-        self.model.dof_damping[:] = self.model.dof_armature[:] = self.model.dof_frictionloss[:] = 0.0
+        self.model.dof_damping[:] = self.model.dof_frictionloss[:] = 0.0
+        self.model.dof_armature[:] = _LEAST_kg_m2
         self.freedom = BASE_FREEDOM[base]
         self.pose = 7 if self.freedom == 6 else self.freedom  # numbers of the base's pose
         first = {0: 0, 3: 3, 6: 1}[self.freedom]

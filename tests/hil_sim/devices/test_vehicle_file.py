@@ -21,6 +21,14 @@ duration_s = 0.2
 """
 
 
+@pytest.fixture(autouse=True)
+def _mujoco_complains_of_nothing(tmp_path, monkeypatch):
+    """It writes its warnings to a file in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    yield
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
 def copied(directory, name="dymaflex", **changes):
     """A packaged vehicle's file with words exchanged."""
     source = config.packaged(name).parent
