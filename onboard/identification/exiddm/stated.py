@@ -14,7 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
+from onboard.dynamics.inertia import elements
+from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
 
 KINDS = (
@@ -27,6 +30,10 @@ KINDS = (
 )
 UNLIKELY = 0.02  # chance below which a kind is fitted freely
 _FREE = 10.0  # times its stated sigma
+_OF_SIGMA, _MOST_CAUSES = 0.2, 3  # part of sigma from which on a cause is named, and how many are
+_OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
+    f"place_{axis}": "position_m" for axis in "xyz"
+}
 _TOLD = 0.005  # share of a correction's variance that the flight takes away, in a direction that is tested
 
 
@@ -88,6 +95,49 @@ def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[Kind]) -> Flig
         return found
     flight.widen(np.concatenate(unlikely), _FREE)
     return flight.fit(found.fit.x)
+
+
+def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
+    """The stated sigmas that each of the payload's ten numbers depends on, by their keys, with the effect of one sigma.
+
+    A shift of a prior's mean by one sigma s moves the estimate by ``P / s`` (P: covariance with that parameter); the
+    parameters of a cause are summed as squares. Empty where no cause makes up ``_OF_SIGMA`` of sigma.
+
+    Args:
+        flight: that was fitted.
+        found: its fit.
+    """
+    D = np.zeros((10, found.fit.x.size))
+    D[:, :10] = body_jacobian(found.chi)
+    parts = (D @ found.fit.covariance) / np.where(np.isfinite(flight.sigma), flight.sigma, np.inf)
+    causes: dict[str, FloatArray] = {}
+    for name, squares in zip(found.names[10:], parts.T[10:] ** 2, strict=True):
+        if key := _key(name):
+            causes[key] = causes.get(key, np.zeros(10)) + squares
+    sigma = np.sqrt(np.diag(found.payload.covariance))
+    body = found.payload.body
+    size = np.abs([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
+    said = []
+    for number in range(10):
+        own = {key: float(np.sqrt(squares[number])) for key, squares in causes.items()}
+        large = [key for key in sorted(own, key=lambda key: -own[key]) if own[key] > _OF_SIGMA * sigma[number]]
+        told = ", ".join(f"{key} ({100.0 * own[key] / size[number]:.2g} %)" for key in large[:_MOST_CAUSES])
+        said.append(f"leans on {told}" if told else "")
+    return tuple(said)
+
+
+def _key(parameter: str) -> str:
+    """The vehicle file's key of a parameter's sigma; empty for one that has none."""
+    link, inertial, _ = parameter.partition("_inertial_")
+    if inertial:
+        return f"prior.link.{link}"
+    if parameter.endswith("_imu"):
+        return "imu_prior.position_m"
+    for kind, key in _OF_JOINTS.items():
+        if parameter.startswith(f"{kind}_"):
+            return f"prior.joint.{parameter[len(kind) + 1 :]}.{key}"
+    own = parameter[:-2] if parameter.endswith(("_x", "_y", "_z")) else parameter
+    return f"imu_prior.{own}" if own in ImuPrior._fields else ""
 
 
 def _is_of(parameter: str, kind: str) -> bool:

@@ -26,7 +26,7 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.parts import differences, halves
 from onboard.identification.exiddm.recursive import BATCH_TICKS
-from onboard.identification.exiddm.stated import Kind, freely, kinds_of
+from onboard.identification.exiddm.stated import Kind, freely, kinds_of, leans_on
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.whole_flight import FlightFit, Segment, WholeFlight
@@ -280,4 +280,5 @@ def _fitted(
         unchecked or Evidence._field_defaults["unchecked"],
         residuals,
         findings=Findings(tuple(against), tuple(doubts)),
+        leans=leans_on(flight, found),
     )

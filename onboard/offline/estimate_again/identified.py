@@ -27,12 +27,14 @@ class Answer(NamedTuple):
     high: float
     supported: bool
     bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
+    leans: str = ""  # on which stated sigmas, where these make up a good part of its own
 
     @property
     def standing(self) -> Standing:
         """What it is good for by itself."""
         numbers = self.value, self.sigma, self.low, self.high
-        return standing(QuantityEstimate(self.name, self.unit, *numbers, math.nan, self.supported, ""), Findings())
+        told = QuantityEstimate(self.name, self.unit, *numbers, math.nan, self.supported, "", leans=self.leans)
+        return standing(told, Findings())
 
     def as_json(self) -> dict[str, Any]:
         """Plain values, None for NaN."""

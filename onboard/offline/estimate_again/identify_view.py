@@ -82,6 +82,8 @@ def _one(log: Identified) -> list[RenderableType]:
 
 
 def _notes(log: Identified) -> Iterator[tuple[str, str]]:
+    for answer in (one for one in log.answers if one.leans and one.unit == "kg"):
+        yield answer.name, answer.leans
     if unknown := [answer.name for answer in log.answers if not answer.supported]:
         yield "undetermined", ", ".join(unknown)
     told = [answer.name for answer in log.answers if answer.supported and not answer.unit]

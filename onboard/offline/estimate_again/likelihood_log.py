@@ -69,6 +69,7 @@ class Fitted(NamedTuple):
     residuals: Residuals  # by axis of the base IMU
     judged: Judged = Judged()
     findings: Findings = Findings()
+    leans: tuple[str, ...] = ("",) * len(BODY)  # of each of the payload's numbers, on what is stated
 
 
 Build = Callable[[Ticks, bool], Exiddm]  # the estimator of ticks; whether their first is the first of all
@@ -125,7 +126,9 @@ def told(kept: Kept, found: Fitted) -> Identified:
     log, names, judged = kept.log, _names(kept), found.judged
     link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
     body = found.payload._replace(body=link.body or found.payload.body)
-    answers = (*body_answers(names, *body, found.wider), *judged.answers)
+    of_payload = body_answers(names, *body, found.wider)
+    of_payload = tuple(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True))
+    answers = (*of_payload, *judged.answers)
     if judged.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
     evidence = Evidence(

@@ -1,5 +1,7 @@
 """A flight fitted as a whole, free and held segments together, with MuJoCo's truth; agreement of its parts."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,12 @@ from hil_sim.plants import free_flyer
 from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import SingularError
+from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
 from onboard.identification.exiddm.parts import differences, halves
-from onboard.identification.exiddm.stated import KINDS, UNLIKELY, freely, kinds_of
+from onboard.identification.exiddm.stated import KINDS, UNLIKELY, freely, kinds_of, leans_on
 from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight, total_of
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
@@ -179,3 +182,18 @@ def test_the_chi_squared_of_a_kind_is_what_the_fit_gains_without_its_sigmas(tick
     assert kind.freedom == 3
     flight.widen(kind.parameters, 1e4)
     assert stated.fit.residual_sum - flight.fit(stated.fit.x).fit.residual_sum == pytest.approx(kind.squares, rel=0.02)
+
+
+def test_an_answer_leans_on_a_sigma_as_its_variance_grows_with_it(ticks, predictor, fitted):
+    """``dP / d(ln s) = 2 (P / s)^2``: the variance of the mass with the base's sigmas a hundredth larger."""
+    _, found = fitted
+    flight = WholeFlight(predictor, WIDE, segments(ticks))
+    said = leans_on(flight, found)
+    assert len(said) == 10
+    [told] = re.findall(r"prior\.link\.base \(([0-9.]+) %\)", said[0])
+    rows = total_of(found.blocks, len(found.names)).information
+    stated = inverse_of(rows + flight.prior_information)[0, 0]
+    flight.widen(np.array([k for k, name in enumerate(found.names) if name.startswith("base_inertial")]), 1.01)
+    wider = inverse_of(rows + flight.prior_information)[0, 0]
+    effect = np.sqrt((wider - stated) / 0.02) / found.chi[0]
+    assert float(told) / 100.0 == pytest.approx(effect, rel=0.05)
