@@ -1,11 +1,12 @@
 """Rehearsals of vehicles that are not packaged, from ``heft init`` and a URDF, over seeds.
 
-    python -m bench.rehearsals [--seeds 10] [--first 1] [--only NAME ...] [--directory DIR]
+    python -m bench.rehearsals [--seeds 10] [--first 1] [--only NAME ...] [--directory DIR] [--planned SECONDS]
 
 By vehicle: flights that answered, and of all answers how many are told, inside their 95 % interval, and beyond four of
 their sigmas; what is not told must be said to be weak. Then the promise made before the flight: errors in sigmas
 that were expected (rms 1 where the promise is kept; a payload lighter than the one assumed gives more), and reported
 over expected sigmas (median). With ``--directory`` results stay there, and flights whose result is there are read.
+``--planned``: the longest swing is replaced by the motion of so many seconds that ``heft plan`` finds.
 """
 
 import argparse
@@ -38,6 +39,7 @@ CASES = {
     "six_joints": Case(("--base", "fixed", "--encoder", "cia402", "--urdf", str(OWN / "bench_arm.urdf"))),
     "spinner": Case(("--base", "free", "--urdf", str(OWN / "spinner.urdf")), "release.spin_rad_s = [0.1, -0.05, 1.2]"),
     "free": Case(("--base", "free", "--joints", "3")),
+    "free_1_kg": Case(("--base", "free", "--joints", "3"), "payload.mass_kg = [1.0, 1.0]"),
     "planar": Case(("--base", "planar", "--joints", "2")),
     "prescribed": Case(("--base", "prescribed", "--joints", "2", "--load-cell", "cia404")),
     "fixed": Case(("--base", "fixed", "--joints", "2", "--load-cell", "cia404")),
@@ -57,7 +59,7 @@ class Tally(NamedTuple):
     accounted: bool
 
 
-def fly(directory: Path, name: str, seed: int) -> dict[str, Any]:
+def fly(directory: Path, name: str, seed: int, planned_s: float | None = None) -> dict[str, Any]:
     """The result of one flight."""
     case, result = CASES[name], directory / f"{name}_{seed}.json"
     if result.exists():
@@ -67,6 +69,12 @@ def fly(directory: Path, name: str, seed: int) -> dict[str, Any]:
         if not vehicle.exists() and main(["init", str(vehicle), *case.init]) != 0:
             raise SystemExit(f"heft init of {name} failed")
         scenario.write_text(case.scenario)
+        if planned_s is not None:
+            made = directory / f"{name}_plan"
+            asked = ["plan", str(vehicle / "vehicle.toml"), "--scenario", str(scenario), "--seconds", str(planned_s)]
+            if not made.exists() and main([*asked, "-o", str(made)]) != 0:
+                raise SystemExit(f"heft plan of {name} failed")
+            scenario = made / "scenario.toml"
         asked = ["hil", str(vehicle / "vehicle.toml"), "--seed", str(seed), "--scenario", str(scenario)]
         main([*asked, "--json", str(result), "--log", str(log)])
     log.unlink(missing_ok=True)
@@ -100,12 +108,14 @@ def campaign() -> None:
     arguments.add_argument("--first", type=int, default=1)
     arguments.add_argument("--only", nargs="+", choices=CASES, default=["planar_arm", "six_joints", "spinner"])
     arguments.add_argument("--directory", type=Path)
+    arguments.add_argument("--planned", type=float, metavar="SECONDS")
     asked = arguments.parse_args()
     with contextlib.ExitStack() as stack:
         where = asked.directory or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         where.mkdir(parents=True, exist_ok=True)
         for name in asked.only:
-            flights = [tally(fly(where, name, seed)) for seed in range(asked.first, asked.first + asked.seeds)]
+            seeds = range(asked.first, asked.first + asked.seeds)
+            flights = [tally(fly(where, name, seed, asked.planned)) for seed in seeds]
             told = np.array([z for one in flights for z in one.told])
             promised = np.array([z for one in flights for z in one.promised])
             wider = np.array([ratio for one in flights for ratio in one.wider])

@@ -65,6 +65,43 @@ def default_plan(scenario: Scenario, period_s: float) -> Planned:
     return planned(scenario, program, tuple(joint.name for joint in joints), period_s)
 
 
+class Room(NamedTuple):
+    """Where in a rehearsal another motion of the joints fits: its longest swing with the payload held at its start."""
+
+    scenario: VehicleScenario  # with the swing as long as was asked for
+    start_s: float
+    end_s: float
+
+
+def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
+    """Find the swing that another motion is to replace, and make it ``duration_s`` long where that is given.
+
+    Args:
+        scenario: of a vehicle of one's own.
+        duration_s: of the new motion; the swing's where None.
+
+    Raises:
+        ScenarioError: a packaged mission, a scenario with a motion of its own, or without such a swing.
+    """
+    if not isinstance(scenario, VehicleScenario):
+        raise ScenarioError(f"{scenario.scenario.name} is a packaged mission; give the path of a vehicle.toml")
+    if scenario.motion.csv is not None:
+        raise ScenarioError("the scenario has a motion of its own (motion.csv); take it out to plan one")
+    starts = np.cumsum([0.0, *(step.duration_s for step in scenario.sequence)])
+    held = _held(scenario, starts) if scenario.payload is not None else np.ones(len(starts), bool)
+    swings = [k for k, step in enumerate(scenario.sequence) if step.action == "swing" and held[k]]
+    if not swings:
+        raise ScenarioError('no [[sequence]] with action = "swing" begins with the payload held; add one')
+    at = max(swings, key=lambda k: scenario.sequence[k].duration_s)
+    length = scenario.sequence[at].duration_s if duration_s is None else duration_s
+    step = scenario.sequence[at].model_copy(
+        update={"duration_s": length, "ramp_s": min(scenario.sequence[at].ramp_s, 0.5 * length)}
+    )
+    sequence = (*scenario.sequence[:at], step, *scenario.sequence[at + 1 :])
+    start_s = float(starts[at])
+    return Room(scenario.model_copy(update={"sequence": sequence}), start_s, start_s + length)
+
+
 def planned(scenario: VehicleScenario, program: JointSwings, joints: Sequence[str], period_s: float) -> Planned:
     """A rehearsal as planned.
 

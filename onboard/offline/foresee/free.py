@@ -6,20 +6,23 @@ whose estimate is the truth depends on none, and is the Cramer-Rao bound of that
 """
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from onboard import config
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import body_jacobian, standard_of
+from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import correlation_inflation
-from onboard.flight.identification import build_exiddm, build_model, samples_per_tick
+from onboard.flight.identification import build_exiddm, samples_per_tick
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import kernel_of
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import DRIFT_MEMORY_s
-from onboard.offline.foresee.plan import Foreseen, Plan, axes_words, body_values, expected, joint_noise
+from onboard.offline.foresee.plan import Foreseen, JointNoise, Plan, axes_words, body_values, expected
 
 _BATCH_TICKS = 50
 _ANY_RATE_rad_s = 10.0  # sigma of the base's rate where nothing is known
@@ -36,37 +39,71 @@ def foresee_free(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    identifier, model = build_exiddm(vehicle)
-    exiddm, predictor = identifier.exiddm, identifier.exiddm.predictor
-    payload = plan.payload
-    if payload is None or not plan.held.any():
+    flown = fly(vehicle, plan)
+    if flown is None:
         return Foreseen((), (), None, 0.0, ())
-    used = plan.used(vehicle)
-    sigma = _noise(vehicle, plan)
+    exiddm, model = flown.identifier.exiddm, flown.model
+    # what is left at the end of the last time that it was held
+    exiddm.state, exiddm.covariance, exiddm.held = flown.state, flown.covariance, True
+    found = flown.identifier.estimate().quantities
+    spread = np.sqrt(np.diag(body_covariance(flown.payload, flown.covariance[PAYLOAD, PAYLOAD])))
+    values = body_values(model, flown.payload)
+    told = [expected(one, values[one.name], wide) for one, wide in zip(found, spread.tolist(), strict=True)]
+    both = plan.used(vehicle) & plan.held
+    R_BS, _ = model.pose_in_base(roles_of(vehicle).imu.frame)
+    words = axes_words(model, plan, flown.rate @ R_BS.T, both)
+    return Foreseen(tuple(told), (), flown.payload, float(both.sum() * exiddm.predictor.period_s), words)
+
+
+class Flown(NamedTuple):
+    """The filter after a planned motion, as it was when the payload was last held."""
+
+    identifier: ExiddmIdentifier
+    model: VehicleModel
+    payload: RigidBody
+    state: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    rate: FloatArray  # (n, 3) of the gyro
+
+
+def fly(vehicle: config.Vehicle, plan: Plan) -> Flown | None:
+    """Covariance of the filter along a planned motion; None where no payload is held in it.
+
+    Args:
+        vehicle: its file.
+        plan: the motion, at the estimator's ticks.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    identifier, model = build_exiddm(vehicle)
+    predictor, payload = identifier.exiddm.predictor, plan.payload
+    if payload is None or not plan.held.any():
+        return None
+    noise = Noise(vehicle, model)
+    used, sigma = plan.used(vehicle), (noise.of_imu, noise.of_joints(plan.dq))
     state, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
     state[RATE] = plan.rate_rad_s
     rate = np.zeros((len(plan.q), 3))
     edges = [0, *(np.flatnonzero(np.diff(plan.held)) + 1), len(plan.held)]
+    last_held = state, covariance
     for first, last in pairwise(edges):
         held = bool(plan.held[first])
-        for block, width in ((RATE, np.full(3, _ANY_RATE_rad_s)), (PAYLOAD, held * exiddm.payload_sigma)):
+        for block, width in ((RATE, np.full(3, _ANY_RATE_rad_s)), (PAYLOAD, held * identifier.exiddm.payload_sigma)):
             covariance[block], covariance[:, block] = 0.0, 0.0
             covariance[block, block] = np.diag(width**2)
         state[PAYLOAD] = standard_of(payload) if held else _NOTHING
         part = slice(first, last)
         state, covariance, rate[part] = _fly(predictor, plan, sigma, used, part, state, covariance)
-        if held:  # what is left at the end of the last time that it was held
-            exiddm.state, exiddm.covariance, exiddm.held = state.copy(), covariance.copy(), True
-    found = identifier.estimate().quantities
-    chi, P = standard_of(payload), exiddm.covariance[PAYLOAD, PAYLOAD]
-    D = body_jacobian(chi)
-    spread = np.sqrt(np.einsum("ij,jk,ik->i", D, P, D))
-    values = body_values(model, payload)
-    told = [expected(one, values[one.name], wide) for one, wide in zip(found, spread.tolist(), strict=True)]
-    both = used & plan.held
-    R_BS, _ = model.pose_in_base(roles_of(vehicle).imu.frame)
-    words = axes_words(model, plan, rate @ R_BS.T, both)
-    return Foreseen(tuple(told), (), payload, float(both.sum() * predictor.period_s), words)
+        if held:
+            last_held = state.copy(), covariance.copy()
+    return Flown(identifier, model, payload, *last_held, rate)
+
+
+def body_covariance(payload: RigidBody, covariance: FloatArray) -> FloatArray:
+    """Covariance of mass, centre of mass and inertia about it, (10, 10), from that of the standard parameters."""
+    D = body_jacobian(standard_of(payload))
+    return np.asarray(D @ covariance @ D.T, np.float64)
 
 
 def _fly(
@@ -104,12 +141,26 @@ def _fly(
     return state, covariance, rate
 
 
-def _noise(vehicle: config.Vehicle, plan: Plan) -> tuple[FloatArray, FloatArray]:
-    """Of the IMU's means over a tick, (6,); of rates and accelerations of the joints, inflated, (n, 2, joints)."""
-    settings, roles = vehicle.file.estimation, roles_of(vehicle)
-    means = [
-        np.array(roles.signals[channel].noise) / np.sqrt(samples_per_tick(vehicle)) for channel in roles.imu.channels
-    ]
-    joints = joint_noise(vehicle, build_model(vehicle), plan.dq)
-    inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle))
-    return np.concatenate(means), inflation * np.moveaxis(joints[1:], 0, 1)
+class Noise:
+    """White noise of what the filter takes in.
+
+    Args:
+        vehicle: its file.
+        model: of it.
+
+    Attributes:
+        of_imu: means over a tick, (6,).
+    """
+
+    def __init__(self, vehicle: config.Vehicle, model: VehicleModel) -> None:
+        settings, roles = vehicle.file.estimation, roles_of(vehicle)
+        samples = samples_per_tick(vehicle)
+        means = [np.array(roles.signals[channel].noise) / np.sqrt(samples) for channel in roles.imu.channels]
+        self.of_imu: FloatArray = np.concatenate(means)
+        self._joints = JointNoise(vehicle, model)
+        width_s, period_s = settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz
+        self._inflation = correlation_inflation(width_s, period_s, kernel_of(vehicle))
+
+    def of_joints(self, dq: FloatArray) -> FloatArray:
+        """Of rates and accelerations of the joints at rates (n, joints), inflated, (n, 2, joints)."""
+        return np.asarray(self._inflation * np.moveaxis(self._joints.at(dq)[1:], 0, 1), np.float64)

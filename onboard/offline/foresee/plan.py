@@ -40,6 +40,12 @@ class Plan(NamedTuple):
     payload: RigidBody | None  # assumed, in its link's frame
     drag: tuple[float, float] = (0.0, 0.0)  # of each puck: N s/m, N
 
+    def part(self, ticks: slice) -> "Plan":
+        """Some of the ticks; the base's start is that of all."""
+        base = None if self.base is None else BaseMotion(*(signal[ticks] for signal in self.base))
+        kept = {name: getattr(self, name)[ticks] for name in ("time_s", "q", "dq", "ddq", "phase", "held")}
+        return self._replace(**kept, base=base)
+
     def used(self, vehicle: config.Vehicle) -> BoolArray:
         """Ticks in the phases that are identified, (n,)."""
         phases = vehicle.file.estimation.phases
@@ -146,28 +152,34 @@ def steady_noise(vehicle: config.Vehicle, channel: str, derivatives: int) -> Flo
     return np.stack([window.apply(np.zeros(len(times_s)), k).noise_gain[0] * noise for k in range(derivatives + 1)])
 
 
-def joint_noise(vehicle: config.Vehicle, model: VehicleModel, dq: FloatArray) -> FloatArray:
-    """Noise of smoothed angles, rates and accelerations of the joints, cyclic errors included, (3, n, joints).
+class JointNoise:
+    """Noise of smoothed angles, rates and accelerations of the joints, cyclic errors included.
 
     Args:
         vehicle: its file.
         model: of it.
-        dq: rates, (n, joints).
     """
-    roles, width_s = roles_of(vehicle), vehicle.file.estimation.smoothing_ms * 1e-3
-    response = Response(width_s, kernel_of(vehicle))
-    by_name = {joint.joint: joint for joint in roles.joints}
-    out = np.zeros((3, *dq.shape))
-    for column, joint in enumerate(model.joints):
-        role = by_name[joint.name]
-        lowest = int(role.is_rate)
-        sigma = steady_noise(vehicle, role.channel, 2 - lowest)[:, 0]
-        for order in range(lowest, 3):
-            out[order, :, column] = sigma[order - lowest]
-            for periods, rms in roles.signals[role.channel].ripple:
-                passed = rms * response.gain(periods * dq[:, column], order - lowest)
+
+    def __init__(self, vehicle: config.Vehicle, model: VehicleModel) -> None:
+        roles = roles_of(vehicle)
+        self._response = Response(vehicle.file.estimation.smoothing_ms * 1e-3, kernel_of(vehicle))
+        by_name = {joint.joint: joint for joint in roles.joints}
+        self._steady = np.zeros((3, len(model.joints)))
+        self._ripple: list[tuple[int, int, float, float]] = []  # column, lowest order, periods per rad, rms
+        for column, joint in enumerate(model.joints):
+            role = by_name[joint.name]
+            lowest = int(role.is_rate)
+            self._steady[lowest:, column] = steady_noise(vehicle, role.channel, 2 - lowest)[:, 0]
+            self._ripple += [(column, lowest, *one) for one in roles.signals[role.channel].ripple]
+
+    def at(self, dq: FloatArray) -> FloatArray:
+        """At rates (n, joints): (3, n, joints), one sigma."""
+        out = np.repeat(self._steady[:, None, :], len(dq), axis=1)
+        for column, lowest, periods, rms in self._ripple:
+            for order in range(lowest, 3):
+                passed = rms * self._response.gain(periods * dq[:, column], order - lowest)
                 out[order, :, column] = np.hypot(out[order, :, column], passed)
-    return out
+        return out
 
 
 def _payload(model: VehicleModel, shape: RigidBody, *, drawn_shape: bool) -> RigidBody:

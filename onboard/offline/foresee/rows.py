@@ -28,11 +28,11 @@ from onboard.offline.foresee.plan import (
     UNDETERMINED,
     Expected,
     Foreseen,
+    JointNoise,
     Plan,
     axes_words,
     body_values,
     expected,
-    joint_noise,
     steady_noise,
 )
 from onboard.regressor.friction import CoulombFriction
@@ -118,7 +118,7 @@ def _signals(
     sigma, refused = _of_rows(vehicle, identifier, plan, friction)
     sigma *= inflation
     period_s = 1.0 / settings.row_rate_hz
-    noise = joint_noise(vehicle, row_model.vehicle, plan.dq)
+    noise = JointNoise(vehicle, row_model.vehicle).at(plan.dq)
     of_base = np.zeros((3, 3))
     if roles.imus:
         of_base = np.stack(_imu_noise(vehicle))

@@ -1,0 +1,72 @@
+"""``heft plan`` finds the joint motion that tells most about a payload, inside limits."""
+
+import argparse
+from pathlib import Path
+
+from onboard.cli.common import OK, Commands, load_vehicle, progress, show
+
+
+def add(commands: Commands) -> None:
+    """Make the command known."""
+    plan = commands.add_parser("plan", help="the joint motion that tells most about the payload")
+    plan.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
+    plan.add_argument(
+        "--for",
+        dest="asked",
+        action="append",
+        default=[],
+        metavar="WHAT",
+        help="mass, centre, inertia or a quantity by name; repeatable (default: all)",
+    )
+    plan.add_argument("--seconds", type=float, metavar="S", help="length of the motion (default: the swing's)")
+    plan.add_argument("--limits", type=Path, metavar="FILE", help="limits beside the URDF's (docs/planning.md)")
+    plan.add_argument("--scenario", dest="over", type=Path, metavar="FILE", help="rehearsal that it is planned into")
+    plan.add_argument(
+        "--criterion",
+        default="D",
+        choices=("D", "A", "worst"),
+        help="least volume (D), sum of variances (A), or longest axis of the error ellipsoid (default D)",
+    )
+    plan.add_argument("--starts", type=int, default=8, metavar="N", help="random motions to begin with (default 8)")
+    plan.add_argument("--iterations", type=int, default=15, metavar="N", help="of each descent (default 15)")
+    plan.add_argument("--seed", type=int, default=1, metavar="N", help="of the random motions (default 1)")
+    plan.add_argument("-o", "--output", type=Path, default=Path("plan"), metavar="DIR", help="(default: plan)")
+    plan.set_defaults(command=_plan)
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    from hil_sim.devices.vehicle_file import rehearsal
+    from hil_sim.plants.planned import default_plan, room_for_motion
+    from onboard.offline.planning import files, limits, view
+    from onboard.offline.planning.criteria import Criterion
+    from onboard.offline.planning.planning import Wanted, plan_motion
+
+    if arguments.seconds is not None and not 4.0 <= arguments.seconds <= 600.0:
+        raise ValueError(f"--seconds {arguments.seconds:g}: give 4 to 600")
+    for option, value in (("--starts", arguments.starts), ("--iterations", arguments.iterations)):
+        if not 1 <= value <= 10_000:
+            raise ValueError(f"{option} {value}: give 1 to 10000")
+    vehicle = load_vehicle(arguments.vehicle)
+    room = room_for_motion(rehearsal(vehicle.path, arguments.over), arguments.seconds)
+    wanted = Wanted(
+        *(room.start_s, room.end_s, tuple(arguments.asked), Criterion(arguments.criterion)),
+        limits.LimitsFile() if arguments.limits is None else limits.read(arguments.limits),
+        *(arguments.starts, arguments.iterations, arguments.seed),
+    )
+    with progress() as bar:
+        task = bar.add_task("planning", total=1.0)
+        made = plan_motion(
+            vehicle,
+            lambda period_s: default_plan(room.scenario, period_s),
+            wanted,
+            lambda done: bar.update(task, completed=done),
+        )
+    show(view.render(made))
+    tables: dict[str, object] = {"sequence": [step.model_dump(mode="json") for step in room.scenario.sequence]}
+    if room.scenario.capture is not None:
+        tables["capture"] = room.scenario.capture.model_dump(mode="json", exclude_none=True)
+    for path in files.write(made, tables, arguments.over, arguments.output):
+        print(path)
+    own = arguments.vehicle if str(arguments.vehicle).endswith(".toml") else vehicle.path  # no packaged mission
+    print(f"next: heft hil {own} --scenario {arguments.output / files.SCENARIO}")
+    return OK

@@ -1,0 +1,140 @@
+"""From a vehicle, its rehearsal and limits to the motion that tells most, and what is expected of it."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.estimation.arrays import FloatArray
+from onboard.flight.identification import build_model
+from onboard.offline.foresee.foresee import foresee
+from onboard.offline.foresee.plan import Foreseen, Plan, plan_of
+from onboard.offline.planning.bound import TICK_HZ, Bound, FreeBound, RowsBound
+from onboard.offline.planning.criteria import Criterion, weakest
+from onboard.offline.planning.limits import Limits, LimitsFile
+from onboard.offline.planning.search import Found, Search, search
+from onboard.offline.planning.splines import Splines
+
+PIECE_s = 1.0  # length of a spline's piece: motions up to some 0.5 Hz
+_FEWEST_PIECES = 6
+_SEED = 1
+
+
+class Wanted(NamedTuple):
+    """What is asked of a motion."""
+
+    start_s: float  # in the rehearsal
+    end_s: float
+    asked: tuple[str, ...] = ()  # quantities by name, or by its first part (mass: m); all where none is named
+    criterion: Criterion = Criterion.D
+    limits: LimitsFile = LimitsFile()
+    starts: int = 8
+    iterations: int = 15
+    seed: int = _SEED
+
+
+class PlannedMotion(NamedTuple):
+    """The motion of a whole rehearsal, and what is expected of it."""
+
+    joints: tuple[str, ...]
+    time_s: FloatArray  # (n,) of the rehearsal
+    q: FloatArray  # (n, joints)
+    start_s: float
+    end_s: float
+    expected: Foreseen
+    expected_before: Foreseen  # of the swings in its place
+    along_s: FloatArray  # (m,) from the motion's start
+    along_sigma: FloatArray  # (m, k)
+    names: tuple[str, ...]  # of the k quantities
+    scales: FloatArray  # (k,)
+    weakest: str
+    found: Found
+
+
+def plan_motion(
+    vehicle: config.Vehicle, rehearsed: Callable[[float], Any], wanted: Wanted, step: Callable[[float], None]
+) -> PlannedMotion:
+    """Plan the motion.
+
+    Args:
+        vehicle: its file.
+        rehearsed: the rehearsal, as the simulator plans it, at ticks of so many seconds.
+        wanted: of it.
+        step: is told the share that is done.
+
+    Raises:
+        ConfigError: quantities, limits or payload do not fit the vehicle.
+        SignalError: a motion with which nothing can be predicted.
+    """
+    coarse, fine = _at_rate(vehicle, TICK_HZ), vehicle
+    plan = plan_of(coarse, rehearsed(1.0 / TICK_HZ))
+    ticks = _ticks(plan, wanted)
+    free = vehicle.file.planar is None and vehicle.file.estimation.method == "exiddm"
+    bound: Bound = FreeBound(coarse, plan, ticks.start) if free else RowsBound(coarse, plan, ticks)
+    chosen = _chosen(bound.names, wanted.asked)
+    model = build_model(vehicle)
+    pieces = max(_FEWEST_PIECES, round((wanted.end_s - wanted.start_s) / PIECE_s))
+    splines = Splines(plan.q[ticks.start], wanted.end_s - wanted.start_s, pieces)
+    over = Search(bound, Limits(model, wanted.limits, plan.payload), splines, chosen, wanted.criterion)
+    found = search(over, wanted.starts, wanted.iterations, np.random.default_rng(wanted.seed), step)
+    moved = splines.move(splines.basis(plan.time_s[ticks] - wanted.start_s), found.coefficients)
+    covariance, (at, sigma) = bound.of(moved).covariance, bound.along(moved)
+    picked = list(chosen)
+    swung = plan_of(fine, rehearsed(1.0 / vehicle.file.estimation.row_rate_hz))
+    whole = _with(swung, splines, found.coefficients, wanted)
+    own = tuple(bound.names[k] for k in chosen)
+    return PlannedMotion(
+        joints=tuple(joint.name for joint in model.joints),
+        time_s=whole.time_s,
+        q=whole.q,
+        start_s=wanted.start_s,
+        end_s=wanted.end_s,
+        expected=foresee(fine, whole),
+        expected_before=foresee(fine, swung),
+        along_s=at / TICK_HZ,
+        along_sigma=sigma,
+        names=bound.names,
+        scales=bound.scales,
+        weakest=weakest(covariance[np.ix_(picked, picked)], bound.scales[picked], own),
+        found=found,
+    )
+
+
+def _at_rate(vehicle: config.Vehicle, rate_Hz: float) -> config.Vehicle:
+    """The vehicle with coarser ticks: a tick's mean has as many more samples, so that the information is the same."""
+    settings = vehicle.file.estimation.model_copy(update={"row_rate_hz": rate_Hz})
+    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+
+
+def _ticks(plan: Plan, wanted: Wanted) -> slice:
+    first, last = np.searchsorted(plan.time_s, [wanted.start_s - 1e-9, wanted.end_s - 1e-9])
+    return slice(int(first), int(last))
+
+
+def _with(plan: Plan, splines: Splines, coefficients: FloatArray, wanted: Wanted) -> Plan:
+    """A plan with the motion in its place."""
+    ticks = _ticks(plan, wanted)
+    moved = splines.move(splines.basis(plan.time_s[ticks] - wanted.start_s), coefficients)
+    signals = [signal.copy() for signal in (plan.q, plan.dq, plan.ddq)]
+    for signal, own in zip(signals, moved, strict=True):
+        signal[ticks] = own
+    return plan._replace(q=signals[0], dq=signals[1], ddq=signals[2])
+
+
+def _chosen(names: tuple[str, ...], asked: tuple[str, ...]) -> tuple[int, ...]:
+    """Quantities by name or by the first part of it.
+
+    Raises:
+        ConfigError: a name that is no quantity's.
+    """
+    if not asked:
+        return tuple(range(len(names)))
+    chosen: list[int] = []
+    for name in asked:
+        own = {"mass": "m", "centre": "c", "inertia": "I"}.get(name, name)
+        found = [k for k, known in enumerate(names) if known == own or known.startswith(f"{own}_")]
+        if not found:
+            raise config.ConfigError(f"--for {name}: the quantities are mass, centre, inertia, {', '.join(names)}")
+        chosen += found
+    return tuple(dict.fromkeys(chosen))

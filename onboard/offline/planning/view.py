@@ -1,0 +1,57 @@
+"""A planned motion as words and as a figure."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.ticker import NullFormatter
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from onboard.offline.foresee.plan import Expected, Foreseen
+from onboard.offline.planning.planning import PlannedMotion
+from onboard.offline.report.theme import CYCLE, figures, subplots
+from onboard.offline.views import foreseen
+
+_MOST_PERCENT = 200.0  # of its size: as good as not known
+
+
+def render(made: PlannedMotion) -> RenderableType:
+    """The table of what is expected, how much narrower than of the swings, and what is known least."""
+    before = {one.name: one.sigma for one in _answers(made.expected_before)}
+    gains = [
+        f"{one.name} {one.sigma / before[one.name]:.2f}"
+        for one in _answers(made.expected)
+        if one.name in before and np.isfinite(before[one.name]) and before[one.name] > 0.0
+    ]
+    lines = [made.weakest]
+    if gains:
+        lines.append(f"width of its interval over that of the swings in its place: {', '.join(gains)}")
+    return Group(foreseen.render(made.expected, "the planned motion"), *(Text(line) for line in lines))
+
+
+def _answers(found: Foreseen) -> tuple[Expected, ...]:
+    return found.quantities or found.parameters
+
+
+def figure(made: PlannedMotion, path: Path) -> None:
+    """Draw the joints' angles, and how the sigmas fall while the arm moves, as an SVG file."""
+    with figures():
+        drawn, (angles, sigmas) = subplots(2, 1, 2.2)
+        inside = (made.time_s >= made.start_s - 2.0) & (made.time_s <= made.end_s + 2.0)
+        for k, name in enumerate(made.joints):
+            angles.plot(made.time_s[inside], made.q[inside, k], label=name, color=CYCLE[k % len(CYCLE)])
+        angles.axvspan(made.start_s, made.end_s, alpha=0.06, color=CYCLE[0], lw=0)
+        angles.set_title("joints, rad or m; shaded: the planned motion")
+        angles.legend(loc="upper left", ncols=5)
+        time_s = made.start_s + made.along_s
+        for k, name in enumerate(made.names):
+            share = 100.0 * made.along_sigma[:, k] / made.scales[k]
+            sigmas.semilogy(time_s, share, label=name, color=CYCLE[k % len(CYCLE)], ls="-" if k < len(CYCLE) else "--")
+        sigmas.set_xlim(angles.get_xlim())
+        sigmas.set_ylim(top=_MOST_PERCENT)
+        sigmas.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        sigmas.yaxis.set_minor_formatter(NullFormatter())
+        sigmas.set_title("expected sigma, % of its size (mass, radius of gyration, half the inertia's trace)")
+        sigmas.legend(loc="lower left")
+        sigmas.set_xlabel("mission time, s")
+        drawn.savefig(path, facecolor="white")
