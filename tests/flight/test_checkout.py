@@ -1,8 +1,12 @@
 """``heft checkout``: the list walked against a vehicle with a device of every kind, and each automatic check."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +22,7 @@ from onboard.flight.preflight import _run_in_turn
 from tests.flight.mixed import DEVICES, MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import MS
 
+ROOT = Path(__file__).resolve().parents[2]
 HINGE = Joint("joint_1", (0.0, 0.0, 1.0), True, 7, 1, 6, -1.5, 1.5)
 CELL = LoadCellKeys(frame="link_4", axis=(1.0, 0.0, 0.0), measures="force", capacity_N=50.0, noise_N=0.01)
 T = np.linspace(0.0, 1.0, 500)
@@ -188,3 +193,42 @@ def test_a_cell_without_load(mean, spread, problem):
     values = mean + spread * np.where(np.arange(200) % 2, 1.0, -1.0)
     found = judge_tare(values, CELL)
     assert (problem in found.problems[0]) if problem else not found.problems, found
+
+
+@pytest.mark.realtime
+def test_the_command_walks_with_real_processes(tmp_path):
+    """RockSat's devices as a process; the arm does not sweep yet, so the operator leaves range and tare out."""
+    serve = [sys.executable, "-m", "hil_sim.serve", "rocksat", "--seed", "3", "--wait", "--directory", str(tmp_path)]
+    with subprocess.Popen(serve, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as devices:
+        try:
+            said = json.loads(devices.stdout.readline())
+            devices.stdin.write("\n")
+            devices.stdin.flush()
+            assert "start_ns" in devices.stdout.readline()
+            urls = [f"--url={bus}={said[bus]}" for bus in ("i2c_1", "can_0", "sync_line")]
+            asked = ["checkout", "rocksat", *urls, "--seconds", "3", "--move", "1", "--dry-run", "4"]
+            answers = "\n\nskip it is bolted down\nskip it is loaded\n\nGrace\n"
+            walked = subprocess.run(
+                [sys.executable, "-m", "onboard.cli", *asked, "--json", "record.json"],
+                input=answers,
+                capture_output=True,
+                text=True,
+                cwd=tmp_path,
+                env=os.environ | {"PYTHONPATH": str(ROOT)},
+                timeout=120,
+                check=False,
+            )
+        finally:
+            devices.terminate()
+    read = json.loads((tmp_path / "record.json").read_text())
+    outcomes = {step["name"]: step["outcome"] for step in read["steps"]}
+    assert outcomes == {
+        **dict.fromkeys(("power", "devices", "pulse", "disk", "dry run"), "passed"),
+        **dict.fromkeys(("range and sense of joint_1", "tare of load_cell"), "left out"),
+    }, walked.stdout
+    assert walked.returncode == 0  # everything that was left out has its reason, and Grace signed
+    assert read["ready"]
+    assert read["steps"][-1]["found"].startswith("rocksat-checkout-001.mcap: ")
+    assert {path.name for path in (tmp_path / "flights").iterdir()} == {
+        *("rocksat-checkout-001.mcap", "rocksat-checkout-001.json")
+    }
