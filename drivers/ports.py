@@ -4,7 +4,7 @@
 stamp arriving data; the layers above do not read a clock.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 
 class I2cReply(NamedTuple):
@@ -50,6 +50,14 @@ class CanPort(Protocol):
 
     def close(self) -> None:
         """Release the bus."""
+
+
+@runtime_checkable
+class Gathers(Protocol):
+    """A CAN port that can take the frames of some time at once, for less than if each wakes its reader."""
+
+    def gather(self, seconds: float) -> list[CanFrame]:
+        """The frames of the next so many seconds, stamped as ``receive`` stamps them. Raises OSError."""
 
 
 class Edge(NamedTuple):

@@ -24,6 +24,7 @@ STALLED = 100.0  # SYNC periods without SYNC after which all waiting frames are 
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
 STOOD_NS = 500_000_000  # between two pumps: the process stood still (SIGSTOP), or got no CPU
+GATHER_S = 0.01  # of frames at once while no node waits for an answer
 DRAINS, DRAIN_S = 16, 0.03  # receives in ``stop``, until one is empty
 
 
@@ -109,16 +110,25 @@ class CanopenBus:
         return self._report.take()
 
     def pump(self, now_ns: int, timeout_s: float = 0.0) -> list[Batch]:
-        """Receive the waiting frames and return their batches; waits up to ``timeout_s`` for the first frame."""
+        """Receive the waiting frames and return their batches; waits up to ``timeout_s`` for the first frame.
+
+        Where it may wait and no node is asked anything, the frames of 10 ms are taken at once: a pump costs much more
+        than a frame.
+        """
         self._port.now_ns = now_ns
         if self._pumped_ns is not None:
             self._note_standstill(self._pumped_ns, now_ns)
         self._pumped_ns = now_ns
-        frames = self._receive(timeout_s)
-        if frames:  # it may also have stood still within the read
-            self._note_standstill(now_ns + round(timeout_s * 1e9), frames[-1].host_ns)
-            self._pumped_ns = max(now_ns, frames[-1].host_ns)
-        self._dispatch(frames)
+        frames = self._port.receive(timeout_s)
+        if frames and timeout_s > 0.0 and not any(node.asks for node in self._nodes):
+            frames += self._port.gather(GATHER_S)
+        awaited_ns = now_ns + round(timeout_s * 1e9)
+        parts = self._without_stalls(frames) if frames else []
+        for part in parts:  # it may also have stood still within the read
+            self._note_standstill(awaited_ns, part[-1].host_ns)
+            awaited_ns = part[-1].host_ns
+            self._pumped_ns = max(now_ns, awaited_ns)
+            self._dispatch(self._whole(part, all_read=part is not parts[-1]))
         for node in self._nodes:
             node.poll(now_ns)
         self._watch_sync(now_ns)
@@ -256,17 +266,25 @@ class CanopenBus:
 
     def _receive(self, timeout_s: float) -> list[CanFrame]:
         frames = self._port.receive(timeout_s)
-        if frames and self._sync.silence(frames[-1].host_ns) > STALLED:
-            frames = self._all_of_a_stall(frames)
-        return frames
+        return self._whole(frames) if frames else []
 
-    def _all_of_a_stall(self, frames: list[CanFrame]) -> list[CanFrame]:
-        """After a long silence: read all waiting frames to decide whether SYNCs were lost or only read late.
+    def _without_stalls(self, frames: list[CanFrame]) -> list[list[CanFrame]]:
+        """Frames cut where a long silence lies between two of them."""
+        stalled_ns = STALLED * self._period_ns
+        cuts = [0]
+        if frames[-1].host_ns - frames[0].host_ns > stalled_ns:
+            cuts += [at for at in range(1, len(frames)) if frames[at].host_ns - frames[at - 1].host_ns > stalled_ns]
+        return [frames[first:last] for first, last in zip(cuts, [*cuts[1:], len(frames)], strict=True)]
+
+    def _whole(self, frames: list[CanFrame], *, all_read: bool = False) -> list[CanFrame]:
+        """Frames just read; after a long silence all that wait, to decide whether SYNCs were lost or only read late.
 
         A port that stamps at the read (slcan) gives queued frames the stamp of the end of the stall, which looks like a
         loss. Of n SYNCs in the queue the first was sent at the latest n - 1 periods before the last one arrived.
         """
-        for _ in range(MOST_RECEIVES):
+        if self._sync.silence(frames[-1].host_ns) <= STALLED:
+            return frames
+        for _ in range(0 if all_read else MOST_RECEIVES):
             more = self._port.receive(0.0)
             if not more:
                 break

@@ -2,7 +2,7 @@
 
 from typing import Protocol, runtime_checkable
 
-from drivers.ports import CanFrame, CanPort
+from drivers.ports import CanFrame, CanPort, Gathers
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -110,6 +110,16 @@ class BusPort:
             self._failing_since_ns = None
             self._report.event(self.now_ns, Severity.INFO, "bus_recovered", f"CAN frames again after {down_ms} ms")
         return frames
+
+    def gather(self, seconds: float) -> list[CanFrame]:
+        """The frames of the next so many seconds, where the port can gather them; else none."""
+        if not isinstance(self._port, Gathers):
+            return []
+        try:
+            return self._port.gather(seconds)
+        except OSError as error:
+            self._failed(error)
+            return []
 
     def report_error_frame(self, host_ns: int, classes: int, data: bytes) -> None:
         """Report an error frame as an event."""

@@ -76,6 +76,11 @@ class Node:
         """Source name of its events: its first channel."""
         return self.channels[0].data.name
 
+    @property
+    def asks(self) -> bool:
+        """Whether an answer of its SDO server is awaited."""
+        return self._sdo.busy
+
     def begin(self, now_ns: int) -> None:
         """Put the node into pre-operational state and start its set-up."""
         for channel in self.channels:

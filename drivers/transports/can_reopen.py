@@ -7,7 +7,7 @@ tty never works again. An interface that is only down keeps its socket, and work
 import errno
 from collections.abc import Callable
 
-from drivers.ports import CanFrame, CanPort
+from drivers.ports import CanFrame, CanPort, Gathers
 from drivers.transports.reopening import STILL_THERE, Reopening
 
 
@@ -34,6 +34,10 @@ class ReopeningCanPort(Reopening[CanPort]):
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """See ``CanPort``. Raises OSError."""
         return self._tried(lambda port: port.receive(timeout_s))
+
+    def gather(self, seconds: float) -> list[CanFrame]:
+        """See ``Gathers``; none by a port that does not. Raises OSError."""
+        return self._tried(lambda port: port.gather(seconds) if isinstance(port, Gathers) else [])
 
     def mute(self) -> None:
         """See ``CanPort``. Raises OSError."""

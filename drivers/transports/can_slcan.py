@@ -8,6 +8,7 @@ import contextlib
 import errno
 import re
 import select
+import time
 from collections.abc import Callable
 from typing import Self
 
@@ -28,6 +29,8 @@ BITRATES = {  # bit/s: the adapter's S command
     1_000_000: "S8",
 }
 _LONGEST_LINE = 30  # a full extended frame with its time stamp
+_GATHER_S = 0.002  # between two reads while frames are gathered: how much later their stamps are
+_MOST_BYTES = 65536
 _DATA_FRAME = re.compile(rb"t([0-9A-Fa-f]{3})([0-8])((?:[0-9A-Fa-f]{2})*)")
 
 
@@ -163,6 +166,25 @@ class SlcanPort:
         data = self._port.read(waiting)
         host_ns = self._clock()
         return [CanFrame(host_ns, identifier, payload) for identifier, payload in self.decoder.feed(data)]
+
+    def gather(self, seconds: float) -> list[CanFrame]:
+        """See ``Gathers``: read every 2 ms, so much later are the stamps; decoded at the end. Raises OSError."""
+        end_ns = self._clock() + round(seconds * 1e9)
+        read: list[tuple[int, bytes]] = []
+        while not read or read[-1][0] < end_ns:
+            time.sleep(_GATHER_S)
+            try:
+                data = self._port.read(_MOST_BYTES)
+            except OSError:
+                if not read:
+                    raise
+                break  # what has been read is handed over first; the error comes again
+            read.append((self._clock(), data))
+        return [
+            CanFrame(host_ns, identifier, payload)
+            for host_ns, data in read
+            for identifier, payload in self.decoder.feed(data)
+        ]
 
     def mute(self) -> None:
         """Take the adapter off the bus. Raises OSError."""

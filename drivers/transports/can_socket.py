@@ -10,6 +10,7 @@ import logging
 import select
 import socket
 import struct
+import time
 from collections.abc import Callable
 from typing import Self
 
@@ -122,6 +123,11 @@ class SocketcanPort:
             return []
         offset = realtime_minus_monotonic(self._clock)
         return [CanFrame(stamp - offset, identifier, data, error) for stamp, identifier, data, error in stamped]
+
+    def gather(self, seconds: float) -> list[CanFrame]:
+        """See ``Gathers``: the kernel stamps and keeps them. Raises OSError."""
+        time.sleep(seconds)
+        return self.receive(0.0)
 
     def mute(self) -> None:
         """Have the kernel pass no more frames to us. Raises OSError."""

@@ -9,6 +9,7 @@ A restarted process finds the progress of its predecessor in the rings or in the
 import contextlib
 import ctypes
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from onboard.recording.recorder import Recorder
 
 RECEIVE_TIMEOUT_S = 0.05
+SWITCH_S = 0.0005  # between the threads of the buses: an I2C drain is a dozen transfers, each may wait so long
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0  # before a bus that could not be opened is tried again
 BEAT_S = 1.0  # a worker that has said nothing for several of these hangs
 ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
@@ -92,6 +94,7 @@ def acquire(vehicle: config.Vehicle, directory: Path, pipe: Connection) -> None:
 def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -> None:
     from onboard.flight.devices import open_devices
 
+    sys.setswitchinterval(SWITCH_S)
     told = {name: device for bus in vehicle.buses for name, device in vehicle.devices_on(bus).items()}
     changes = [channel for name, device in told.items() if device.tells_changes for channel in device.channels(name)]
     writers = rings.create(directory, vehicle, rings.device_channels(vehicle))

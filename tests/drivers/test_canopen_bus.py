@@ -235,6 +235,71 @@ def test_a_reader_that_stood_still_within_its_read_lost_what_the_queue_did_not_k
     assert len(whole(bench.batches, "can_sync")) + missing == pytest.approx(bench.number, abs=1)
 
 
+def gathered(bench, duration_ms, mean):
+    """The device waits for a frame, and gathers those of the next 10 ms; ``mean`` is done to the gathered ones."""
+    pump = bench.device.pump
+    waited = []
+
+    def gather(seconds):
+        assert seconds == 0.01
+        waited.append(bench.clock())
+        held, bench.port.inbox = bench.port.inbox, []
+        return mean(held)
+
+    def pumped(now):
+        first, bench.port.inbox = bench.port.inbox[:1], bench.port.inbox[1:]
+        receive, bench.port.receive = bench.port.receive, lambda timeout_s: first
+        bench.port.gather = lambda seconds: (setattr(bench.port, "receive", receive), gather(seconds))[1]
+        made = pump(now, 0.05)
+        bench.port.receive = receive
+        return made
+
+    bench.device.pump = pumped
+    bench.run(duration_ms)
+    bench.device.pump = pump
+    return waited
+
+
+def test_frames_of_10_ms_are_taken_at_once_while_no_node_is_asked(bench):
+    bench.start()
+    times = gathered(bench, 1_000, lambda frames: frames)
+    bench.stop()
+    assert len(times) == pytest.approx(100, abs=10)  # all but those in which an object was read back
+    assert not len(of(bench.batches, "gap"))
+    assert len(whole(bench.batches, "can_sync")) == bench.number
+    assert {row["channel"] for row in of(bench.batches, "gap")} == set()
+    assert not {"not_read", "sync_paused", "pdo_extra"} & set(codes(bench.batches))
+
+
+def test_what_was_read_late_within_a_gather_is_numbered_like_what_was_read_late_between_pumps(bench):
+    """The process stands still for 2 s within a gather: a tty keeps all, and gives it the stamp of its reading."""
+    bench.start()
+    bench.run(500)
+    pump, bench.device.pump = bench.device.pump, lambda now, timeout_s=0.0: []
+    bench.run(20)
+    began_ns, first, bench.port.inbox = bench.clock(), bench.port.inbox, []
+    lost = range(bench.number, bench.number + 3)
+    bench.drop = lambda number, identifier: number in lost
+    bench.run(2_000)
+    late, bench.port.inbox = [frame._replace(host_ns=bench.clock()) for frame in bench.port.inbox], []
+    bench.device.pump = pump
+    receive, inbox = bench.port.receive, [first, late[500:]]
+    bench.port.receive = lambda timeout_s: inbox.pop(0) if inbox else receive(timeout_s)
+    bench.port.gather = lambda seconds: late[:500]
+    bench.batches += bench.device.pump(began_ns, 0.05)
+    del bench.port.gather
+    bench.run(500)
+    bench.stop()
+    assert not inbox
+    assert texts(bench.batches, "not_read") == ["not read for 2.0 s: the process stood still"]
+    assert not {"sync_lost", "sync_paused", "sync_restarted"} & set(codes(bench.batches))
+    missing = [
+        (row["channel"], int(row["last_missing"] - row["first_missing"]) + 1) for row in of(bench.batches, "gap")
+    ]
+    assert sorted(missing) == [(b"can_sync", 3), (b"joint_1", 3), (b"load_cell", 3)]
+    assert len(whole(bench.batches, "can_sync")) == bench.number - 3
+
+
 def test_a_bus_without_sync_is_told(bench):
     bench.sync_on = False
     bench.start()

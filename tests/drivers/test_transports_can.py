@@ -1,11 +1,13 @@
 """CAN ports: the kernel's socket (a datagram pair stands for it), python-can's virtual bus, slcan beside python-can."""
 
 import errno
+import itertools
 import os
 import pty
 import select
 import socket
 import struct
+import threading
 import time
 import tty
 
@@ -431,6 +433,32 @@ def test_an_adapter_is_set_to_its_bit_rate_and_opened_and_closed(adapter, clock)
     assert port.receive(0.0) == port.receive(0.01) == []
     port.close()
     assert adapter.read(2) == b"C\r"
+
+
+def test_frames_are_gathered_for_some_time_with_the_stamp_of_their_reading(adapter):
+    port = open_can(f"can+slcan://{adapter.path}?bitrate=500000", time.monotonic_ns)
+    adapter.read(7)
+    began_ns = time.monotonic_ns()
+    writes = [threading.Timer(0.05 * k, os.write, (adapter.fd, b"t1811%02X\r" % k)) for k in range(3)]
+    for write in writes:
+        write.start()
+    frames = port.gather(0.3)
+    assert time.monotonic_ns() - began_ns >= 300_000_000
+    assert [frame.data for frame in frames] == [b"\0", b"\1", b"\2"]
+    assert all(later.host_ns > earlier.host_ns for earlier, later in itertools.pairwise(frames))
+    assert frames[-1].host_ns - frames[0].host_ns > 50_000_000
+    port.close()
+
+
+def test_a_socket_keeps_what_is_gathered_with_the_kernels_stamps(pair):
+    ours, theirs = pair
+    port = port_on(ours)
+    theirs.send(kernel_frame(0x281, b"\x01"))
+    sent_ns = time.monotonic_ns()
+    (frame,) = port.gather(0.05)
+    assert frame.data == b"\x01"
+    assert time.monotonic_ns() - sent_ns >= 50_000_000
+    assert frame.host_ns <= sent_ns + 1_000_000
 
 
 def test_python_can_and_our_port_understand_each_other(clock):
