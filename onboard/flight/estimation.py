@@ -161,6 +161,7 @@ class EstimationWorker:
                 said.append(event(now_ns, Severity.WARNING, "estimator_overrun", name, text))
         self._publisher.publish([self._tick(now_ns, batches, skipped_ns, final=lag_ns is not None), *said])
         self._publisher.publish(self.estimator.process(now_ns, batches, lag_ns, skipped_ns))
+        self.estimator.work()
 
     def _read(self, name: str, until_ns: int | None) -> tuple[Rows, int]:
         """Rows of an input up to ``until_ns``, all of them where it is None, and how many were lost."""

@@ -167,6 +167,10 @@ class Estimator:
             made += self._rows(now_ns, at_ns, final=lag_ns is not None)
         return made
 
+    def work(self) -> None:
+        """Do what the last step has left to be done, after its records are published; else the next step does it."""
+        self.online.work()
+
     def _due(self, until_ns: int) -> NDArray[np.int64]:
         """Ticks up to ``until_ns``; the first lies at the first whole period after the first step."""
         if self._next_ns is None:

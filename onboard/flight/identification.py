@@ -127,9 +127,9 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
         known = None
         if settings.carried:
             known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
-        exiddm = RecursiveExiddm(
-            predictor, roles.imu.frame, payload_sigma, asked.held_at_start, asked.false_alarms_per_hour, known
-        )
+        step_ticks = max(1, round(1e-3 * settings.step_ms * settings.row_rate_hz))
+        told = asked.held_at_start, asked.false_alarms_per_hour, known
+        exiddm = RecursiveExiddm(predictor, roles.imu.frame, payload_sigma, *told, step_ticks)
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
     return ExiddmIdentifier(exiddm), model

@@ -18,7 +18,7 @@ from typing import NamedTuple, Self
 
 from drivers.records import EVENT, SampleStatus, Severity, event
 from onboard import config
-from onboard.flight import directories, manifest, realtime, rings, workers
+from onboard.flight import directories, manifest, pages, realtime, rings, workers
 from onboard.flight.announcer import LOGGER, Announcer, missing_all_flight
 from onboard.flight.flight_log import MIB, Started, preamble, storage
 from onboard.flight.harvest import Harvest, harvest
@@ -238,6 +238,7 @@ def _fly(
         crew.start(listeners.ready)
         for worker in everyone:
             worker.make_spare()
+        pages.give_back()
         started = time.monotonic()
         notifier.ready()
         modes.at_work(started)

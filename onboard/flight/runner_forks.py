@@ -25,6 +25,8 @@ from multiprocessing.reduction import recv_handle, send_handle
 from pathlib import Path
 from typing import NamedTuple
 
+from onboard.flight import pages
+
 ANSWER_TIMEOUT_S = 60.0
 _PR_SET_CHILD_SUBREAPER = 36
 _PRELOADED = ("numpy.random", "onboard.flight.workers", "onboard.flight.flight_log", "onboard.flight.devices")
@@ -200,6 +202,7 @@ def serve(control: Connection, *built: object) -> None:
     """
     gc.collect()
     gc.freeze()  # what is shared with the forked processes is not written to by their collections
+    pages.give_back()
     while True:
         try:
             body, arguments = control.recv()

@@ -41,7 +41,9 @@ SWITCH_S = 0.0005  # between the threads of the buses: an I2C drain is a dozen t
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 2.0  # before a bus that could not be opened is tried again
 BEAT_S = 1.0  # a worker that has said nothing for several of these hangs
 ORPHAN_S = 2.0  # a recorder without a supervisor waits so long for the others to end
-_M_MMAP_THRESHOLD = -3  # of malloc.h
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
+_KEPT_BYTES = 32 << 20
+TRIM_S = 5.0
 EVENTS_SAID = 200  # of the recorder, for whoever listens
 CLOSE_S = 10.0  # for a disk that refuses at the end of a flight: what is left is harvested before the next
 
@@ -240,7 +242,7 @@ def estimate(
     from onboard.flight.estimation import DurableEstimation
 
     supervised = Supervised(pipe, "estimate")
-    _give_back_large_blocks()
+    heap = _Heap()
     with directories.belong(directory):
         built = estimator, places
         worker = DurableEstimation(vehicle, directory, time.monotonic_ns(), built, time.process_time_ns)
@@ -250,14 +252,32 @@ def estimate(
         while not supervised.stop.is_set():
             worker.step(time.monotonic_ns())
             supervised.beat(lambda: Beat(pace.missed))
+            heap.give_back()
             pace.sleep()
         worker.finish(time.monotonic_ns())
 
 
-def _give_back_large_blocks() -> None:
-    """Have freed memory of more than 1 MB go back to the system (glibc): a checkpoint needs twice its 3.5 MB."""
-    with contextlib.suppress(AttributeError, OSError):
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1 << 20)
+class _Heap:
+    """Keeps freed memory, and gives it back to the system once in a while (glibc).
+
+    A prediction over a window needs a dozen blocks of some MB one after the other, and so does a checkpoint. Taken from
+    the system each time, their page faults cost half as much again as the prediction.
+    """
+
+    def __init__(self) -> None:
+        self._trim: Callable[[int], object] | None = None
+        self._trimmed_s = time.monotonic()
+        with contextlib.suppress(AttributeError, OSError):
+            libc = ctypes.CDLL(None)
+            for limit in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
+                libc.mallopt(limit, _KEPT_BYTES)
+            self._trim = libc.malloc_trim
+
+    def give_back(self) -> None:
+        """Return what is free, if that has not been done for some seconds."""
+        if self._trim is not None and time.monotonic() - self._trimmed_s > TRIM_S:
+            self._trimmed_s = time.monotonic()
+            self._trim(0)
 
 
 def record(directory: Path, min_free_bytes: int, wanted: realtime.Settings, pipe: Connection) -> None:

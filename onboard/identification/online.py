@@ -35,6 +35,9 @@ class OnlineIdentifier(Protocol):
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Process new ticks; returns gate reasons by tick and row, (n, rows)."""
 
+    def work(self) -> None:
+        """Do what the last update has left to be done, as far as the bound on a step goes; else the next one does."""
+
     def finish(self) -> None:
         """Nothing more arrives: do what updates have left to be done later."""
 

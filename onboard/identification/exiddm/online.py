@@ -67,6 +67,7 @@ class ExiddmIdentifier:
         Raises:
             SignalError: shapes that do not fit.
         """
+        self.work()
         n = len(signals.time_s)
         if signals.measured.shape != (n, 6) or signals.sigma.shape != (n, 6) or excluded.shape != (n,):
             raise SignalError(f"{n} ticks need (n, 6) rates and specific forces; they are {signals.measured.shape}")
@@ -82,12 +83,18 @@ class ExiddmIdentifier:
             if n and self._attached is not None and held != self._attached:
                 self.exiddm.told(bool(held), float(signals.time_s[first]))
             self._attached = held
-            self.exiddm.update(Ticks(*(x[first:last] for x in ticks)))
+            self.exiddm.take(Ticks(*(x[first:last] for x in ticks)))
             first = last
         for reason in self.refused:
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         self._count(glitches)
         return found
+
+    def work(self) -> None:
+        """Solves a window as far as the bound goes; see ``OnlineIdentifier``."""
+        glitches = self.exiddm.glitches
+        self.exiddm.work()
+        self._count(glitches)
 
     def finish(self) -> None:
         """Solves what is under way, and processes the ticks that wait for it."""
@@ -107,7 +114,9 @@ class ExiddmIdentifier:
         exiddm = self.exiddm
         note = "nothing is held" if exiddm.held is False else "not determined by the data so far"
         fine = np.zeros(10, np.bool_)
-        if exiddm.state is not None and exiddm.held:
+        if exiddm.held and not exiddm.holds:
+            note = "a release was announced"
+        if exiddm.holds and exiddm.state is not None:
             mean = exiddm.state[PAYLOAD]
             P = self._covariance()
             sigma = np.sqrt(np.diag(P))
@@ -146,7 +155,7 @@ class ExiddmIdentifier:
     def triangle(self) -> FloatArray:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
-        if self.exiddm.state is not None and self.exiddm.held:
+        if self.exiddm.holds and self.exiddm.state is not None:
             R = cholesky(np.linalg.inv(self._covariance()))
             out[:10, :10], out[:10, 10] = R, R @ self.exiddm.state[PAYLOAD]
         return out

@@ -13,7 +13,9 @@ contact), a payload where nothing was held (a capture), or another payload witho
 The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
 
 The work of a call is bounded: per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve
-is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound.
+is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound. A
+call that comes late brings more ticks, but no more work: else it would be the reason why the next one is later. A
+window is solved by :meth:`RecursiveExiddm.work`, so that what ticks give without it is told first.
 """
 
 from collections import deque
@@ -39,7 +41,7 @@ DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that w
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
-WORK = 80  # ticks predicted (50 us each) per tick taken in
+WORK = 80  # ticks predicted (50 to 150 us each) per tick taken in
 _STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
 _SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
 
@@ -60,6 +62,7 @@ class RecursiveExiddm:
         payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
         held: a payload is held at the start.
         false_alarms_per_hour: of the change detector, at most.
+        call_ticks: ticks of a call that does not come late.
         known: standard parameters of the payload held last, (10,), and their covariance, (10, 10): the first window
             decides whether it is still held, or nothing or another one, regardless of ``held``.
 
@@ -85,6 +88,7 @@ class RecursiveExiddm:
         held: bool,
         false_alarms_per_hour: float = 0.1,
         known: tuple[FloatArray, FloatArray] | None = None,
+        call_ticks: int = BATCH_TICKS,
     ) -> None:
         self.predictor = predictor
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
@@ -94,8 +98,10 @@ class RecursiveExiddm:
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
+        self._call_ticks = call_ticks
         self._due = 0  # ticks that may be predicted in this call; negative after an excess
         self._solve: WindowSolve | None = None  # under way
+        self._asked: tuple[Ticks, tuple[Hypothesis, ...]] | None = None  # a window to be solved next
         self._pending = Ticks.none(len(predictor.vehicle.joints))
         p = len(predictor.names)
         self.state: FloatArray | None = None
@@ -119,15 +125,21 @@ class RecursiveExiddm:
         self._open(hypotheses, mean, covariance)
 
     def update(self, ticks: Ticks) -> None:
-        """Takes ticks; processes them in whole batches, the newest tick after its successor, within :data:`WORK`.
+        """Takes ticks, in so many calls as they make that do not come late, and does the work."""
+        for first in range(0, len(ticks.time_s), self._call_ticks):
+            self.take(ticks.part(slice(first, first + self._call_ticks)))
+            self.work()
+
+    def take(self, ticks: Ticks) -> None:
+        """Takes ticks; processes them in whole batches, the newest tick after its successor, up to a window.
 
         Over a gap of the joints the momentum is kept with an inflated covariance; after a long gap it is re-estimated.
         """
         known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
         if known.any():
             self._inbox.append(ticks.part(known))
-        self._due += WORK * len(ticks.time_s)
-        self._work(bounded=True)
+        self._due += WORK * min(len(ticks.time_s), self._call_ticks)
+        self._do(bounded=True, solves=False)
 
     def told(self, held: bool, time_s: float) -> None:
         """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known.
@@ -135,32 +147,54 @@ class RecursiveExiddm:
         It is a claim that the motion can contradict (:mod:`onboard.identification.exiddm.claims`).
         """
         self._inbox.append((held, time_s))
-        self._work(bounded=True)
+        self._do(bounded=True, solves=False)
+
+    def work(self) -> None:
+        """Solve the window that is due, and take the ticks that wait for it, as far as :data:`WORK` goes."""
+        self._do(bounded=True, solves=True)
+        self._due = min(self._due, 0)
 
     def finish(self) -> None:
         """Do all that is left to be done."""
-        self._work(bounded=False)
+        self._do(bounded=False, solves=True)
+
+    @property
+    def holds(self) -> bool:
+        """A payload is held and its state known, and no release of it is announced, be it taken in or not."""
+        told = [held for held, _ in (one for one in self._inbox if not isinstance(one, Ticks))]
+        return self.state is not None and bool(self.held) and not (told and not told[-1])
 
     @property
     def solving(self) -> bool:
         """A window's solve is under way; ticks wait for it."""
-        return self._solve is not None
+        return self._solve is not None or self._asked is not None
 
-    def _work(self, *, bounded: bool) -> None:
-        while self._solve is not None or self._inbox:
-            if self._solve is None and not isinstance(self._inbox[0], Ticks):
-                self._announced(*self._inbox[0])
+    def _do(self, *, bounded: bool, solves: bool) -> None:
+        while self.solving or self._inbox:
+            if not self.solving and not isinstance(self._inbox[0], Ticks):
+                held, time_s = self._inbox[0]
                 self._inbox.popleft()
-            elif bounded and self._due <= 0:
+                self._announced(held, time_s)
+            elif (bounded and self._due <= 0) or (self.solving and not solves):
                 return
-            elif self._solve is not None:
-                self._due -= self._solve.advance()
-                if self._solve.over:
-                    solve, self._solve = self._solve, None
-                    self._end_of(solve)
+            elif self.solving:
+                self._go_on()
             else:
                 self._take()
-        self._due = min(self._due, 0)
+
+    def _go_on(self) -> None:
+        """Begin to solve the window that is asked for, or do one prediction of it."""
+        if self._solve is None:
+            assert self._asked is not None
+            (ticks, hypotheses), self._asked = self._asked, None
+            self._solve = WindowSolve(
+                self.predictor, self._imu_frame, self.payload_sigma, ticks, self._prior, hypotheses, self._start
+            )
+        else:
+            self._due -= self._solve.advance()
+        if self._solve.over:
+            solve, self._solve = self._solve, None
+            self._end_of(solve)
 
     def _announced(self, held: bool, time_s: float) -> None:
         if held != self.held:
@@ -182,11 +216,14 @@ class RecursiveExiddm:
         if last < len(ticks.time_s):
             self._inbox.appendleft(ticks.part(slice(last, None)))
         if self._wanted() == 0:
-            self._begin_window() if self._hypotheses else self._step()
+            if self._hypotheses:
+                self._asked = self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses
+            else:
+                self._step()
 
     def estimate(self) -> BodyEstimate | None:
         """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
-        if self.state is None or not self.held or not self.state[PAYLOAD][0] > 0.0:
+        if not self.holds or self.state is None or not self.state[PAYLOAD][0] > 0.0:
             return None
         return body_estimate(self.state[PAYLOAD], self.covariance[PAYLOAD, PAYLOAD])
 
@@ -223,20 +260,6 @@ class RecursiveExiddm:
 
     def _window_ticks(self) -> int:
         return round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
-
-    def _window(self, ticks: Ticks, hypotheses: tuple[Hypothesis, ...]) -> WindowSolve:
-        return WindowSolve(
-            self.predictor, self._imu_frame, self.payload_sigma, ticks, self._prior, hypotheses, self._start
-        )
-
-    def _begin_window(self) -> None:
-        self._begin(self._window(self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses))
-
-    def _begin(self, solve: WindowSolve) -> None:
-        if solve.over:
-            self._end_of(solve)
-        else:
-            self._solve = solve
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
@@ -283,7 +306,7 @@ class RecursiveExiddm:
             self._start = None
             if self._claim.held:  # is anything held at all?
                 self._hypotheses = (Hypothesis.NOTHING,)
-                self._begin(self._window(ticks, self._hypotheses))
+                self._asked = ticks, self._hypotheses
             else:
                 self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
@@ -340,7 +363,7 @@ class RecursiveExiddm:
             self._stepped = self._stepped.and_then(ticks.part(slice(2, None)))
             if len(self._stepped.time_s) >= round(SOLVED_AGAIN_AT_s / self.predictor.period_s):
                 again, self._stepped = self._stepped, None
-                self._begin(self._window(again, (Hypothesis.NEW,)))
+                self._asked = again, (Hypothesis.NEW,)
                 return
         self._snapshots.append((self.state, self.covariance))
 

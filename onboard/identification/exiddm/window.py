@@ -107,11 +107,11 @@ class WindowSolve:
             self._begin()
 
     def advance(self) -> int:
-        """Does one prediction over the window; how many ticks were predicted."""
+        """Does one prediction over the window, or two that end it; how many ticks were predicted."""
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
             if self._fit is not None:
                 self._check(self._fit)
-                return len(self._ticks.time_s)
+                return 2 * len(self._ticks.time_s)
             assert self._descent is not None
             try:
                 self._descent.take(Normal.of(*self._residuals(self._descent.at)))

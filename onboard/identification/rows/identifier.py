@@ -203,6 +203,9 @@ class Identifier:
                 self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found
 
+    def work(self) -> None:
+        """Nothing is left to be done: each update processes its rows."""
+
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""
 

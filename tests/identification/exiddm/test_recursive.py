@@ -249,6 +249,7 @@ def test_a_release_that_is_told_and_was_none_is_rejected(mission):
     before = recursive.estimate()
     recursive.told(False, float(ticks.time_s[held[1]]))
     recursive.update(ticks.part(slice(held[1], held[2])))
+    recursive.finish()
     assert [change.kind for change in recursive.changes] == ["capture", "ejection", "release_contradicted"]
     assert recursive.estimate().body.mass_kg == pytest.approx(before.body.mass_kg, rel=0.02)
     released = online(mission, held=False)
@@ -450,6 +451,31 @@ def test_a_call_does_a_bounded_piece_of_a_window_and_can_be_checkpointed_in_betw
     assert swapped or same_bits(whole, pieces)
 
 
+def test_what_ticks_give_without_a_window_is_there_before_the_window_is_solved(held, monkeypatch):
+    predicted, predict = [], ImuPredictor.predict
+
+    def counted(self, q, *rest):
+        predicted.append(len(q))
+        return predict(self, q, *rest)
+
+    monkeypatch.setattr(ImuPredictor, "predict", counted)
+    ticks, whole, late = ticks_of(held), online(held), online(held)
+    for first in range(0, 900, 10):
+        some = ticks.part(slice(first, first + 10))
+        whole.update(some)
+        late.work()  # of the ticks before
+        predicted.clear()
+        late.take(some)
+        assert max(predicted, default=0) <= BATCH_TICKS + 2  # steps of the filter only
+        if first == 90:
+            assert late.solving
+    assert late.state is not None
+    assert late.ticks_used > 400
+    whole.finish()
+    late.finish()
+    assert same_bits(whole, late)
+
+
 def test_a_window_of_nonsense_is_not_explained(held):
     ticks = ticks_of(held).part(slice(0, 110))
     recursive = online(held)
@@ -471,6 +497,21 @@ def test_a_release_that_is_announced_while_a_window_is_solved_comes_after_it(hel
     assert recursive.held is None
 
 
+def test_a_payload_whose_release_is_announced_is_no_answer_while_the_release_waits_for_a_window(held):
+    ticks, recursive = ticks_of(held), online(held)
+    recursive.update(ticks.part(slice(0, 250)))
+    recursive.finish()
+    assert recursive.estimate() is not None
+    recursive.take(ticks.part(slice(250, 402)))  # the last window is due
+    assert recursive.solving
+    assert recursive.holds
+    recursive.told(False, float(ticks.time_s[402]))
+    assert recursive.solving
+    assert recursive.changes == []
+    assert not recursive.holds
+    assert recursive.estimate() is None
+
+
 @pytest.mark.parametrize("seed", [1, 2, 5])
 def test_the_first_second_is_enough_for_a_start_whatever_is_held(seed):
     rng = np.random.default_rng(seed)
@@ -480,6 +521,7 @@ def test_the_first_second_is_enough_for_a_start_whatever_is_held(seed):
     signals = recorded(flight, rng, ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
     recursive = online(signals, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"])
     recursive.update(ticks_of(signals))
+    recursive.finish()
     found = recursive.estimate()
     assert found is not None
     assert abs(found.body.mass_kg - body.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
