@@ -279,8 +279,10 @@ def _clocks(flight: FlightData, draw: Gallery) -> str:
         counts = [f"{last['marks']:,}", f"{last['rejected']:,}"]
         rows.append([name, Cell(state.name.lower(), kind), *map(Cell, numbers + counts)])
     caption = (
-        "Left: how far pulse marks lie from the fitted line, and what the fit says of itself. Right: the fitted length "
-        "of a tick against its last value, with two sigma. The strip below: green locked, amber flywheel, red invalid."
+        "Left: how far pulse marks lie from the fitted line, and what the fit says of itself. An IMU says in which "
+        "sample a pulse fell, no more: its marks lie up to half a sample about the line, 0.29 of a sample rms, and the "
+        "line that all of them allow is known that much better. Right: the fitted length of a tick against its last "
+        "value, with two sigma. The strip below: green locked, amber flywheel, red invalid."
     )
     table = html.table(["clock", "state", "tick µs", "sigma µs", "residual µs", "marks", "rejected"], rows)
     return (

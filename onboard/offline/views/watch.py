@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+from rich.columns import Columns
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -145,8 +146,8 @@ class Board:
 
     def render(self) -> RenderableType:
         """The board as a renderable."""
-        side = Table.grid(padding=(0, 3))
-        side.add_row(self.channel_table(), Group(self._clock_table(), Text(), self._gate_lines()))
+        tables = [self.channel_table(), Group(self._clock_table(), Text(), self._gate_lines())]
+        side = Columns(tables, padding=(0, 3))  # one below the other where the terminal is too narrow
         parts: list[RenderableType] = [self._head(), *self._health_lines(), Text(), side]
         if self.answers:
             parts += [Text(), self._answer_table()]

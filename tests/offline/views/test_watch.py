@@ -88,6 +88,24 @@ def test_clocks_gates_and_answers():
     assert "not determined yet" in next(one for one in text.splitlines() if one.startswith("m_tip"))
 
 
+@pytest.mark.parametrize("width", [80, 150])
+def test_no_column_is_cut_in_a_narrow_terminal(width):
+    board = Board("x")
+    names = [b"a_load_cell_with_a_name", b"imu"]
+    for name in names:
+        clock = np.zeros(1, channels.CLOCK)
+        clock["host_ns"], clock["channel"], clock["state"], clock["period_ns"] = SECOND, name, ClockState.LOCKED, 1e6
+        clock["sigma_ns"], clock["residual_rms_ns"] = 12_340.0, 288_670.0
+        board.add(Batch("clock", clock))
+        board.add(Batch(name.decode(), scalars(0, 1_234_567)))
+    lines = shown(board, width).splitlines()
+    assert "…" not in "".join(lines)
+    assert sum("1,234,567" in line for line in lines) == 2
+    assert sum("288.67" in line for line in lines) == 2
+    side_by_side = [line for line in lines if line.startswith("channel") and "resid us" in line]
+    assert len(side_by_side) == (width == 150)
+
+
 def test_the_mode_stands_in_the_head():
     board = Board("x")
     for text in ("boot: the workers", "run: phase 3"):
