@@ -1,6 +1,6 @@
 """Interface of the onboard estimators."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
@@ -35,9 +35,6 @@ class OnlineIdentifier(Protocol):
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Process new ticks; returns gate reasons by tick and row, (n, rows)."""
 
-    def work(self) -> None:
-        """Do what the last update has left to be done, as far as the bound on a step goes; else the next one does."""
-
     def finish(self) -> None:
         """Nothing more arrives: do what updates have left to be done later."""
 
@@ -52,3 +49,11 @@ class OnlineIdentifier(Protocol):
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
+
+
+@runtime_checkable
+class Defers(Protocol):
+    """An ``OnlineIdentifier`` whose updates leave long work for later."""
+
+    def work(self) -> None:
+        """Do what the last update has left to be done, as far as the bound on a step goes; else the next one does."""

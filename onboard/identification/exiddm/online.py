@@ -91,7 +91,7 @@ class ExiddmIdentifier:
         return found
 
     def work(self) -> None:
-        """Solves a window as far as the bound goes; see ``OnlineIdentifier``."""
+        """Solves a window as far as the bound goes; see ``Defers``."""
         glitches = self.exiddm.glitches
         self.exiddm.work()
         self._count(glitches)

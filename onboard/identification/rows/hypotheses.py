@@ -119,9 +119,6 @@ class Hypotheses:
             self._judged = self.rows_used
         return found
 
-    def work(self) -> None:
-        """Nothing is left to be done: each update processes its rows."""
-
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""
 

@@ -203,9 +203,6 @@ class Identifier:
                 self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found
 
-    def work(self) -> None:
-        """Nothing is left to be done: each update processes its rows."""
-
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""
 

@@ -146,7 +146,7 @@ class Board:
 
     def render(self) -> RenderableType:
         """The board as a renderable."""
-        tables = [self.channel_table(), Group(self._clock_table(), Text(), self._gate_lines())]
+        tables: list[Table | Group] = [self.channel_table(), Group(self._clock_table(), Text(), self._gate_lines())]
         side = Columns(tables, padding=(0, 3))  # one below the other where the terminal is too narrow
         parts: list[RenderableType] = [self._head(), *self._health_lines(), Text(), side]
         if self.answers:
