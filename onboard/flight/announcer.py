@@ -22,7 +22,8 @@ LOGGER.addHandler(logging.NullHandler())
 RECORDER_SAID = "recorder_event.said"  # a ring of the recorder's own events: what is in a *.ring it records itself
 SILENT = 0.9  # fraction of the nominal rate below which a channel is listed
 _LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
-_RECORDS = {"gap": GAP, "quantity": QUANTITY}
+_NO_EVENTS = np.zeros(0, EVENT)
+_NO_ROWS = {"gap": np.zeros(0, GAP), "quantity": np.zeros(0, QUANTITY)}
 _SLOW_HZ = 2.0  # channels that come less often are not judged in every line
 _NAMED = 3  # channels in a line
 _SAID = {"mode", "zeroed", "realtime", "not_realtime"}  # information that is said
@@ -71,9 +72,11 @@ class Announcer:
         """Announce events since the last step; ``health``: the status word in words."""
         for name in ("event_supervisor", "event", "event_estimation", RECORDER_SAID):
             self._events(self._read(name))
-        gaps = self._read("gap")
-        self._gaps += len(gaps)
-        self._missing += int((gaps["last_missing"].astype(np.int64) - gaps["first_missing"].astype(np.int64) + 1).sum())
+        if len(gaps := self._read("gap")):
+            self._gaps += len(gaps)
+            self._missing += int(
+                (gaps["last_missing"].astype(np.int64) - gaps["first_missing"].astype(np.int64) + 1).sum()
+            )
         quantities = self._read("quantity")
         if len(quantities):
             self._estimated_ns = int(quantities["vehicle_ns"][-1])
@@ -96,6 +99,8 @@ class Announcer:
         return {name: reader.published for name in self._vehicle.channels if (reader := self._reader(name))}
 
     def _events(self, rows: Rows) -> None:
+        if not len(rows):
+            return
         for severity, *said in zip(*(rows[field] for field in ("severity", "code", "source", "text")), strict=True):
             code, source, text = (one.decode(errors="replace") for one in said)
             if code == "phase":
@@ -157,7 +162,9 @@ class Announcer:
     def _read(self, name: str) -> Rows:
         reader = self._reader(name)
         if reader is None:
-            return np.zeros(0, _RECORDS.get(name, EVENT))
+            return _NO_ROWS.get(name, _NO_EVENTS)
+        if not reader.backlog:
+            return _NO_ROWS.get(name, _NO_EVENTS)
         rows, lost = reader.read()
         if lost:
             LOGGER.warning("%d rows of %s were not read in time to be said", lost, name, extra={"source": "flight"})
