@@ -38,8 +38,9 @@ def fly(vehicle: str, place: Path, nice: int, kills: int, load: int) -> tuple[Pa
         time.sleep(START_S)
         for _ in range(kills):
             for name, worker in WORKERS.items():
+                pid = processes(flight.process.pid)[name]  # takes up to 100 ms at load
                 killed.append((worker, time.monotonic_ns()))
-                os.kill(processes(flight.process.pid)[name], signal.SIGKILL)
+                os.kill(pid, signal.SIGKILL)
                 time.sleep(PAUSE_S)
         print(f"load average {os.getloadavg()[0]:.1f}")
         print(f"exit code {flight.end()}")
