@@ -21,6 +21,7 @@ from onboard.flight.estimator import Estimator
 from onboard.flight.publisher import Publisher
 from onboard.flight.shedding import KEPT_HZ, LATE_NS, THIN_NS, Shedding
 from onboard.flight.state import Places, StateError
+from onboard.identification.online import Defers
 from onboard.ring import RingReader, RingWriter
 
 SUFFIX = "_estimation"
@@ -161,7 +162,8 @@ class EstimationWorker:
                 said.append(event(now_ns, Severity.WARNING, "estimator_overrun", name, text))
         self._publisher.publish([self._tick(now_ns, batches, skipped_ns, final=lag_ns is not None), *said])
         self._publisher.publish(self.estimator.process(now_ns, batches, lag_ns, skipped_ns))
-        self.estimator.work()
+        if isinstance(self.estimator.online, Defers):
+            self.estimator.online.work()
 
     def _read(self, name: str, until_ns: int | None) -> tuple[Rows, int]:
         """Rows of an input up to ``until_ns``, all of them where it is None, and how many were lost."""

@@ -25,7 +25,7 @@ from onboard.flight.roles import roles_of
 from onboard.flight.signals import SignalSmoother, kernel_of
 from onboard.flight.witness import CellWitness, RateWitness
 from onboard.flight.zeroing import Temperatures, Zeroing
-from onboard.identification.online import Defers, OnlineIdentifier
+from onboard.identification.online import OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.friction import CoulombFriction
@@ -166,11 +166,6 @@ class Estimator:
         if len(at_ns):
             made += self._rows(now_ns, at_ns, final=lag_ns is not None)
         return made
-
-    def work(self) -> None:
-        """Do what the last step has left to be done, after its records are published; else the next step does it."""
-        if isinstance(self.online, Defers):
-            self.online.work()
 
     def _due(self, until_ns: int) -> NDArray[np.int64]:
         """Ticks up to ``until_ns``; the first lies at the first whole period after the first step."""

@@ -9,6 +9,8 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import Prediction
 
+_IMMODERATE = 1e12  # of a prediction in SI units: the joints' signals are nonsense, and its squares may overflow
+
 
 class Innovation(NamedTuple):
     """Whitened innovation of a batch; its covariance is ``S = H P H' + 1 = L L'``."""
@@ -37,3 +39,8 @@ def innovation_of(
     factor = np.asarray(np.linalg.cholesky(S), np.float64)
     solved = solve_triangular(factor, np.column_stack([HP, -r]), lower=True, check_finite=False)
     return Innovation(solved[:, :-1], solved[:, -1], factor)
+
+
+def moderate(*arrays: FloatArray) -> bool:
+    """Whether all values are such that their squares do not overflow."""
+    return all(bool((np.abs(array) < _IMMODERATE).all()) for array in arrays)  # False for NaN

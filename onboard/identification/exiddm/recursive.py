@@ -28,7 +28,7 @@ from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
 from onboard.identification.exiddm.claims import KINDS, Claim
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
-from onboard.identification.exiddm.innovation import Innovation, innovation_of
+from onboard.identification.exiddm.innovation import Innovation, innovation_of, moderate
 from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.ticks import Ticks
@@ -44,13 +44,6 @@ _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter ste
 WORK = 80  # ticks predicted (50 to 150 us each) per tick taken in
 _STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
 _SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
-
-
-_IMMODERATE = 1e12  # of a prediction in SI units: the joints' signals are nonsense, and its squares may overflow
-
-
-def _moderate(*arrays: FloatArray) -> bool:
-    return all(bool((np.abs(array) < _IMMODERATE).all()) for array in arrays)  # False for NaN
 
 
 class RecursiveExiddm:
@@ -171,10 +164,9 @@ class RecursiveExiddm:
 
     def _do(self, *, bounded: bool, solves: bool) -> None:
         while self.solving or self._inbox:
-            if not self.solving and not isinstance(self._inbox[0], Ticks):
-                held, time_s = self._inbox[0]
+            if not self.solving and not isinstance(told := self._inbox[0], Ticks):
                 self._inbox.popleft()
-                self._announced(held, time_s)
+                self._announced(*told)
             elif (bounded and self._due <= 0) or (self.solving and not solves):
                 return
             elif self.solving:
@@ -187,9 +179,8 @@ class RecursiveExiddm:
         if self._solve is None:
             assert self._asked is not None
             (ticks, hypotheses), self._asked = self._asked, None
-            self._solve = WindowSolve(
-                self.predictor, self._imu_frame, self.payload_sigma, ticks, self._prior, hypotheses, self._start
-            )
+            given = self.payload_sigma, ticks, self._prior, hypotheses, self._start
+            self._solve = WindowSolve(self.predictor, self._imu_frame, *given)
         else:
             self._due -= self._solve.advance()
         if self._solve.over:
@@ -263,17 +254,14 @@ class RecursiveExiddm:
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
+        found = solve.found
         if not self._hypotheses:  # steps since the window are replaced, and stay where the window is not explained
-            if solve.found is not None:
-                self.state, self.covariance, self.ticks_used = (
-                    solve.found.state,
-                    solve.found.covariance,
-                    solve.found.used,
-                )
+            if found is not None:
+                self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
             assert self.state is not None
             self._snapshots.append((self.state, self.covariance))
-        elif solve.found is not None:
-            self._explained(solve.found)
+        elif found is not None:
+            self._explained(found)
         else:
             self._not_explained()
 
@@ -317,8 +305,7 @@ class RecursiveExiddm:
 
     def _determined(self) -> bool:
         assert self.state is not None
-        mass_kg = self.state[PAYLOAD.start]
-        return bool(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]) < _DETERMINED * mass_kg)
+        return bool(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]) < _DETERMINED * self.state[PAYLOAD.start])
 
     # ------------------------------------------------------------------ a batch, as a step
 
@@ -329,7 +316,7 @@ class RecursiveExiddm:
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
-        if not _moderate(predicted.values, predicted.jacobian, predicted.state, predicted.transition):
+        if not moderate(predicted.values, predicted.jacobian, predicted.state, predicted.transition):
             self.glitches += BATCH_TICKS
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
             return
