@@ -141,14 +141,10 @@ class CanopenBus:
             self._report.event(to_ns, Severity.WARNING, "not_read", text)
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """Stop the nodes, read the remaining frames, record unanswered SYNCs as gaps.
-
-        The nodes may be stopped before they answer a SYNC of the last period: no answer to it is missing.
-        """
+        """Stop the nodes, read the remaining frames, record unanswered SYNCs as gaps."""
         self._port.now_ns = now_ns
         self._dispatch(self._receive(0.0))
         last = self._sync.tick
-        is_new = now_ns - self._sync.host_ns < self._period_ns
         for node in self._nodes:
             node.stop()
         self._dispatch(self._receive(2e-9 * self._period_ns))
@@ -160,7 +156,7 @@ class CanopenBus:
             self._dispatch(frames)
         last = self._lost_at_the_end(now_ns, last)
         for channel in self._synchronous:
-            channel.finish(now_ns, last, is_new=is_new)
+            channel.finish(now_ns, last)
         for each in self._channels:
             if isinstance(each, EventChannel):
                 each.finish(now_ns)

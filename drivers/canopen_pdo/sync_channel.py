@@ -94,18 +94,15 @@ class SyncChannel(PdoChannel):
         self._last_tick = tick - 1
         self._live_tick = tick - 1
 
-    def finish(self, now_ns: int, last: int | None, *, is_new: bool = False) -> None:
-        """Last call: record the unanswered SYNCs up to ``last`` as a gap.
-
-        Where it ``is_new`` and the only one, the node was stopped before its answer was due.
-        """
+    def finish(self, now_ns: int, last: int | None) -> None:
+        """Last call: record the unanswered SYNCs up to ``last`` as a gap."""
         tick = self._sync.tick
         if tick is None or last is None:
             return
         self.close(tick, self._sync.host_ns, tick + 1)
         if not self.started:
             self._lose_first(now_ns, last)
-        elif last > self._last_tick + is_new:
+        elif last > self._last_tick:
             self._lose(now_ns, last)
 
     def _lose_first(self, now_ns: int, up_to_tick: int) -> None:

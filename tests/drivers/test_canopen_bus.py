@@ -300,23 +300,6 @@ def test_what_was_read_late_within_a_gather_is_numbered_like_what_was_read_late_
     assert len(whole(bench.batches, "can_sync")) == bench.number - 3
 
 
-@pytest.mark.parametrize(("age_ms", "missing"), [(1, 0), (4, 0), (5, 1), (9, 1)])
-def test_a_sync_that_comes_just_before_the_stop_needs_no_answer(bench, age_ms, missing):
-    bench.start()
-    bench.run(1_000 - bench.clock() // MS % 5)
-    unanswered = bench.number
-    bench.drop = lambda number, identifier: number == unanswered and identifier != 0x080
-    while bench.number == unanswered:
-        bench.run(1)
-    bench.sync_on = False
-    bench.run(age_ms)
-    bench.stop()
-    gaps = [(row["channel"], row["cause"]) for row in of(bench.batches, "gap")]
-    assert sorted(gaps) == missing * [(b"joint_1", b"no_pdo"), (b"load_cell", b"no_pdo")]
-    assert len(whole(bench.batches, "can_sync")) == unanswered + 1
-    assert len(of(bench.batches, "joint_1")) > 150
-
-
 def test_a_bus_without_sync_is_told(bench):
     bench.sync_on = False
     bench.start()
