@@ -1,4 +1,7 @@
-"""Derivatives of a floating vehicle's momentum and wrench by errors of its joints: place, encoder zero, scale, delay.
+"""Derivatives of a floating vehicle's momentum and wrench by errors of its joints.
+
+Place, encoder zero, scale, delay, and cyclic errors: multiples of given functions of time, such as the sine of a
+motor's angle.
 
 A joint's error displaces all that lies beyond it by a small screw S, fixed in the link that carries the joint: a
 translation, or a rotation about the joint's axis. With W the twist of that link, ``X = crm(W)``, and I, L, F composite
@@ -12,7 +15,7 @@ inertias by ``e (crf(S) I - I crm(S))``, hence (derived here)
 with ``K(L) S = crf(S) L``, ``dI = crf(V) I - I crm(V)`` summed over the links beyond, and ``dX = crm(dW/dt)``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -34,23 +37,32 @@ class Readings(NamedTuple):
     dq: FloatArray
     ddq: FloatArray
     jerk: FloatArray
+    cyclic: FloatArray  # (n, 3, m) functions that cyclic errors are multiples of, and their two derivatives
 
     @staticmethod
-    def of(q: FloatArray, dq: FloatArray, ddq: FloatArray, period_s: float) -> "Readings":
+    def of(
+        q: FloatArray, dq: FloatArray, ddq: FloatArray, period_s: float, cyclic: FloatArray | None = None
+    ) -> "Readings":
         """With the jerk by differences of the acceleration."""
-        return Readings(q, dq, ddq, np.gradient(ddq, period_s, axis=0))
+        cyclic = np.zeros((len(q), 3, 0)) if cyclic is None else cyclic
+        return Readings(q, dq, ddq, np.gradient(ddq, period_s, axis=0), cyclic)
 
-    def corrected(self, errors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, rate and acceleration with encoder errors taken out: ``q + zero + scale q + delay dq``.
+    def corrected(
+        self, errors: FloatArray, cyclic: FloatArray, turns: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, rate and acceleration with errors taken out: ``q + zero + scale q + delay dq + cyclic functions``.
 
         Args:
             errors: in the order of :data:`JOINT_ERRORS`, (joints, 6).
+            cyclic: multiples of the functions, (m,).
+            turns: the joint of each function, as one in its column, (m, joints).
         """
         zero, scale, delay = errors[:, 3:].T
+        q, dq, ddq = np.moveaxis((self.cyclic * cyclic) @ turns, 1, 0)
         return (
-            self.q * (1.0 + scale) + zero + delay * self.dq,
-            self.dq * (1.0 + scale) + delay * self.ddq,
-            self.ddq * (1.0 + scale) + delay * self.jerk,
+            self.q * (1.0 + scale) + zero + delay * self.dq + q,
+            self.dq * (1.0 + scale) + delay * self.ddq + dq,
+            self.ddq * (1.0 + scale) + delay * self.jerk + ddq,
         )
 
 
@@ -59,9 +71,15 @@ class JointErrors:
 
     Args:
         vehicle: whose joints they are.
+        cyclic: the joint of each function that a cyclic error is a multiple of, (m,).
+
+    Attributes:
+        turns: these joints, each as one in its column, (m, joints).
     """
 
-    def __init__(self, vehicle: VehicleModel) -> None:
+    def __init__(self, vehicle: VehicleModel, cyclic: Sequence[int] = ()) -> None:
+        self._cyclic = np.array(cyclic, np.intp)
+        self.turns = np.eye(len(vehicle.joints))[self._cyclic]
         self._axes = np.array([joint.axis for joint in vehicle.joints])
         self._revolute = np.array([[joint.revolute] for joint in vehicle.joints])
         self._beyond = np.zeros((len(vehicle.joints), len(vehicle.links)))
@@ -82,7 +100,7 @@ class JointErrors:
         f: FloatArray,
         dw: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of momentum and wrench of all links about the base's origin, (n, 6, 6 x joints) each.
+        """Derivatives of momentum and wrench of all links about the base's origin, (n, 6, 6 x joints + m) each.
 
         Args:
             seats: of the joints, stacked.
@@ -108,13 +126,18 @@ class JointErrors:
         momenta = still @ S  # (n, joints, 6, 4)
         wrenches = ((KL + dI) @ X + _coad(F) + I @ (X @ X + _crm(dW))) @ S
         turn, slide = IS[..., 3], ((still + I @ X + dI) @ S[..., 3:])[..., 0]
-        q, dq, ddq, jerk = (x[:, :, None] for x in readings)
+        q, dq, ddq, jerk = (x[:, :, None] for x in readings[:4])
         zero, own = momenta[..., 3], wrenches[..., 3]
         H = np.stack([*np.moveaxis(momenta, -1, 0), q * zero + dq * turn, dq * zero + ddq * turn], axis=-1)
         scale, delay = q * own + dq * slide + ddq * turn, dq * own + ddq * slide + jerk * turn
         Y = np.stack([*np.moveaxis(wrenches, -1, 0), scale, delay], axis=-1)
-        n = len(v)
-        return H.swapaxes(1, 2).reshape(n, 6, -1), Y.swapaxes(1, 2).reshape(n, 6, -1)
+        n, of = len(v), self._cyclic
+        H, Y = (x.swapaxes(1, 2).reshape(n, 6, -1) for x in (H, Y))
+        if of.size:
+            e, de, dde = (readings.cyclic[:, k, :, None] for k in range(3))
+            more = e * zero[:, of] + de * turn[:, of], e * own[:, of] + de * slide[:, of] + dde * turn[:, of]
+            H, Y = (np.concatenate([x, y.swapaxes(1, 2)], axis=2) for x, y in zip((H, Y), more, strict=True))
+        return H, Y
 
     def _screws(self, seats: LinkMotion) -> FloatArray:
         """Screws of a joint's translation by its axes, and of its own motion, (n, joints, 6, 4)."""

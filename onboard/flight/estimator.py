@@ -66,7 +66,8 @@ class Estimator:
         fresh, self.model = build_online(vehicle)
         self.online: OnlineIdentifier = with_hypotheses(vehicle, fresh) if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
-        self._signals = SignalSmoother(vehicle)
+        fitted = METHODS[settings.method].tick_means and vehicle.file.planar is None
+        self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted)
         self._phases = PhaseTrack(settings.phases)
         self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz)
         self._slow_force = np.zeros(3)
@@ -96,6 +97,9 @@ class Estimator:
             if predicts and isinstance(cell.keys, LoadCellKeys)
         ]
         self._joints = {joint.joint: joint for joint in roles.joints}
+        self._functions = {  # of cyclic errors that are fitted
+            joint.channel: 2 * len(roles.signals[joint.channel].ripple) if fitted else 0 for joint in roles.joints
+        }
         self._cells = {cell.name: cell for cell in roles.cells}
         motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
         names = [joint.name for joint in self.model.joints]
@@ -180,7 +184,7 @@ class Estimator:
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:
         made: list[Batch] = []
-        joints, (q_sigma, dq_sigma, ddq_sigma), refused = self._at_joints(at_ns)
+        joints, (q_sigma, dq_sigma, ddq_sigma), refused, cyclic = self._at_joints(at_ns)
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
@@ -189,7 +193,7 @@ class Estimator:
             refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *motion, self.inflation)
-            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise)
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise, cyclic=cyclic)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
@@ -262,11 +266,12 @@ class Estimator:
         sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
         return _Base(motion, specific_force, sigma, imu.refused), made
 
-    def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-        """Angles, rates, accelerations of the joints and their sigmas, (3, n, joints) each, and reasons (n,)."""
+    def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64], FloatArray]:
+        """Angles, rates, accelerations and sigmas, (3, n, joints); reasons (n,); of cyclic errors (n, 3, m)."""
         joints, sigma = np.zeros((2, 3, len(at_ns), len(self.model.joints)))
         refused = np.zeros(len(at_ns), np.int64)
         sensors = [self._joints[joint.name] for joint in self.model.joints]
+        cyclic = [np.full((len(at_ns), 3, self._functions[sensor.channel]), np.nan) for sensor in sensors]
         for lowest in (0, 1):
             columns = [column for column, sensor in enumerate(sensors) if sensor.is_rate == bool(lowest)]
             names = [sensors[column].channel for column in columns]
@@ -275,7 +280,9 @@ class Estimator:
                 for order, (value, spread) in enumerate(zip(smoothed.derivatives, smoothed.sigma, strict=True), lowest):
                     joints[order, :, column], sigma[order, :, column] = value[:, 0], spread[:, 0]
                 refused |= smoothed.refused
-        return joints, sigma, refused
+                if smoothed.cyclic is not None:
+                    cyclic[column][:] = smoothed.cyclic
+        return joints, sigma, refused, np.concatenate(cyclic, axis=2)
 
     def _measured(
         self, at_ns: NDArray[np.int64], dq: FloatArray, friction: FloatArray | None

@@ -197,14 +197,18 @@ def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str
 def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:
     """Prior on places of IMU and joints, and on the encoders' errors; silent joints have the defaults of the keys.
 
+    Cyclic errors are those that the encoders' devices state.
+
     Raises:
         UnknownFrameError: a joint that the URDF does not have.
     """
-    stated = vehicle.file.estimation.prior.joint
+    stated, roles = vehicle.file.estimation.prior.joint, roles_of(vehicle)
+    ripple = {joint.joint: roles.signals[joint.channel].ripple for joint in roles.joints}
     joints = {}
     for name in dict.fromkeys([*(joint.name for joint in model.joints), *stated]):
         own = stated.get(name, config.JointKeys())
-        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, own.delay_s)
+        cyclic = tuple(rms for _, rms in ripple.get(name, ()))
+        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic)
     return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)
 
 

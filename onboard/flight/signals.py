@@ -23,6 +23,7 @@ from onboard.flight.stuck import Said, StuckWatch
 from onboard.timebase.timebase import Timebase
 
 HISTORY_S = 2.0
+CYCLIC_LEFT = 0.1  # of cyclic errors, where an estimator fits them: other harmonics, and what depends on the load
 
 
 class ChannelAtTicks(NamedTuple):
@@ -31,6 +32,18 @@ class ChannelAtTicks(NamedTuple):
     derivatives: tuple[FloatArray, ...]  # each (n, columns): the signal, its rate of change, ...
     sigma: tuple[FloatArray, ...]  # each (n, columns): noise of the above
     refused: NDArray[np.int64]  # (n,) GateReason
+    cyclic: FloatArray | None = None  # (n, derivatives, 2 x errors) smoothed cosine and sine of each cyclic error
+
+
+def cyclic_functions(angle_rad: FloatArray, ripple: Sequence[tuple[float, float]]) -> FloatArray:
+    """Cosine and sine of each cyclic error of a joint's encoder, (n, 2 x errors).
+
+    Args:
+        angle_rad: of the joint, (n,).
+        ripple: see :class:`onboard.devices.roles.SmoothedChannel`.
+    """
+    turns = np.outer(angle_rad, [periods for periods, _ in ripple])
+    return np.stack([np.cos(turns), np.sin(turns)], axis=-1).reshape(len(angle_rad), -1)
 
 
 def kernel_of(vehicle: config.Vehicle) -> Kernel:
@@ -44,9 +57,15 @@ def kernel_of(vehicle: config.Vehicle) -> Kernel:
 
 
 class SignalSmoother:
-    """The smoothed channels of one vehicle."""
+    """The smoothed channels of one vehicle.
 
-    def __init__(self, vehicle: config.Vehicle) -> None:
+    Args:
+        vehicle: its file.
+        cyclic_fitted: cyclic errors of encoders are fitted: their functions are wanted, and the noise is what is left.
+    """
+
+    def __init__(self, vehicle: config.Vehicle, *, cyclic_fitted: bool = False) -> None:
+        self._cyclic_fitted = cyclic_fitted
         self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
         self._kernel = kernel_of(vehicle)
         self._response = Response(self.width_s, self._kernel)
@@ -199,11 +218,17 @@ class SignalSmoother:
             for reason in _reasons_in(recent.wrong):
                 held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
                 refused = refused | reasons(held, reason)
-            for periods, rms in self._signals[name].ripple if derivatives else ():
+            ripple = self._signals[name].ripple if derivatives else ()
+            cyclic = None
+            for periods, rms in ripple:
+                left = rms * CYCLIC_LEFT if self._cyclic_fitted else rms
                 for order in range(derivatives + 1):
-                    passed = rms * self._response.gain(periods * out[1, :, part], order)
+                    passed = left * self._response.gain(periods * out[1, :, part], order)
                     sigma[order, :, part] = np.hypot(sigma[order, :, part], passed)
-            found[name] = ChannelAtTicks(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused)
+            if ripple and self._cyclic_fitted:
+                functions = window.derivatives(cyclic_functions(recent.values[:, 0], ripple), range(derivatives + 1))
+                cyclic = np.stack([smoothed.values for smoothed in functions], axis=1)
+            found[name] = ChannelAtTicks(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused, cyclic)
         return found
 
     def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> ChannelAtTicks:

@@ -35,3 +35,4 @@ class Signals(NamedTuple):
     noise: SignalNoise | None = None  # of the motion; None: the regressor is exact
     friction: FloatArray | None = None  # (n, motors) Coulomb friction over its level; the rate's sign where not given
     refused: NDArray[np.int64] | None = None  # (n, rows) reasons to leave a row out, besides those of its whole tick
+    cyclic: FloatArray | None = None  # (n, 3, m) functions of the joints' cyclic errors, and their two derivatives

@@ -86,23 +86,27 @@ def test_too_few_ticks_are_refused(flown):
 def test_derivatives_by_errors_of_joints_are_finite_differences(flown):
     rng = np.random.default_rng(3)
     q, dq, ddq = flown.motion.at(0.3 + PERIOD_s * np.arange(12))
-    readings = Readings.of(q, dq, ddq, PERIOD_s)
-    errors, rate = JointErrors(flown.vehicle), np.array([0.03, -0.02, 0.05])
-    at = rng.normal(size=(5, 6)) * [1e-2, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3]
+    turns = 4.0 * q[:, [1, 4]]
+    waves = np.stack([np.sin(turns), 4.0 * np.cos(turns) * dq[:, [1, 4]], np.zeros((12, 2))], axis=1)
+    waves[:, 2] = 4.0 * np.cos(turns) * ddq[:, [1, 4]] - 16.0 * np.sin(turns) * dq[:, [1, 4]] ** 2
+    readings = Readings.of(q, dq, ddq, PERIOD_s, waves)
+    errors, rate = JointErrors(flown.vehicle, cyclic=(1, 4)), np.array([0.03, -0.02, 0.05])
+    at = np.append(rng.normal(size=(5, 6)) * [1e-2, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3], [1e-3, -2e-3])
 
-    def predicted(own):
-        chain = chain_motion(flown.vehicle, *readings.corrected(own), own[:, :3])
+    def predicted(x):
+        own = x[:30].reshape(5, 6)
+        chain = chain_motion(flown.vehicle, *readings.corrected(own, x[30:], errors.turns), own[:, :3])
         return predict_base_from_rate(chain.links, PERIOD_s, flown.chi, rate, (0,), errors.along(chain, readings))
 
     base = predicted(at)
-    for joint, kind in np.ndindex(5, 6):
-        step = np.zeros((5, 6))
-        step[joint, kind] = 1e-5
+    labels = [f"{kind} of joint {joint + 1}" for joint in range(5) for kind in JOINT_ERRORS]
+    for column, of in enumerate([*labels, "wave of joint 2", "wave of joint 5"]):
+        step = 1e-5 * np.eye(32)[column]
         up, down = predicted(at + step), predicted(at - step)
         for name in FIELDS:
             slope = (getattr(up, name) - getattr(down, name)) / 2e-5
-            found = getattr(base, f"d_{name}")[:, :, 13 + 6 * joint + kind]
-            label = f"{name} by {JOINT_ERRORS[kind]} of joint {joint + 1}"
+            found = getattr(base, f"d_{name}")[:, :, 13 + column]
+            label = f"{name} by {of}"
             assert np.abs(slope).max() > 1e-3, label
             assert np.abs(found - slope).max() < 2e-3 * np.abs(slope).max(), label
 

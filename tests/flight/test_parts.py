@@ -19,7 +19,7 @@ from onboard.flight.identification import METHODS
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.publisher import Publisher
 from onboard.flight.roles import roles_of
-from onboard.flight.signals import SignalSmoother
+from onboard.flight.signals import ChannelAtTicks, SignalSmoother
 from onboard.flight.zeroing import Zeroing
 from onboard.ring import RingReader, RingWriter
 from onboard.timebase.specs import FollowerChannel, ProducerChannel, RecordedChannel
@@ -206,10 +206,10 @@ def test_a_time_that_is_not_known_well_makes_what_changes_uncertain(tmp_path: Pa
     assert added[1, 2] == pytest.approx(two_milliseconds * abs(rate[1]), rel=0.2)
 
 
-@pytest.mark.parametrize("rate_rad_s", [0.05, 0.1, 0.2])
-def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_rad_s: float) -> None:
+def behind_a_gear(rate_rad_s: float, *, cyclic_fitted: bool) -> ChannelAtTicks:
+    """Joint 1 of DYMAFLEX at a steady rate, its phases 1 and 0."""
     vehicle = config.load(config.packaged("dymaflex"))
-    device, signals = vehicle.file.device["joint_1"], SignalSmoother(vehicle)
+    device, signals = vehicle.file.device["joint_1"], SignalSmoother(vehicle, cyclic_fitted=cyclic_fitted)
     assert isinstance(device, Cia406Device)
     seconds = np.arange(0.0, 2.0, 2e-3)
     motor = device.gear_ratio * rate_rad_s * seconds
@@ -220,11 +220,30 @@ def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_ra
     angle = rate_rad_s * seconds + np.sqrt(2.0) * ripple
     rows["value_raw"] = device.zero_count + np.floor(angle / rows["scale"])
     signals.append({"joint_1": rows})
-    at_ns = np.arange(200, 1800, 10) * 1_000_000
-    smoothed = signals.at("joint_1", recorded("joint_1"), at_ns, 2)
+    return signals.at("joint_1", recorded("joint_1"), np.arange(200, 1800, 10) * 1_000_000, 2)
+
+
+@pytest.mark.parametrize("rate_rad_s", [0.05, 0.1, 0.2])
+def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_rad_s: float) -> None:
+    smoothed = behind_a_gear(rate_rad_s, cyclic_fitted=False)
+    assert smoothed.cyclic is None
     for order, truth in ((1, rate_rad_s), (2, 0.0)):
         scatter = np.sqrt(np.mean((smoothed.derivatives[order] - truth) ** 2))
         assert scatter == pytest.approx(np.sqrt(np.mean(smoothed.sigma[order] ** 2)), rel=0.25)
+
+
+@pytest.mark.parametrize("rate_rad_s", [0.05, 0.1, 0.2])
+def test_the_functions_of_cyclic_errors_are_smoothed_as_the_joint_is(rate_rad_s: float) -> None:
+    """With the amplitudes and phases of the gear nothing but quantisation and squares of the errors is left."""
+    smoothed = behind_a_gear(rate_rad_s, cyclic_fitted=True)
+    assert smoothed.cyclic is not None
+    once, twice = np.sqrt(2.0) * 1.6e-5, np.sqrt(2.0) * 5e-5
+    gears = np.array([once * np.sin(1.0), once * np.cos(1.0), 0.0, twice])  # of cosine and sine, once and twice a turn
+    for order, truth in ((1, rate_rad_s), (2, 0.0)):
+        scatter = smoothed.derivatives[order][:, 0] - truth
+        left = scatter - smoothed.cyclic[:, order] @ gears
+        told = np.sqrt(np.mean(smoothed.sigma[order] ** 2))
+        assert np.sqrt(np.mean(left**2)) < 1.25 * told < 0.5 * np.sqrt(np.mean(scatter**2))
 
 
 def test_a_hole_and_a_saturated_sample_refuse_the_ticks_around_them(tmp_path: Path) -> None:

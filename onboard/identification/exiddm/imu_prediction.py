@@ -3,6 +3,9 @@
 The state has the unknowns of a free flight: current rate of the base, payload, current IMU biases and their drifts,
 scale, misalignment and delay, uncertain links, the IMU's place, and errors of the joints' places and encoders. All but
 the rate (:mod:`onboard.dynamics.free_flight`) and the biases are constant.
+
+Cyclic errors of an encoder behind a gear are functions of its angle (eccentricity, transmission error); as noise they
+would make the payload too light (errors in variables). Their functions come through the same smoothing as the joints.
 """
 
 from collections.abc import Mapping
@@ -92,8 +95,8 @@ class ImuPredictor:
         )
         self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
         self._errors = slice(PAYLOAD.stop, PAYLOAD.stop + SIZE)
-        self._joint_errors = JointErrors(vehicle)
-        self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints")
+        self._joint_errors = JointErrors(vehicle, geometry.cyclic_joints(vehicle))
+        self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
         self._joint_columns = 13 + r + layout.kept[self._in_joints] - layout["joints"].start  # of the base's motion
         self.biases: list[tuple[int, int]] = []
         for bias, drift in zip(BIASES, DRIFTS, strict=True):
@@ -128,7 +131,9 @@ class ImuPredictor:
         variance = np.einsum("njki,nkj->nki", effect[np.arange(n) // _POSTURE_TICKS], joint_sigma**2)
         return np.asarray(np.sqrt(variance).reshape(n, 6), np.float64)
 
-    def predict(self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray) -> Prediction:
+    def predict(
+        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray, cyclic: FloatArray | None = None
+    ) -> Prediction:
         """From a state at the first of b + 2 ticks.
 
         Args:
@@ -136,13 +141,15 @@ class ImuPredictor:
             dq: joint rates.
             ddq: joint accelerations.
             state: (p,) at the first of them.
+            cyclic: functions of the joints' cyclic errors and their derivatives, (b + 2, 3, m); None: zero.
 
         Raises:
             SignalError: fewer than four ticks.
         """
         n, layout = len(q), self._layout
         x = layout.whole(state)
-        base = self._base(Readings.of(q, dq, ddq, self.period_s), x, self.period_s)
+        readings = Readings.of(q, dq, ddq, self.period_s, self._functions(n, cyclic))
+        base = self._base(readings, x, self.period_s)
         p_BoSo_B = self._p_BoSo_B + x[layout["imu_place"]]
         true, d_true = at_sensor(base, self._R_BS, p_BoSo_B)
         d_place = np.zeros((n, 6, 3))
@@ -175,7 +182,7 @@ class ImuPredictor:
         return Prediction(shown.values, jacobian[:, :, layout.kept], carried, transition)
 
     def bridge(
-        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray
+        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray, cyclic: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Propagate the state over a gap of the joints, with the momentum constant in base axes.
 
@@ -184,13 +191,15 @@ class ImuPredictor:
             dq: joint rates.
             ddq: joint accelerations.
             state: (p,).
+            cyclic: see :meth:`predict`, (2, 3, m).
 
         Returns:
             The state at the later tick, its derivative (p, p), and the rate's covariance, (3, 3), for a rotation of
             the momentum by 1 rad, one sigma.
         """
-        q, dq, ddq = (np.repeat(part, 2, axis=0) for part in (q, dq, ddq))
-        base = self._base(Readings(q, dq, ddq, np.zeros_like(q)), self._layout.whole(state), 0.0)
+        parts = q, dq, ddq, np.zeros_like(q), self._functions(2, cyclic)
+        readings = Readings(*(np.repeat(part, 2, axis=0) for part in parts))
+        base = self._base(readings, self._layout.whole(state), 0.0)
         carried, transition = state.copy(), np.eye(len(state))
         carried[RATE] = base.rate[-1]
         self._into(transition, base.d_rate[-1])
@@ -205,9 +214,13 @@ class ImuPredictor:
             links = link_motions(vehicle, *readings[:3])
             return predict_base_from_rate(links, period_s, chi, x[RATE], self._links.indices)
         own = x[at["joints"]].reshape(-1, PER_JOINT)
-        chain = chain_motion(vehicle, *readings.corrected(own), own[:, :3])
+        corrected = readings.corrected(own, x[at["cyclic"]], self._joint_errors.turns)
+        chain = chain_motion(vehicle, *corrected, own[:, :3])
         errors = self._joint_errors.along(chain, readings)
         return predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._links.indices, errors)
+
+    def _functions(self, ticks: int, cyclic: FloatArray | None) -> FloatArray:
+        return np.zeros((ticks, 3, len(self._joint_errors.turns))) if cyclic is None else cyclic
 
     def _into(self, transition: FloatArray, d_rate: FloatArray) -> None:
         transition[RATE, : PAYLOAD.stop] = d_rate[:, :13]
@@ -232,7 +245,7 @@ def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray) -> Floa
     if not seen.any():
         return np.zeros(3)
     state[RATE] = predictor.rate_in_base(some.measured[1:-1, :3][seen].mean(axis=0))
-    predicted = predictor.predict(some.q, some.dq, some.ddq, state)
+    predicted = predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic)
     gap = some.measured[1:-1, :3] - predicted.values[:, :3]
     J = predicted.jacobian[seen, :3, RATE].reshape(-1, 3)
     return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)

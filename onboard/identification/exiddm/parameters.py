@@ -3,8 +3,8 @@
 Unknowns come in named blocks: the motion's state at the first tick (``start``), the payload's standard parameters
 (``payload``), deviations of other links from the drawing (``links``), further ones of a base (``drag``, ``tilt``), the
 IMU's errors (:mod:`onboard.identification.exiddm.imu_errors`) and its place (``imu_place``), and errors of the joints
-(``joints``, :mod:`onboard.dynamics.joint_errors`). An unknown with sigma zero is exact: it stays zero and is not
-estimated.
+(``joints``, ``cyclic``, :mod:`onboard.dynamics.joint_errors`). An unknown with sigma zero is exact: it stays zero and
+is not estimated.
 """
 
 from collections.abc import Mapping
@@ -33,6 +33,7 @@ class JointPrior(NamedTuple):
     zero: float = 0.0  # of its encoder, rad or m
     scale: float = 0.0  # of its encoder, relative
     delay_s: float = 0.0  # of its encoder
+    cyclic: tuple[float, ...] = ()  # rms of each of its encoder's cyclic errors, of a cosine and a sine each
 
 
 class GeometryPrior(NamedTuple):
@@ -42,7 +43,7 @@ class GeometryPrior(NamedTuple):
     joints: Mapping[str, JointPrior] = MappingProxyType({})
 
     def blocks(self, vehicle: VehicleModel) -> dict[str, Block]:
-        """As blocks of unknowns: ``imu_place``, (3,), and ``joints``, (6 x joints,), see :data:`JOINT_ERRORS`.
+        """As blocks of unknowns: ``imu_place``, (3,), ``joints``, (6 x joints,), see :data:`JOINT_ERRORS`, ``cyclic``.
 
         Raises:
             UnknownFrameError: a joint that the URDF does not have.
@@ -50,14 +51,23 @@ class GeometryPrior(NamedTuple):
         for name in self.joints:
             vehicle.joint(name)
         names, sigma = [], []
+        cyclic, rms = [], []
         for joint in vehicle.joints:
             own = self.joints.get(joint.name, JointPrior())
             names += [f"{kind}_{joint.name}" for kind in JOINT_ERRORS]
             sigma += [*[own.place_m] * 3, own.zero, own.scale, own.delay_s]
+            cyclic += [f"cyclic_{k}_{wave}_{joint.name}" for k in range(len(own.cyclic)) for wave in ("cos", "sin")]
+            rms += [one for one in own.cyclic for _ in range(2)]
         return {
             "imu_place": Block(tuple(f"place_{axis}_imu" for axis in "xyz"), np.full(3, self.imu_place_m)),
             "joints": Block(tuple(names), np.array(sigma, np.float64)),
+            "cyclic": Block(tuple(cyclic), np.array(rms, np.float64)),
         }
+
+    def cyclic_joints(self, vehicle: VehicleModel) -> list[int]:
+        """The joint of each unknown of ``cyclic``, by its place in the vehicle's joints."""
+        each = [len(self.joints.get(joint.name, JointPrior()).cyclic) for joint in vehicle.joints]
+        return [index for index, count in enumerate(each) for _ in range(2 * count)]
 
 
 EXACT_GEOMETRY = GeometryPrior()

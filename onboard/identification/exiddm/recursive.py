@@ -314,7 +314,7 @@ class RecursiveExiddm:
         self._due -= _STEP_WORK
         ticks = self._pending
         with np.errstate(over="ignore", invalid="ignore"):
-            predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state)
+            predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
         if not moderate(predicted.values, predicted.jacobian, predicted.state, predicted.transition):
             self.glitches += BATCH_TICKS
@@ -397,7 +397,7 @@ class RecursiveExiddm:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
             both = self._pending.part(slice(0, 1)).and_then(after)
-            self.state, F, of_a_turn = self.predictor.bridge(both.q, both.dq, both.ddq, self.state)
+            self.state, F, of_a_turn = self.predictor.bridge(both.q, both.dq, both.ddq, self.state, both.cyclic)
             self.covariance = F @ self.covariance @ F.T
             self.covariance[RATE, RATE] += (rates.max() * gap_s) ** 2 * of_a_turn
             self._stepped = None

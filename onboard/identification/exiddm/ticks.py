@@ -20,6 +20,7 @@ class Ticks(NamedTuple):
     measured: FloatArray  # (n, 6) means of rate and specific force, IMU axes; NaN for a tick without
     sigma: FloatArray  # (n, 6) of these
     joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
+    cyclic: FloatArray  # (n, 3, m) functions that the joints' cyclic errors are multiples of, and two derivatives
 
     def part(self, which: slice) -> "Ticks":
         """A part of the ticks."""
@@ -27,18 +28,19 @@ class Ticks(NamedTuple):
 
     def and_then(self, more: "Ticks") -> "Ticks":
         """These ticks followed by ``more``."""
-        return Ticks(*(np.concatenate(pair) for pair in zip(self, more, strict=True)))
+        return Ticks.joined((self, more))
 
     @staticmethod
     def joined(parts: "Sequence[Ticks]") -> "Ticks":
         """One part after the other, of one at least."""
-        return Ticks(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        some = [part for part in parts if len(part.time_s)] or parts[:1]
+        return Ticks(*(np.concatenate(part) for part in zip(*some, strict=True)))
 
     @staticmethod
     def none(joints: int) -> "Ticks":
         """No ticks."""
         angles, six = np.zeros((0, joints)), np.zeros((0, 6))
-        return Ticks(np.zeros(0), angles, angles, angles, six, six, np.zeros((0, 2, joints)))
+        return Ticks(np.zeros(0), angles, angles, angles, six, six, np.zeros((0, 2, joints)), np.zeros((0, 3, 0)))
 
     def flight(self, period_s: float, samples: int) -> FlightSignals:
         """As one flight, every tick with the median noise.
@@ -62,4 +64,5 @@ def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
     joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
     if signals.noise is not None:
         joint_sigma = signals.noise.inflation * np.stack([signals.noise.dq, signals.noise.ddq], axis=1)
-    return Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma, joint_sigma)
+    cyclic = np.zeros((len(signals.time_s), 3, 0)) if signals.cyclic is None else signals.cyclic
+    return Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma, joint_sigma, cyclic)

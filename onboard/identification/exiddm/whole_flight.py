@@ -276,7 +276,8 @@ class WholeFlight:
         state, d_rate, first = self._state(x, segment), np.eye(3, p), 0
         while last - first >= _FEWEST_TICKS:
             end = last if last - first < 2 * _BLOCK_TICKS else first + _BLOCK_TICKS + 2
-            predicted = self._predictor.predict(ticks.q[first:end], ticks.dq[first:end], ticks.ddq[first:end], state)
+            some = ticks.part(slice(first, end))
+            predicted = self._predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic)
             here = slice(first + 1, end - 1)
             lines, values = self._lines(ticks.time_s[here]), predicted.values
             for at, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):

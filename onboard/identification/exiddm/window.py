@@ -241,7 +241,7 @@ class WindowSolve:
     def _predict(self, ticks: int, state: FloatArray) -> Prediction:
         """Of the first ticks."""
         first = self._ticks.part(slice(0, ticks))
-        return self._predictor.predict(first.q, first.dq, first.ddq, state)
+        return self._predictor.predict(first.q, first.dq, first.ddq, state, first.cyclic)
 
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""

@@ -36,7 +36,8 @@ def ticks_of(signals):
     sigma = np.tile(np.r_[signals.rate_sigma, signals.specific_force_sigma], (n, 1))
     measured = np.c_[signals.rate, signals.specific_force]
     joints = (x.copy() for x in (signals.q, signals.dq, signals.ddq))
-    return Ticks(0.054 + signals.period_s * np.arange(n), *joints, measured, sigma, np.zeros((n, 2, 5)))
+    exact = np.zeros((n, 2, 5)), np.zeros((n, 3, 0))
+    return Ticks(0.054 + signals.period_s * np.arange(n), *joints, measured, sigma, *exact)
 
 
 def recorded(flight, rng, errors=BIASED):
@@ -558,19 +559,20 @@ def test_while_the_arm_is_still_the_payload_is_not_known_and_no_alarm_comes_when
 
 def test_derivatives_of_the_prediction_are_finite_differences(held):
     links = ["link_4", "base"]
-    some = GeometryPrior(3e-3, {"joint_2": JointPrior(1e-3, 1e-3, 1e-3, 1e-3), "joint_5": JointPrior(zero=1e-3)})
+    one, other = JointPrior(1e-3, 1e-3, 1e-3, 1e-3), JointPrior(zero=1e-3, cyclic=(1e-4, 1e-4))
+    some = GeometryPrior(3e-3, {"joint_2": one, "joint_5": other})
     recursive = online(held, imu_prior=PRIOR, links=links, geometry=some)
     predictor, ticks = recursive.predictor, ticks_of(held).part(slice(300, 324))
-    motion = ticks.q, ticks.dq, ticks.ddq
+    motion, waves = (ticks.q, ticks.dq, ticks.ddq), np.random.default_rng(2).normal(size=(24, 3, 4))
     p = len(predictor.names)
-    assert p == 3 + 10 + 25 + 20 + 3 + 6 + 1
+    assert p == 3 + 10 + 25 + 20 + 3 + 6 + 1 + 4
     x = np.nan_to_num(predictor.sigma) * np.random.default_rng(1).normal(size=p) * 0.1
     x[:13] = [0.1, -0.2, 0.3, 5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
-    found = predictor.predict(*motion, x)
+    found = predictor.predict(*motion, x, waves)
     for k in range(p):
         size = 1e-4 if k < 13 else 1e-2 * predictor.sigma[k]
         step = size * np.eye(p)[k]
-        up, down = predictor.predict(*motion, x + step), predictor.predict(*motion, x - step)
+        up, down = predictor.predict(*motion, x + step, waves), predictor.predict(*motion, x - step, waves)
         slope = (up.values - down.values) / (2.0 * size)
         assert np.abs(found.jacobian[:, :, k] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-9, predictor.names[k]
         carried = (up.state - down.state) / (2.0 * size)

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from drivers.records import IMU, SCALAR
 from hil_sim.plants import free_flyer
@@ -209,7 +210,7 @@ def test_the_longest_time_with_one_payload(
 ) -> None:
     time_s = 0.01 * np.arange(1000)
     joints = np.zeros((1000, 5))
-    ticks = Ticks(time_s, joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)), np.zeros((1000, 2, 5)))
+    ticks = resting(time_s, joints)
     found = longest_held([ticks.part(slice(0, 400)), ticks.part(slice(400, None))], changes, held, 0.01)
     if wanted is None:
         assert len(found.time_s) == 0
@@ -217,12 +218,16 @@ def test_the_longest_time_with_one_payload(
         np.testing.assert_allclose([found.time_s[0], found.time_s[-1]], wanted, atol=1e-9)
 
 
+def resting(time_s: NDArray[np.float64], joints: NDArray[np.float64]) -> Ticks:
+    n = len(time_s)
+    six = np.zeros((n, 6)), np.ones((n, 6))
+    return Ticks(time_s, joints, joints, joints, *six, np.zeros((n, 2, 5)), np.zeros((n, 3, 0)))
+
+
 def test_ticks_without_joints_cut_the_time() -> None:
     joints = np.zeros((1000, 5))
     joints[300] = np.nan
-    ticks = Ticks(
-        0.01 * np.arange(1000), joints, joints, joints, np.zeros((1000, 6)), np.ones((1000, 6)), np.zeros((1000, 2, 5))
-    )
+    ticks = resting(0.01 * np.arange(1000), joints)
     found = longest_held([ticks], [], True, 0.01)
     assert (found.time_s[0], len(found.time_s)) == (pytest.approx(3.01), 699)
     late = ticks._replace(time_s=ticks.time_s + 0.5 * (np.arange(1000) >= 800))
