@@ -2,12 +2,13 @@
 
 Every seed is a flight of its own by MuJoCo with all that the vehicle file states tolerances for drawn within them:
 masses, centres, inertias, joint places, encoder zeros, IMU place, axes, scale, bias, drift, delay. The priors are those
-of the vehicle file. Signals are synthetic: samples on one grid without buses, clocks, gear ripple or a capture.
+of the vehicle file. Signals are synthetic: samples on one grid without buses, clocks or a capture.
 """
 
 import argparse
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -22,13 +23,18 @@ from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
 from hil_sim.scenario.load import load
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
+from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.flight.identification import build_exiddm
+from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation, smooth
+from onboard.flight.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
+from onboard.flight.roles import roles_of
+from onboard.flight.signals import CYCLIC_LEFT, cyclic_functions
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import BATCH_TICKS
+from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.quantities import BODY
 
 Floats = NDArray[np.float64]
@@ -36,6 +42,8 @@ Floats = NDArray[np.float64]
 GYRO_PER_K_rad_s, FORCE_PER_K_m_s2 = np.deg2rad(0.08), 2.5e-3  # of the MPU-6050's biases, 1 sigma
 NORMAL, FAR = 1.960, 3.291  # half a 95 % and a 99.9 % interval, sigmas
 DURATION_s, STEP_s, SAMPLES = 30.0, 1.0 / 300.0, 3  # of MuJoCo and the sensors; in a tick
+CELL_SAMPLES = 5  # of the wrist cell in a tick, as it flies
+SMOOTHING_s, TICK_s = 0.25, 0.01  # as the vehicle file has it; three samples
 BOXES = {
     "0.5 kg": free_flyer.Body.box(0.5, (0.08, 0.06, 0.10), (0.01, -0.005, 0.04)),
     "2 kg far out": free_flyer.Body.box(2.0, (0.10, 0.12, 0.60), (0.05, -0.03, 0.40)),
@@ -91,9 +99,12 @@ def flown(box: free_flyer.Body, lies: Lies, seed: int) -> Covered:
     truth = free_flyer.fly(world, motion, rng.uniform(-0.05, 0.05, 3), DURATION_s)
     zeros = 1e-3 * lies.zeros * rng.standard_normal(free_flyer.JOINTS)
     off_m = 1e-3 * built.imu_place_mm * rng.standard_normal(3)
-    signals = _sensed(_spoilt(truth, lies, rng), zeros, off_m, rng)
+    spoilt = _spoilt(truth, lies, rng)
+    signals, cyclic = _sensed(spoilt, zeros, off_m, rng)
     online, _ = build_exiddm(_vehicle())
-    ticks = ticks_of(signals)
+    off_m = 1e-3 * built.imu_place_mm * rng.standard_normal(3)
+    ticks = _with_joint_noise(ticks_of(signals)._replace(cyclic=cyclic))
+    ticks = _with_further(ticks, _second(truth, spoilt, off_m, rng), _wrist(truth, rng))
     for first in range(0, len(ticks.time_s), BATCH_TICKS):
         online.exiddm.update(ticks.part(slice(first, first + BATCH_TICKS)))
     online.finish()
@@ -122,14 +133,27 @@ def _spoilt(truth: free_flyer.FreeFlightSignals, lies: Lies, rng: np.random.Gene
 
 def _sensed(
     truth: free_flyer.FreeFlightSignals, zeros: Floats, off_m: Floats, rng: np.random.Generator
-) -> FlightSignals:
+) -> tuple[FlightSignals, Floats]:
+    """Ticks of the first IMU, and the functions of the joints' cyclic errors at these."""
     """The flight as encoders and the displaced IMU see it."""
     step_s = float(truth.time_s[1] - truth.time_s[0])
     w = truth.rate_rad_s
     swing = np.cross(np.gradient(w, step_s, axis=0, edge_order=2), off_m) + np.cross(w, np.cross(w, off_m))
-    seen = truth._replace(q_rad=truth.q_rad + zeros, specific_force_m_s2=truth.specific_force_m_s2 + swing)
+    q = truth.q_rad + zeros
+    for periods, rms in _ripple():
+        q += np.sqrt(2.0) * rms * np.sin(periods * truth.q_rad + rng.uniform(0.0, 2.0 * np.pi, free_flyer.JOINTS))
+    seen = truth._replace(q_rad=q, specific_force_m_s2=truth.specific_force_m_s2 + swing)
+    sampled = sample(seen, _imu_errors(), rng)
+    waves = np.hstack([cyclic_functions(angle, _ripple()) for angle in sampled.angle_rad.T])
+    functions = tick_signals(*sampled._replace(angle_rad=waves)[:4], sampled[4:], SAMPLES, SMOOTHING_s)
+    cyclic = np.stack([functions.q, functions.dq, functions.ddq], axis=1)
+    return tick_signals(*sampled[:4], sampled[4:], SAMPLES, SMOOTHING_s), cyclic
+
+
+def _imu_errors() -> ImuErrors:
+    """Drawn with the sigmas that the vehicle file states."""
     stated = _vehicle().file.estimation.imu_prior
-    errors = ImuErrors(
+    return ImuErrors(
         stated.gyro_bias_rad_s,
         stated.gyro_drift_rad_s2,
         stated.accelerometer_bias_m_s2,
@@ -138,8 +162,64 @@ def _sensed(
         stated.gyro_misalignment_rad,
         stated.delay_s,
     )
-    sampled = sample(seen, errors, rng)
-    return tick_signals(*sampled[:4], sampled[4:], SAMPLES, case.SMOOTHING_s)
+
+
+def _second(
+    truth: free_flyer.FreeFlightSignals, spoilt: free_flyer.FreeFlightSignals, off_m: Floats, rng: np.random.Generator
+) -> FlightSignals:
+    """The second IMU, which no lie but those of the joints touches; its clock has no marks."""
+    first, second = (build_model(_vehicle()).pose_in_base(frame) for frame in ("imu_base", "imu_2"))
+    step_s = float(truth.time_s[1] - truth.time_s[0])
+    w = truth.rate_rad_s @ first[0].T
+    r = second[1] + off_m - first[1]
+    swing = np.cross(np.gradient(w, step_s, axis=0, edge_order=2), r) + np.cross(w, np.cross(w, r))
+    force = truth.specific_force_m_s2 @ first[0].T + swing
+    seen = spoilt._replace(rate_rad_s=w @ second[0], specific_force_m_s2=force @ second[0])
+    sampled = sample(seen, replace(_imu_errors(), delay_s=UNMARKED_CLOCK_s), rng)
+    return tick_signals(*sampled[:4], sampled[4:], SAMPLES, SMOOTHING_s)
+
+
+def _wrist(truth: free_flyer.FreeFlightSignals, rng: np.random.Generator) -> FlightSignals:
+    """The wrist cell, in the place of the first axis of a rate."""
+    keys = next(cell.keys for cell in roles_of(_vehicle()).cells)
+    assert isinstance(keys, LoadCellKeys)
+    assert keys.zero_sigma_N is not None
+    assert keys.zero_drift_N_s is not None
+    t, noise_N = truth.time_s, keys.noise_N * np.sqrt(SAMPLES / CELL_SAMPLES)
+    force = (1.0 + keys.scale_sigma * rng.standard_normal()) * truth.wrist_force_n @ np.array(keys.axis)
+    force += keys.zero_sigma_N * rng.standard_normal() + keys.zero_drift_N_s * rng.standard_normal() * (t - t[0])
+    force += noise_N * rng.standard_normal(len(t))
+    read = np.column_stack([force, force, force])
+    return tick_signals(t, truth.q_rad, read, read, (noise_N, noise_N), SAMPLES, SMOOTHING_s)
+
+
+def _with_joint_noise(ticks: Ticks) -> Ticks:
+    """Ticks with the noise of quantised and smoothed joints and their gears, as the estimator's smoother states it."""
+    inflation = correlation_inflation(SMOOTHING_s, TICK_s, SPLINE)
+    at_s, count_rad = STEP_s * np.arange(301), 2.0 * np.pi / free_flyer.COUNTS_PER_TURN
+    response, sigma = Response(SMOOTHING_s), ticks.joint_sigma.copy()
+    for order in (1, 2):
+        gain = float(smooth(at_s, np.zeros((301, 1)), at_s[150:151], SMOOTHING_s, order).noise_gain[0])
+        squares = (count_rad * gain) ** 2 / 12.0 * np.ones_like(ticks.dq)
+        for periods, rms in _ripple():
+            squares += (CYCLIC_LEFT * rms * response.gain(periods * ticks.dq, order)) ** 2
+        sigma[:, order - 1] = inflation * np.sqrt(squares)
+    return ticks._replace(joint_sigma=sigma)
+
+
+def _ripple() -> tuple[tuple[float, float], ...]:
+    """Cyclic errors of the encoders, alike for all: periods of each in a radian times 2 pi, and its rms."""
+    roles = roles_of(_vehicle())
+    [tones] = {roles.signals[joint.channel].ripple for joint in roles.joints}
+    return tones
+
+
+def _with_further(ticks: Ticks, second: FlightSignals, wrist: FlightSignals) -> Ticks:
+    """Ticks of the first IMU with those of the second and of the cell."""
+    n = len(ticks.time_s)
+    sigma = np.concatenate([second.rate_sigma, second.specific_force_sigma, wrist.rate_sigma[:1]])
+    measured = np.concatenate([ticks.measured, second.rate, second.specific_force, wrist.rate[:, :1]], axis=1)
+    return ticks._replace(measured=measured, sigma=np.concatenate([ticks.sigma, np.tile(sigma, (n, 1))], axis=1))
 
 
 def _judged(box: free_flyer.Body, online: ExiddmIdentifier) -> Covered:

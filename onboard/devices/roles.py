@@ -48,6 +48,13 @@ class LoadCellKeys(Section):
     capacity_N: Positive  # noqa: N815  (the newton's own letter)
     scale_sigma: NotNegative = 0.0
     noise_N: Positive  # noqa: N815
+    zero_sigma_N: Annotated[  # noqa: N815
+        Positive | None, Field(description="ExIDDM: 1 sigma of its reading at no load; 1 % of capacity_N if silent.")
+    ] = None
+    zero_drift_N_s: Annotated[  # noqa: N815
+        Positive | None,
+        Field(description="ExIDDM: 1 sigma of its zero's drift; 1e-5 of capacity_N a second if silent."),
+    ] = None
     delay_ms: NotNegative = 0.0
     delay_sigma_ms: NotNegative = 0.0
     gravity_m_s2: Positive = STANDARD_GRAVITY_M_S2

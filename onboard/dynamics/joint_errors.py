@@ -12,7 +12,8 @@ inertias by ``e (crf(S) I - I crm(S))``, hence (derived here)
     dL = e (K(L) + I X) S + de I S
     dF = d(dL)/dt = e (K(L) X + K(F) + dI X + I (X X + dX)) S + de (K(L) + 2 I X + dI) S + dde I S
 
-with ``K(L) S = crf(S) L``, ``dI = crf(V) I - I crm(V)`` summed over the links beyond, and ``dX = crm(dW/dt)``.
+with ``K(L) S = crf(S) L``, ``dI = crf(V) I - I crm(V)`` summed over the links beyond, and ``dX = crm(dW/dt)``. In the
+axes of a frame that the joint displaces too, and about its origin, dF is without K(F): the frame moves by the same S.
 """
 
 from collections.abc import Callable, Sequence
@@ -72,19 +73,24 @@ class JointErrors:
     Args:
         vehicle: whose joints they are.
         cyclic: the joint of each function that a cyclic error is a multiple of, (m,).
+        frame: momentum and wrench are those of what lies beyond this frame, displaced with it; None: of all links.
 
     Attributes:
-        turns: these joints, each as one in its column, (m, joints).
+        turns: the joints of the functions, each as one in its column, (m, joints).
     """
 
-    def __init__(self, vehicle: VehicleModel, cyclic: Sequence[int] = ()) -> None:
+    def __init__(self, vehicle: VehicleModel, cyclic: Sequence[int] = (), frame: str | None = None) -> None:
         self._cyclic = np.array(cyclic, np.intp)
         self.turns = np.eye(len(vehicle.joints))[self._cyclic]
+        links = range(len(vehicle.links)) if frame is None else vehicle.distal_links(frame)
         self._axes = np.array([joint.axis for joint in vehicle.joints])
         self._revolute = np.array([[joint.revolute] for joint in vehicle.joints])
-        self._beyond = np.zeros((len(vehicle.joints), len(vehicle.links)))
-        for row, joint in zip(self._beyond, vehicle.joints, strict=True):
+        beyond = np.zeros((len(vehicle.joints), len(vehicle.links)))
+        for row, joint in zip(beyond, vehicle.joints, strict=True):
             row[list(vehicle.distal_links(joint.name))] = 1.0
+        self._beyond = beyond[:, list(links)]
+        displaces = self._beyond.all(axis=1) if frame is not None else np.zeros(len(beyond), np.bool_)
+        self._stays = np.where(displaces, 0.0, 1.0)[:, None]
 
     def along(self, chain: Chain, readings: Readings) -> ErrorColumns:
         """:meth:`columns` of one motion of the vehicle's chain, and what its encoders read."""
@@ -105,7 +111,7 @@ class JointErrors:
         Args:
             seats: of the joints, stacked.
             readings: of their encoders.
-            bodies: the links.
+            bodies: the links, all or those beyond the frame.
             v: velocity of the base's origin, (n, 3), base axes, as all.
             w: its rate, (n, 3).
             f: specific force there, (n, 3).
@@ -124,7 +130,7 @@ class JointErrors:
         S = self._screws(seats)
         still, IS = KL + I @ X, I @ S
         momenta = still @ S  # (n, joints, 6, 4)
-        wrenches = ((KL + dI) @ X + _coad(F) + I @ (X @ X + _crm(dW))) @ S
+        wrenches = ((KL + dI) @ X + _coad(F * self._stays) + I @ (X @ X + _crm(dW))) @ S
         turn, slide = IS[..., 3], ((still + I @ X + dI) @ S[..., 3:])[..., 0]
         q, dq, ddq, jerk = (x[:, :, None] for x in readings[:4])
         zero, own = momenta[..., 3], wrenches[..., 3]

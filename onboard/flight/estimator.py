@@ -4,7 +4,7 @@ It owns no ring, log or clock, so the flight (:mod:`onboard.flight.estimation`),
 run the same code. Rows are made at whole multiples of the row period in vehicle time, with a fixed lag.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,19 +12,20 @@ from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows, Severity, event
 from onboard import channels, config
-from onboard.devices.roles import LoadCellKeys, TorqueKeys
+from onboard.devices.roles import TorqueKeys
 from onboard.dynamics.errors import UnknownFrameError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.answers import Answers, change_event
 from onboard.flight.clocks import timebase_of
-from onboard.flight.identification import METHODS, build_online, with_hypotheses
+from onboard.flight.identification import METHODS, build_online, channels_of, with_hypotheses
 from onboard.flight.phases import PhaseTrack
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import SignalSmoother, kernel_of
-from onboard.flight.witness import CellWitness, RateWitness
+from onboard.flight.witness import RateWitness
 from onboard.flight.zeroing import Temperatures, Zeroing
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
@@ -82,20 +83,14 @@ class Estimator:
         roles = roles_of(vehicle)
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
         self._temperatures = Temperatures(self._imu)
+        further = self.online.exiddm.predictor.further if isinstance(self.online, ExiddmIdentifier) else ()
+        self._further = channels_of(roles, further)
+        self._witness: RateWitness | None = None
         try:
-            self._witness = (
-                RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
-                if len(roles.imus) > 1
-                else None
-            )
+            if len(roles.imus) > 1 and roles.imus[1].channels not in self._further:
+                self._witness = RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
         except UnknownFrameError as error:
             raise config.ConfigError(f"{vehicle.label}: the IMU of {roles.imus[1].channels[0]}: {error}") from error
-        predicts = METHODS[settings.method].tick_means and self.model.spec.payload_link is not None and roles.imus
-        self._cell_witnesses = [
-            CellWitness(self.model, cell.name, cell.channel, cell.keys, roles.imu.frame)
-            for cell in roles.cells
-            if predicts and isinstance(cell.keys, LoadCellKeys)
-        ]
         self._joints = {joint.joint: joint for joint in roles.joints}
         self._functions = {  # of cyclic errors that are fitted
             joint.channel: 2 * len(roles.signals[joint.channel].ripple) if fitted else 0 for joint in roles.joints
@@ -105,13 +100,11 @@ class Estimator:
         names = [joint.name for joint in self.model.joints]
         self._friction = CoulombFriction(motors, names) if motors else None
         self._turning = {name: [k for k, motor in enumerate(motors) if name in dict(motor.ratios)] for name in names}
-        rows = len(self.online.row_names)
-        parameters = len(self.online.parameter_names)
         size = len(self.online.triangle())
         self.outputs: dict[str, np.dtype[np.void]] = {
             "clock": channels.CLOCK,
-            "row": channels.row_dtype(rows, len(self.model.joints)),
-            "estimate": channels.estimate_dtype(parameters, size),
+            "row": channels.row_dtype(len(self.online.row_names), len(self.model.joints)),
+            "estimate": channels.estimate_dtype(len(self.online.parameter_names), size),
             "quantity": channels.QUANTITY,
         }
         self._answers = Answers(self.outputs["estimate"], settings.nuisance)
@@ -188,12 +181,13 @@ class Estimator:
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
-            means = self._signals.means(self._imu.channels, self._timebase, at_ns, self._period_ns)
-            (measured,), (sigma,) = means.derivatives, means.sigma
-            refused |= means.refused | self._gates(at_ns, joints, measured[:, 3:])
+            measured, sigma, of_rows = self._means(at_ns)
+            refused |= self._gates(at_ns, joints, measured[:, 3:6])
+            if not self._further:
+                refused |= of_rows[:, 0]
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *motion, self.inflation)
-            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise, cyclic=cyclic)
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise, refused=of_rows, cyclic=cyclic)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
@@ -216,7 +210,8 @@ class Estimator:
                 friction,
                 of_rows if of_rows.any() else None,
             )
-        made += self._asked(now_ns, at_ns, joints, measured)
+        if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
+            made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))
         found = self._update(signals, at_ns, refused)
         if final:
             self.online.finish()
@@ -229,17 +224,16 @@ class Estimator:
             made += self._answered(now_ns, int(at_ns[-1]))
         return made
 
-    def _asked(
-        self, now_ns: int, at_ns: NDArray[np.int64], joints: FloatArray, measured: FloatArray
-    ) -> Iterator[Batch]:
-        """Events of instruments that begin to contradict the estimate, or each other."""
-        common = self._signals, self._timebase, at_ns, self._period_ns
-        if self._witness is not None and self._witness.check(*common):
-            yield event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction)
-        estimate = self.online.estimate() if self._cell_witnesses else None
-        for cell in self._cell_witnesses:
-            if estimate is not None and cell.check(*common, joints, measured, estimate):
-                yield event(now_ns, Severity.ERROR, "contradiction", "estimation", cell.contradiction)
+    def _means(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+        """Means over the ticks of the IMU and further instruments, their sigmas, and reasons, (n, rows) each."""
+        assert self._imu is not None
+        each = [
+            self._signals.means(names, self._timebase, at_ns, self._period_ns)
+            for names in (self._imu.channels, *self._further)
+        ]
+        values, sigmas = [one.derivatives[0] for one in each], [one.sigma[0] for one in each]
+        refused = [np.repeat(one.refused[:, None], one.derivatives[0].shape[1], axis=1) for one in each]
+        return np.hstack(values), np.hstack(sigmas), np.hstack(refused)
 
     def _update(self, signals: Signals, at_ns: NDArray[np.int64], refused: NDArray[np.int64]) -> NDArray[np.int64]:
         attached = self._phases.attached(at_ns)
@@ -360,10 +354,8 @@ class Estimator:
 
     def _answered(self, now_ns: int, vehicle_ns: int) -> list[Batch]:
         online, findings = self.online, self.online.findings()
-        asked = [cell.contradiction for cell in self._cell_witnesses]
-        asked += [self._witness.contradiction] if self._witness is not None else []
-        if contradictions := [one for one in asked if one]:
-            findings = findings._replace(against=(*findings.against, *contradictions))
+        if self._witness is not None and self._witness.contradiction:
+            findings = findings._replace(against=(*findings.against, self._witness.contradiction))
         state, answers, said = self._answers.rows(now_ns, vehicle_ns, online.estimate(), findings, online.triangle())
         return [self._numbered("estimate", state), self._numbered("quantity", answers), *said]
 

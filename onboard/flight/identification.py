@@ -1,6 +1,6 @@
 """From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.flight.roles import roles_of
+from onboard.identification.exiddm.further import CellPrior, Further, FurtherCell, FurtherImu
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
@@ -43,6 +44,8 @@ from onboard.regressor.rows import (
 
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
+FEWEST_SAMPLES = 2  # of an instrument in a tick
+UNMARKED_CLOCK_s, UNMARKED_MEMORY_s = 1e-3, 1.0  # further IMUs may have no sync marks: wander of their time
 
 
 def build_model(vehicle: config.Vehicle) -> VehicleModel:
@@ -110,8 +113,12 @@ def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> Online
     return Hypotheses(lambda: build_identifier(vehicle)[0], redundant)
 
 
-def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleModel]:
+def build_exiddm(vehicle: config.Vehicle, *, fused: bool = True) -> tuple[ExiddmIdentifier, VehicleModel]:
     """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
+
+    Args:
+        vehicle: its file.
+        fused: with further IMUs and load cells, or the first IMU alone.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -123,7 +130,8 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
         _check_joints(roles, model)
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
-        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, covariance, imu_prior, geometry)
+        further = further_instruments(vehicle, roles, imu_prior) if fused else []
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, covariance, imu_prior, geometry, further)
         known = None
         if settings.carried:
             known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
@@ -142,12 +150,43 @@ def samples_per_tick(vehicle: config.Vehicle) -> int:
         ConfigError: fewer than two.
     """
     channel = roles_of(vehicle).imu.channels[0]
-    period_s = roles_of(vehicle).signals[channel].period_s
-    samples = round(1.0 / (period_s * vehicle.file.estimation.row_rate_hz))
+    samples = _samples(vehicle, channel)
     if samples < 2:
+        period_s = roles_of(vehicle).signals[channel].period_s
         text = f"{period_s * 1e3:g} ms between samples of {channel!r}"
         raise config.ConfigError(f"{vehicle.label}: {text}: lower row_rate_hz until two and more make a tick")
     return samples
+
+
+def _samples(vehicle: config.Vehicle, channel: str) -> int:
+    """Samples of a channel in a tick."""
+    return round(1.0 / (roles_of(vehicle).signals[channel].period_s * vehicle.file.estimation.row_rate_hz))
+
+
+def further_instruments(vehicle: config.Vehicle, roles: Roles, imu_prior: ImuPrior) -> list[Further]:
+    """What the ExIDDM uses besides the first IMU: IMUs on the base, load cells; not those too slow for its ticks."""
+    found: list[Further] = []
+    for imu in roles.imus[1:]:
+        if (samples := _samples(vehicle, imu.channels[0])) >= FEWEST_SAMPLES:
+            prior = imu_prior._replace(delay_s=float(np.hypot(imu_prior.delay_s, UNMARKED_CLOCK_s)))
+            place_m = vehicle.file.estimation.imu_prior.position_m
+            found.append(FurtherImu(imu.channels[0], imu.frame, samples, prior, place_m, UNMARKED_MEMORY_s))
+    for cell in roles.cells:
+        keys = cell.keys
+        if isinstance(keys, TorqueKeys) or (samples := _samples(vehicle, cell.channel)) < FEWEST_SAMPLES:
+            continue
+        bias = 0.01 * keys.capacity_N if keys.zero_sigma_N is None else keys.zero_sigma_N
+        drift = 1e-5 * keys.capacity_N if keys.zero_drift_N_s is None else keys.zero_drift_N_s
+        prior_of_cell = CellPrior(bias, drift, keys.relative_sigma, keys.delay_sigma_ms * 1e-3)
+        projection = load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m).projection
+        found.append(FurtherCell(cell.name, keys.frame, projection, samples, prior_of_cell))
+    return found
+
+
+def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...]]:
+    """The channels of each further instrument, by its name."""
+    names = {imu.channels[0]: imu.channels for imu in roles.imus} | {cell.name: (cell.channel,) for cell in roles.cells}
+    return [names[one.name] for one in further]
 
 
 def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:

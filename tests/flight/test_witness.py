@@ -1,8 +1,8 @@
-"""A flight of DYMAFLEX looked at: by the instruments that its estimator does not use, and by the report.
+"""A flight of DYMAFLEX looked at: by all its instruments, and by the report.
 
-Second IMU and wrist cell are silent on the healthy flight and loud on a lie: a copy of its log in which one instrument
-is off by a scale. In the report and by ``heft predict`` what was identified predicts the gyro, and something else does
-not.
+Second IMU and wrist cell are fused; one that contradicts the others is named and left out. Each lie is a copy of the
+log in which one instrument is off by a scale. In the report and by ``heft predict`` what was identified predicts the
+gyro, and something else does not. A second IMU that is not fused has its rates compared with the first one's.
 """
 
 import json
@@ -15,6 +15,10 @@ import pytest
 from drivers.records import Rows
 from onboard import cli, config
 from onboard.flight.estimator import Estimator
+from onboard.flight.identification import build_model
+from onboard.flight.roles import roles_of
+from onboard.flight.signals import ChannelAtTicks
+from onboard.flight.witness import RateWitness
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.report import theme
 from onboard.offline.report.base_rate import base_rate
@@ -24,13 +28,14 @@ from onboard.offline.report.sections import _base_rate
 from onboard.recording.reader import LogReader
 from tests.flight.missions import Result, fly
 
-DO_NOT_USE = 2  # level of QUANTITY
+MASS_kg = 5.0
+NOISE_rad_s = 6e-4
 SEQUENCE = [
     {"phase": 0, "action": "hold", "duration_s": 1.0},
     {
         "phase": 1,
         "action": "swing",
-        "duration_s": 15.0,
+        "duration_s": 24.0,
         "ramp_s": 1.5,
         "swing_deg": 20.0,
         "tones": 3,
@@ -46,11 +51,11 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
     return fly(path, 11, vehicle="dymaflex", sequence=SEQUENCE, capture={"earliest_s": 4.0, "latest_s": 5.0})
 
 
-def told(log: Path, channel: str, spoil: Callable[[Rows], None]) -> tuple[list[str], set[int]]:
-    """Contradictions told, and the levels of the last answers, when one channel of the log is spoilt on its way in."""
+def told(log: Path, channel: str, spoil: Callable[[Rows], None]) -> tuple[list[str], np.void]:
+    """Instruments left out, and the last answer for the mass, when one channel of the log is spoilt on its way in."""
     reader = LogReader(log)
     estimator = Estimator(config.load(config.packaged("dymaflex")))
-    process, texts, levels = estimator.process, list[str](), dict[bytes, int]()
+    process, texts, masses = estimator.process, list[str](), list[np.void]()
 
     def spoilt(now_ns, batches, *rest):
         taken = dict(batches)
@@ -62,37 +67,84 @@ def told(log: Path, channel: str, spoil: Callable[[Rows], None]) -> tuple[list[s
     estimator.process = spoilt
     for name, rows in feed(estimator, reader):
         if "code" in (rows.dtype.names or ()):
-            texts += [row["text"].decode() for row in rows if row["code"] == b"contradiction"]
+            texts += [row["text"].decode() for row in rows if row["code"] in (b"left_out", b"taken_back")]
         elif name == "quantity":
-            levels |= {row["name"]: int(row["level"]) for row in rows}
-    return texts, set(levels.values())
+            masses += [row.copy() for row in rows if row["name"] == b"m_payload"]
+    return texts, masses[-1]
 
 
-def test_a_healthy_flight_contradicts_nothing(flown: Result) -> None:
-    assert flown.events("contradiction") == []
-    said = flown.log.read("quantity")
-    assert len(said) > 0
-    assert DO_NOT_USE not in said["level"][-10:].tolist()
+def test_a_healthy_flight_leaves_nothing_out(flown: Result) -> None:
+    log = LogReader(flown.flown.log)
+    assert not {b"left_out", b"contradiction"} & set(log.read("event")["code"].tolist())
+    rows = log.read("quantity")
+    [mass] = rows[rows["name"] == b"m_payload"][-1:]
+    assert log.read("row")["measured"].shape[1] == 13
+    assert mass["level"] == 0
+    assert abs(mass["value"] - MASS_kg) < 3.0 * mass["sigma"]
+    assert mass["sigma"] < 0.006 * MASS_kg  # 0.009 without the wrist cell
 
 
-@pytest.mark.parametrize("factor", [0.5, -1.0])
-def test_a_wrist_cell_that_is_off_by_a_scale_contradicts_the_payload(flown: Result, factor: float) -> None:
+def test_a_wrist_cell_of_a_wrong_scale_is_left_out_from_the_start(flown: Result) -> None:
     def spoil(rows: Rows) -> None:
-        rows["value_raw"] = np.rint(rows["value_raw"] * factor)
+        rows["value_raw"] = np.rint(rows["value_raw"] * 0.5)
 
-    texts, levels = told(flown.flown.log, "load_cell", spoil)
-    assert len(texts) == 1
-    assert levels == {DO_NOT_USE}
-    assert "load_cell contradicts the payload" in texts[0]
+    texts, mass = told(flown.flown.log, "load_cell", spoil)
+    assert texts == ["load_cell contradicts the other instruments: estimates without it"]
+    assert_weak(mass, "load_cell")
 
 
-@pytest.mark.parametrize("channel", ["imu_base", "imu_2"])
-def test_imus_whose_rates_differ_contradict_each_other(flown: Result, channel: str) -> None:
+def test_a_wrist_cell_whose_scale_changes_in_flight_is_left_out(flown: Result) -> None:
+    start_ns = int(LogReader(flown.flown.log).read("load_cell")["host_ns"][0])
+
+    def spoil(rows: Rows) -> None:
+        late = rows["host_ns"] > start_ns + 12_000_000_000
+        rows["value_raw"][late] = np.rint(1.1 * rows["value_raw"][late])
+
+    texts, mass = told(flown.flown.log, "load_cell", spoil)
+    assert texts == ["load_cell contradicts the other instruments: estimates without it"]
+    assert_weak(mass, "load_cell")
+
+
+def test_a_second_imu_of_a_wrong_scale_is_left_out(flown: Result) -> None:
     def spoil(rows: Rows) -> None:
         rows["gyro_raw"] = np.rint(0.7 * rows["gyro_raw"])
 
-    texts, _ = told(flown.flown.log, channel, spoil)
-    assert any("imu_base and imu_2 contradict each other" in text for text in texts)
+    texts, mass = told(flown.flown.log, "imu_2", spoil)
+    assert texts == ["imu_2 contradicts the other instruments: estimates without it"]
+    assert_weak(mass, "imu_2")
+
+
+def assert_weak(mass: np.void, without: str) -> None:
+    assert mass["level"] == 1
+    assert mass["why"] == f"without {without}, which contradicts the others".encode()
+    assert mass["supported"]
+    assert abs(mass["value"] - MASS_kg) < 3.0 * mass["sigma"]
+
+
+class Shown:
+    """What two IMUs show of one motion, the second one's rates off by a scale."""
+
+    def __init__(self, axes, scale: float) -> None:
+        self._axes, self._scale = axes, scale
+        self._rng = np.random.default_rng(2)
+
+    def means(self, names, timebase, at_ns, period_ns) -> ChannelAtTicks:
+        second = names[0] == "imu_2"
+        t = at_ns[:, None] * 1e-9
+        rate = (self._scale if second else 1.0) * 0.1 * np.sin(t * [1.0, 1.7, 2.9]) @ self._axes[int(second)]
+        rate = rate + NOISE_rad_s * self._rng.standard_normal(rate.shape) + 0.02  # noise and a bias
+        return ChannelAtTicks((rate,), (np.full((len(t), 6), NOISE_rad_s),), np.zeros(len(t), np.int64))
+
+
+@pytest.mark.parametrize(("scale", "contradicts"), [(1.0, False), (1.04, False), (0.8, True), (-1.0, True)])
+def test_rates_that_differ_by_a_scale_contradict_each_other(scale: float, contradicts: bool) -> None:
+    vehicle = config.load(config.packaged("dymaflex"))
+    model, imus = build_model(vehicle), roles_of(vehicle).imus
+    axes = [model.pose_in_base(imu.frame)[0] for imu in imus]
+    witness, shown = RateWitness(model, (imus[0], imus[1]), 0.003), Shown(axes, scale)
+    begun = [witness.check(shown, None, 10_000_000 * np.arange(k, k + 10), 10_000_000) for k in range(0, 600, 10)]
+    assert sum(begun) == int(contradicts)
+    assert ("imu_base and imu_2 contradict each other" in witness.contradiction) == contradicts
 
 
 @pytest.fixture(scope="module")

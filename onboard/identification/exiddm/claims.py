@@ -15,6 +15,11 @@ KINDS = {  # of a detected change, by what was held before and what explains the
     (False, Hypothesis.NEW): "capture",
 }
 
+AFTER_A_CHANGE = {  # hypotheses in the order in which they are tried, by whether a payload was held
+    True: (Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW),
+    False: (Hypothesis.NOTHING, Hypothesis.NEW),
+}
+
 
 class Claim:
     """The last announcement, until it is settled.

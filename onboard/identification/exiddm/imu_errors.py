@@ -106,14 +106,14 @@ def tick_mean(x: FloatArray, samples: int) -> FloatArray:
 def whitened(
     values: FloatArray, jacobian: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """``r = (predicted - measured) / sigma``, (6 u,), and its derivative, (6 u, p), of the u ticks to use.
+    """``r = (predicted - measured) / sigma``, (u,), and its derivative, (u, p), of the u lines to use.
 
     Args:
-        values: predicted, (n, 6).
-        jacobian: of these, (n, 6, p).
-        measured: (n, 6).
-        sigma: of the measured, (n, 6) or (6,).
-        use: which ticks, (n,).
+        values: predicted, (n, m).
+        jacobian: of these, (n, m, p).
+        measured: (n, m).
+        sigma: of the measured, (n, m) or (m,).
+        use: which ticks, (n,), or which lines of each, (n, m).
     """
     residual = ((values - measured) / sigma)[use].ravel()
     return residual, (jacobian / sigma[..., None])[use].reshape(residual.size, -1)

@@ -1,46 +1,144 @@
-"""Whitened innovation of a batch of ticks."""
+"""Whitened innovations of a batch of ticks: ``S = H P H' + 1 = L L'``, lines by instrument (see ``fusion``)."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.identification.exiddm.imu_errors import whitened
-from onboard.identification.exiddm.imu_prediction import Prediction
+from onboard.identification.corrections import DOUBTFUL, FARTHEST
+from onboard.identification.exiddm.further import FurtherCell
+from onboard.identification.exiddm.fusion import Accusation, Fusion
+from onboard.identification.exiddm.imu_prediction import ImuPredictor, Prediction
+from onboard.identification.exiddm.misfit import InnovationMisfit
 
-_IMMODERATE = 1e12  # of a prediction in SI units: the joints' signals are nonsense, and its squares may overflow
+_LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
+
+
+class Batch(NamedTuple):
+    """Ticks of a batch: what is predicted, what was measured and its sigma, (b, lines)."""
+
+    predicted: Prediction
+    measured: FloatArray
+    sigma: FloatArray
 
 
 class Innovation(NamedTuple):
-    """Whitened innovation of a batch; its covariance is ``S = H P H' + 1 = L L'``."""
+    """Of a batch; lines that were not measured are zero."""
 
-    W: FloatArray  # L^-1 H P, (m, p)
-    e: FloatArray  # L^-1 (measured less predicted), (m,)
-    L: FloatArray  # (m, m)
+    W: FloatArray  # L^-1 H P
+    e: FloatArray  # L^-1 (measured less predicted)
+    L: FloatArray
+    scales: FloatArray  # L^-1 H, (lines, cells): effect of each cell's scale
+    ticks: int
+
+    @property
+    def of_first_imu(self) -> FloatArray:
+        """``e`` of the first IMU, (b, 6)."""
+        return self.e[: 6 * self.ticks].reshape(-1, 6)
 
 
-def innovation_of(
-    predicted: Prediction, measured: FloatArray, sigma: FloatArray, use: BoolArray, covariance: FloatArray
-) -> Innovation:
-    """The innovation of a batch of b ticks.
+class Innovations:
+    """Makes and judges the innovations of one filter.
 
     Args:
-        predicted: of the ticks.
-        measured: (b, 6).
-        sigma: (b, 6) of that.
-        use: (b,) the ticks that are used.
-        covariance: P, (p, p), of the state that predicted.
+        predictor: of its instruments.
+        fusion: which of them it uses.
+
+    Attributes:
+        cells: load cells with a scale that is estimated, by their number among the instruments.
     """
-    r, H = whitened(predicted.values, predicted.jacobian, measured, sigma, use)
-    HP = H @ covariance
-    S = HP @ H.T
-    S.flat[:: len(S) + 1] += 1.0
-    factor = np.asarray(np.linalg.cholesky(S), np.float64)
-    solved = solve_triangular(factor, np.column_stack([HP, -r]), lower=True, check_finite=False)
-    return Innovation(solved[:, :-1], solved[:, -1], factor)
 
+    def __init__(self, predictor: ImuPredictor, fusion: Fusion) -> None:
+        self._fusion, self._predictor, self._lines = fusion, predictor, predictor.lines
+        further = list(enumerate(predictor.further, 1))
+        own = predictor.of_further
+        self.cells = [k for k, one in further if isinstance(one, FurtherCell) and own[k - 1].size]
+        self._scales = np.array([own[k - 1][0] for k in self.cells], np.intp)
 
-def moderate(*arrays: FloatArray) -> bool:
-    """Whether all values are such that their squares do not overflow."""
-    return all(bool((np.abs(array) < _IMMODERATE).all()) for array in arrays)  # False for NaN
+    def of(self, batch: Batch, there: BoolArray, order: Sequence[int], covariance: FloatArray) -> Innovation:
+        """Of a batch's lines, those of each instrument together.
+
+        Args:
+            batch: the ticks.
+            there: which lines are to be used, (b, lines).
+            order: of the instruments.
+            covariance: of the state, (p, p).
+        """
+        rows, p = self._fusion.rows(order, len(there)), len(covariance)
+        r = np.where(there, (batch.measured - batch.predicted.values) / batch.sigma, 0.0).ravel()[rows]
+        H = np.where(there[..., None], batch.predicted.jacobian / batch.sigma[..., None], 0.0)
+        H = H.reshape(r.size, -1)[rows]
+        HP = H @ covariance
+        S = HP @ H.T
+        S.flat[:: len(S) + 1] += 1.0
+        L = np.asarray(np.linalg.cholesky(S), np.float64)
+        solved = solve_triangular(L, np.column_stack([HP, r, H[:, self._scales]]), lower=True, check_finite=False)
+        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
+
+    def agreeing(
+        self, batch: Batch, there: BoolArray, covariance: FloatArray, innovation: Innovation, misfit: InnovationMisfit
+    ) -> tuple[Innovation, int]:
+        """Innovation with instruments that contradict those before them at the end, and how many lines to use."""
+        fusion, order, refused = self._fusion, self._fusion.order, list[int]()
+        while (bad := fusion.improbable(order, innovation.e, there, refused)) is not None:
+            refused.append(bad)
+            if bad not in fusion.left_out:
+                order = [k for k in order if k != bad] + [bad]
+                innovation = self.of(batch, there, order, covariance)
+        seen = np.array([there[:, own].any() for own in self._lines])
+        used = 0
+        for k in order:
+            if k in refused or k in fusion.left_out:
+                continue
+            own = self._lines[k]
+            first, used = used, used + len(there) * (own.stop - own.start)
+            if k and seen[k]:
+                e = innovation.e[first:used]
+                misfit.add(fusion.names[k], float(e @ e), int(there[:, own].sum()))
+        fusion.judged(refused, seen)
+        return innovation, used
+
+    def contradicting(self, innovation: Innovation, state: FloatArray, covariance: FloatArray) -> Accusation | None:
+        """An instrument in use that contradicts the others.
+
+        The sigma of a correction's estimate about zero is ``(prior variance - posterior variance)^(1/2)`` (Hausman,
+        Econometrica 46, 1978): of the scale of a cell it tells what the other instruments make of it long before it is
+        many of its stated sigmas.
+        """
+        fusion, predictor = self._fusion, self._predictor
+        if fusion.refused is not None:
+            return fusion.refused
+        for k, at, effect in zip(self.cells, self._scales, innovation.scales.T, strict=True):
+            along, squares = float(effect @ innovation.e), float(effect @ effect)
+            batches = fusion.off_scale(k, along, squares, float(predictor.sigma[at]))
+            if batches and k not in fusion.left_out:
+                return Accusation(k, 0 if self._has_misled(k, state) else batches, for_good=True)
+        for k, own in enumerate(predictor.of_further, 1):
+            moved = predictor.stated[own] ** 2
+            if k in self.cells:
+                moved = np.maximum(moved - np.diag(covariance)[own], _LEAST_TOLD * moved)
+            if k not in fusion.left_out and (state[own] ** 2 > FARTHEST**2 * moved).any():
+                return Accusation(k, 0, for_good=True)
+        return None
+
+    def _has_misled(self, instrument: int, state: FloatArray) -> bool:
+        """Whether another correction is larger than stated: the instrument has been wrong for longer than it shows."""
+        stated, end = self._predictor.stated, f"_{self._fusion.names[instrument]}"
+        others = np.array([not name.endswith(end) for name in self._predictor.names])
+        known = others & np.isfinite(stated) & (stated > 0.0)
+        return bool((np.abs(state[known]) > DOUBTFUL * stated[known]).any())
+
+    def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> None:
+        """Add chi-squared of the first IMU, of each of its instruments and of both together, to the misfit."""
+        lines = 6 * innovation.ticks
+        rows = np.arange(lines).reshape(-1, 6)[there[:, 0]]
+        if not rows.size:
+            return
+        e = innovation.e[rows.ravel()]
+        misfit.add("imu", float(e @ e), e.size)
+        for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
+            L = innovation.L[own, :lines]
+            r = L @ innovation.e[:lines]
+            misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)

@@ -38,7 +38,9 @@ _RECENT_s = 60.0
 
 
 class ExiddmIdentifier:
-    """The recursive non-linear ExIDDM. Its rows are the six lines of the base IMU, means over each tick.
+    """The recursive non-linear ExIDDM. Its rows are the lines of the base IMU, further IMUs and load cells.
+
+    All are means over each tick.
 
     A quantity is supported if the data, not the prior, determine it; all but the mass also require a sigma of the mass
     of at most a fifth of it. Variances are multiplied by the innovations' misfit, of the instrument that has the
@@ -52,6 +54,8 @@ class ExiddmIdentifier:
         self.exiddm = exiddm
         payload = exiddm.predictor.vehicle.spec.payload_link
         self.row_names: tuple[str, ...] = IMU_ROWS
+        for one in exiddm.predictor.further:
+            self.row_names += (one.name,) if one.width == 1 else tuple(f"{row}_{one.name}" for row in IMU_ROWS)
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
         self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
         self.rows_used = 0
@@ -69,12 +73,14 @@ class ExiddmIdentifier:
         """
         self.work()
         n = len(signals.time_s)
-        if signals.measured.shape != (n, 6) or signals.sigma.shape != (n, 6) or excluded.shape != (n,):
-            raise SignalError(f"{n} ticks need (n, 6) rates and specific forces; they are {signals.measured.shape}")
-        found = np.repeat(np.asarray(excluded, np.int64)[:, None], 6, axis=1)
-        whole = np.isfinite(np.concatenate([signals.measured, signals.sigma], axis=1)).all(axis=1)
+        shape = (n, len(self.row_names))
+        if signals.measured.shape != shape or signals.sigma.shape != shape or excluded.shape != (n,):
+            raise SignalError(f"{n} ticks need {shape} readings; they are {signals.measured.shape}")
+        found = np.repeat(np.asarray(excluded, np.int64)[:, None], shape[1], axis=1)
+        if signals.refused is not None:
+            found |= signals.refused
         joints = np.isfinite(np.concatenate([signals.q, signals.dq, signals.ddq], axis=1)).all(axis=1)
-        found[~(whole & joints)] |= GateReason.GAP
+        found[~(np.isfinite(signals.measured + signals.sigma) & joints[:, None])] |= GateReason.GAP
         measured = np.where((found == 0), signals.measured, np.nan)
         ticks = ticks_of(signals, measured)
         first, glitches = 0, self.exiddm.glitches
@@ -162,27 +168,37 @@ class ExiddmIdentifier:
 
     def findings(self) -> Findings:
         """Too many outliers, a payload replaced without a release, corrections or innovations larger than stated."""
-        glitches = self.refused[GateReason.RESIDUAL]
-        share = glitches / max(self.rows_used + glitches, 1)
-        if share > MOST_CONTRADICTED:
-            return Findings((f"{share:.0%} of the ticks contradict the others; check the IMU and the joints",))
-        if self.exiddm.exchanged:
-            return Findings((_EXCHANGED,))
-        if self.exiddm.unexplained:
-            return Findings((_CONTRADICTED,))
-        unexplained = self._unexplained()
-        if unexplained >= _MOST_UNEXPLAINED:
-            return Findings((f"the motion changed {unexplained} times and the payload did not: {_SWINGING}",))
-        state, stated = self.exiddm.state, self.exiddm.predictor.sigma
+        if refusal := self._refusal():
+            return Findings((refusal,))
+        state, stated = self.exiddm.state, self.exiddm.predictor.stated
         if state is None:
             return Findings()
-        known = np.flatnonzero(np.isfinite(stated) & (stated > 0.0))
-        names = self.exiddm.predictor.names
+        names, out = self.exiddm.predictor.names, tuple(f"_{name}" for name in self.exiddm.fusion.contradicting)
+        known = [k for k in np.flatnonzero(np.isfinite(stated) & (stated > 0.0)) if not names[k].endswith(out)]
         off = {name: ratio for name, ratio in self.exiddm.misfit.by_instrument().items() if ratio > _WORST_MISFIT}
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
+        doubts += [f"without {name}, which contradicts the others" for name in self.exiddm.fusion.contradicting]
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}), tuple(doubts))
+
+    def _refusal(self) -> str:
+        """Why no answer is to be used, whatever the estimate; empty if nothing says so."""
+        glitches = self.refused[GateReason.RESIDUAL]
+        share = glitches / max(self.rows_used + glitches, 1)
+        if share > MOST_CONTRADICTED:
+            return f"{share:.0%} of the ticks contradict the others; check the IMU and the joints"
+        if self.exiddm.exchanged:
+            return _EXCHANGED
+        left_out = self.exiddm.fusion.contradicting
+        if len(left_out) > 1:
+            return f"{' and '.join(left_out)} contradict the first IMU and the joints"
+        if self.exiddm.unexplained:
+            return _CONTRADICTED
+        unexplained = self._unexplained()
+        if unexplained >= _MOST_UNEXPLAINED:
+            return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
+        return ""
 
     def _covariance(self) -> FloatArray:
         """Of the payload's standard parameters, (10, 10), multiplied by misfit or strongest line where above one."""
@@ -196,7 +212,7 @@ class ExiddmIdentifier:
         return max((sum(at - _RECENT_s < other <= at for other in times) for at in times), default=0)
 
     def news(self) -> tuple[Change, ...]:
-        """Captures and ejections since the last call."""
+        """Captures and ejections, instruments left out and taken back, since the last call."""
         new = tuple(self.exiddm.changes[self._told :])
         self._told += len(new)
-        return new
+        return (*new, *self.exiddm.fusion.news())

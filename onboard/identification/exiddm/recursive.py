@@ -26,9 +26,10 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
-from onboard.identification.exiddm.claims import KINDS, Claim
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, Prediction
-from onboard.identification.exiddm.innovation import Innovation, innovation_of, moderate
+from onboard.identification.exiddm.claims import AFTER_A_CHANGE, KINDS, Claim
+from onboard.identification.exiddm.fusion import Accusation, Fusion
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.ticks import Ticks
@@ -37,13 +38,12 @@ from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
 BATCH_TICKS = 10
-DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 WORK = 80  # ticks predicted (50 to 150 us each) per tick taken in
 _STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
-_SNAPSHOTS = 12  # batches of states kept, to restore the one before a change
+_SNAPSHOTS = 28  # batches of states kept, to restore the one before a change
 
 
 class RecursiveExiddm:
@@ -69,7 +69,8 @@ class RecursiveExiddm:
         exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
             the model changed, and the estimate contradicts what was known before.
         unexplained: windows in which a longer stretch contradicted a shorter one, since the filter's last steps.
-        lines: coherent lines in the innovations.
+        lines: coherent lines in the first IMU's innovations.
+        fusion: the instruments, and which of them are left out.
         misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
     """
 
@@ -84,37 +85,33 @@ class RecursiveExiddm:
         call_ticks: int = BATCH_TICKS,
     ) -> None:
         self.predictor = predictor
-        self.payload_sigma = np.asarray(payload_sigma, np.float64)
-        self._imu_frame = imu_frame
+        self.payload_sigma, self._imu_frame = np.asarray(payload_sigma, np.float64), imu_frame
         self.held: bool | None = held
         self._before: bool | None = held
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
-        self._call_ticks = call_ticks
-        self._due = 0  # ticks that may be predicted in this call; negative after an excess
+        self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
         self._solve: WindowSolve | None = None  # under way
-        self._asked: tuple[Ticks, tuple[Hypothesis, ...]] | None = None  # a window to be solved next
-        self._pending = Ticks.none(len(predictor.vehicle.joints))
+        self._asked: tuple[Ticks, tuple[Hypothesis, ...], tuple[int, ...]] | None = None  # solve it next, without some
+        self._none = self._pending = Ticks.none(len(predictor.vehicle.joints), predictor.lines[-1].stop)
         p = len(predictor.names)
         self.state: FloatArray | None = None
         self.covariance = np.zeros((p, p))
         self.ticks_used = self.glitches = 0
         self.changes: list[Change] = []
-        self.exchanged = False
-        self.unexplained = 0
+        self.exchanged, self.unexplained = False, 0
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
-        batches_per_hour = 3600.0 / (BATCH_TICKS * predictor.period_s)
-        self._detector = ChangeDetector(false_alarms_per_hour, batches_per_hour, 6)
+        self.fusion = Fusion(("imu", *(one.name for one in predictor.further)), predictor.lines)
+        self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_SNAPSHOTS)
-        self._drifts = np.array([at for _, at in predictor.biases], np.intp)
-        carried = [*range(3), *(at for at, _ in predictor.biases)]
-        self._carried = np.array(carried, np.intp)  # indices of the time-varying states
+        self._innovations = Innovations(predictor, self.fusion)
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
             mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
             self.held, self._before, hypotheses = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
+        self._initial = mean, covariance
         self._open(hypotheses, mean, covariance)
 
     def update(self, ticks: Ticks) -> None:
@@ -178,8 +175,9 @@ class RecursiveExiddm:
         """Begin to solve the window that is asked for, or do one prediction of it."""
         if self._solve is None:
             assert self._asked is not None
-            (ticks, hypotheses), self._asked = self._asked, None
-            given = self.payload_sigma, ticks, self._prior, hypotheses, self._start
+            (ticks, hypotheses, without), self._asked = self._asked, None
+            seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *without], ticks.measured))
+            given = self.payload_sigma, seen, self._prior, hypotheses, self._start
             self._solve = WindowSolve(self.predictor, self._imu_frame, *given)
         else:
             self._due -= self._solve.advance()
@@ -207,10 +205,7 @@ class RecursiveExiddm:
         if last < len(ticks.time_s):
             self._inbox.appendleft(ticks.part(slice(last, None)))
         if self._wanted() == 0:
-            if self._hypotheses:
-                self._asked = self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses
-            else:
-                self._step()
+            self._begin_window() if self._hypotheses else self._step()
 
     def estimate(self) -> BodyEstimate | None:
         """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
@@ -225,32 +220,37 @@ class RecursiveExiddm:
         self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._stepped: Ticks | None = None  # ticks of the window and of the steps since
-        self._pending = Ticks.none(len(self.predictor.vehicle.joints))
+        self._accused: Accusation | None = None  # the window is solved without it
+        self._pending = self._none
         self._detector.forget()
         self.misfit.forget()
         self.lines.forget()
+        self.fusion.forget()
         self._snapshots.clear()
 
     def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int) -> None:
         """Begin a window with what was known so many batches ago."""
-        if len(self._snapshots):
-            prior = self._snapshots[max(0, len(self._snapshots) - 1 - batches_back)]
-        elif self.state is not None:
-            prior = self.state, self.covariance
-        else:
-            prior = self._prior
+        now = self._prior if self.state is None else (self.state, self.covariance)
+        prior = self._snapshots[max(0, len(self._snapshots) - 1 - batches_back)] if self._snapshots else now
         self.state, self.held, self.ticks_used = None, None, 0
         self._open(hypotheses, *prior)
 
     def _wanted(self) -> int:
         """Ticks until there is something to do."""
-        whole = BATCH_TICKS + 2
-        if self._hypotheses:
-            whole = self._window_ticks() + self._wait
+        whole = self._window_ticks() + self._wait if self._hypotheses else BATCH_TICKS + 2
         return whole - len(self._pending.time_s)
 
     def _window_ticks(self) -> int:
         return round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
+
+    def _begin_window(self, without: tuple[int, ...] = ()) -> None:
+        """Ask for the window; where it is not explained, again without one of the further instruments each."""
+        if self._accused is not None:
+            without = (self._accused.instrument,)
+        elif not without:
+            self._doubted = [k for k in self.fusion.order[1:] if self._solves and k not in self.fusion.left_out]
+        self._without = without
+        self._asked = self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses, without
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
@@ -261,7 +261,14 @@ class RecursiveExiddm:
             assert self.state is not None
             self._snapshots.append((self.state, self.covariance))
         elif found is not None:
+            for instrument in self._without:
+                self.fusion.leave_out(instrument, for_good=self._accused is None or self._accused.for_good)
+            self._accused = None
             self._explained(found)
+        elif self._accused is not None:
+            self._acquit()
+        elif self._doubted:
+            self._begin_window((self._doubted.pop(0),))
         else:
             self._not_explained()
 
@@ -294,7 +301,7 @@ class RecursiveExiddm:
             self._start = None
             if self._claim.held:  # is anything held at all?
                 self._hypotheses = (Hypothesis.NOTHING,)
-                self._asked = ticks, self._hypotheses
+                self._asked = ticks, self._hypotheses, ()
             else:
                 self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
@@ -316,75 +323,71 @@ class RecursiveExiddm:
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
-        if not moderate(predicted.values, predicted.jacobian, predicted.state, predicted.transition):
+        if not predicted.moderate:
             self.glitches += BATCH_TICKS
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
             return
-        measured, sigma = ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1]
-        use = np.logical_and.reduce(np.isfinite(measured), axis=1)  # (b,)
+        batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
         state, covariance = self.state, self.covariance
-        seen = use.copy()
-        if use.any():
-            innovation = innovation_of(predicted, measured, sigma, use, self.covariance)
-            verdict = self._detector.check((innovation.e.reshape(-1, 6) ** 2).sum(axis=1))
+        there, suspect = self.fusion.whole(batch.measured), False
+        innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
+        base = np.flatnonzero(there[:, 0])  # ticks with the first IMU
+        if base.size:
+            verdict = self._detector.check((innovation.of_first_imu[base] ** 2).sum(axis=1))
             if verdict.alarm:
                 self._alarm(verdict.score, verdict.batches)
                 return
-            if verdict.suspect:
-                use[:] = False
-            elif verdict.glitches.any():
+            suspect = verdict.suspect
+            if verdict.glitches.any() and not suspect:
                 self.glitches += int(verdict.glitches.sum())
-                use[np.flatnonzero(use)[verdict.glitches]] = False
-                if use.any():
-                    innovation, seen = innovation_of(predicted, measured, sigma, use, self.covariance), use.copy()
-            if use.any() or verdict.suspect:
-                self._judge(innovation)
-                self.lines.add(innovation.e, seen)
-            if use.any():
-                state = state + innovation.W.T @ innovation.e
-                covariance = covariance - innovation.W.T @ innovation.W
-                self.ticks_used += int(use.sum())
-        self._carry(state, covariance, predicted)
+                there[base[verdict.glitches], :6] = False
+                innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
+            self._innovations.judge(innovation, there, self.misfit)
+            self.lines.add(innovation.of_first_imu[there[:, 0]].ravel(), there[:, 0])
+        if not suspect:
+            innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit)
+            W, e = innovation.W[:used], innovation.e[:used]
+            state, covariance = state + W.T @ e, covariance - W.T @ W
+            self.ticks_used += int(there[:, 0].sum())
+        self.state, self.covariance = self.predictor.carried(predicted, self.state, state, covariance)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._stepped = self._stepped.and_then(ticks.part(slice(2, None)))
             if len(self._stepped.time_s) >= round(SOLVED_AGAIN_AT_s / self.predictor.period_s):
                 again, self._stepped = self._stepped, None
-                self._asked = again, (Hypothesis.NEW,)
+                self._asked = again, (Hypothesis.NEW,), ()
                 return
         self._snapshots.append((self.state, self.covariance))
+        if not suspect:
+            self._compare(innovation)
 
-    def _judge(self, innovation: Innovation) -> None:
-        """Add the batch's chi-squared, of each instrument and of both together, to the misfit."""
-        self.misfit.add("imu", float(innovation.e @ innovation.e), innovation.e.size)
-        rows = np.arange(innovation.e.size).reshape(-1, 6)
-        for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
-            L = innovation.L[own]
-            r = L @ innovation.e
-            self.misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)
-
-    def _carry(self, state: FloatArray, covariance: FloatArray, predicted: Prediction) -> None:
-        """Propagate to the last tick but one."""
+    def _compare(self, innovation: Innovation) -> None:
+        """Begin a window without an instrument that contradicts the others over some time."""
         assert self.state is not None
-        c, F = self._carried, predicted.transition
-        self.state = predicted.state + F @ (state - self.state)
-        P = covariance.copy()
-        P[c] = F[c] @ covariance
-        P[:, c] = P @ F[c].T
-        aged_s = BATCH_TICKS * self.predictor.period_s
-        P[self._drifts, self._drifts] += 2.0 * aged_s / DRIFT_MEMORY_s * self.predictor.sigma[self._drifts] ** 2
-        self.covariance = P
+        accused = self.fusion.standing(self._innovations.contradicting(innovation, self.state, self.covariance))
+        if accused is not None:
+            self._before = bool(self.held)
+            if not accused.batches:
+                self._snapshots.clear()
+                self.state, self._prior = None, self._initial
+            kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW
+            self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.batches + 1)
+            self._accused = accused
+
+    def _acquit(self) -> None:
+        """The window contradicts the payload without the accused instrument too: it is a change that it has shown."""
+        self._accused = None
+        self._suspected = Change("change", float(self._pending.time_s[-1]), float(self._pending.time_s[0]), np.nan)
+        self.changes.append(self._suspected)
+        self._hypotheses = AFTER_A_CHANGE[bool(self._before)]
+        self._begin_window()
 
     def _alarm(self, score: float, batches: int) -> None:
-        now_s = float(self._pending.time_s[-1])
-        since_s = now_s - batches * BATCH_TICKS * self.predictor.period_s
+        now_s, back_s = float(self._pending.time_s[-1]), batches * BATCH_TICKS * self.predictor.period_s
         self._claim.held = None
-        self._before, self._suspected = bool(self.held), Change("change", now_s, since_s, score)
+        self._before, self._suspected = bool(self.held), Change("change", now_s, now_s - back_s, score)
         self.changes.append(self._suspected)
-        hypotheses = (
-            (Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW) if self.held else (Hypothesis.NOTHING, Hypothesis.NEW)
-        )
-        self._reopen(hypotheses, batches + 1)
+        self._reopen(AFTER_A_CHANGE[bool(self.held)], batches + 1)
 
     def _bridge(self, after: Ticks) -> None:
         """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
@@ -401,4 +404,4 @@ class RecursiveExiddm:
             self.covariance = F @ self.covariance @ F.T
             self.covariance[RATE, RATE] += (rates.max() * gap_s) ** 2 * of_a_turn
             self._stepped = None
-            self._pending = Ticks.none(len(self.predictor.vehicle.joints))
+            self._pending = self._none

@@ -1,4 +1,4 @@
-"""Consecutive ticks of a flight: joints, and means of the base IMU with the noise of each."""
+"""Consecutive ticks of a flight: joints, and means of the instruments with the noise of each."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,8 +17,8 @@ class Ticks(NamedTuple):
     q: FloatArray  # (n, joints) at the middle of each tick; NaN where they are not known
     dq: FloatArray
     ddq: FloatArray
-    measured: FloatArray  # (n, 6) means of rate and specific force, IMU axes; NaN for a tick without
-    sigma: FloatArray  # (n, 6) of these
+    measured: FloatArray  # (n, m) means of rate and specific force, IMU axes, then of further instruments; NaN: none
+    sigma: FloatArray  # (n, m) of these
     joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
     cyclic: FloatArray  # (n, 3, m) functions that the joints' cyclic errors are multiples of, and two derivatives
 
@@ -37,10 +37,10 @@ class Ticks(NamedTuple):
         return Ticks(*(np.concatenate(part) for part in zip(*some, strict=True)))
 
     @staticmethod
-    def none(joints: int) -> "Ticks":
-        """No ticks."""
-        angles, six = np.zeros((0, joints)), np.zeros((0, 6))
-        return Ticks(np.zeros(0), angles, angles, angles, six, six, np.zeros((0, 2, joints)), np.zeros((0, 3, 0)))
+    def none(joints: int, lines: int = 6) -> "Ticks":
+        """No ticks of so many joints and lines of instruments."""
+        angles, shown = np.zeros((0, joints)), np.zeros((0, lines))
+        return Ticks(np.zeros(0), angles, angles, angles, shown, shown, np.zeros((0, 2, joints)), np.zeros((0, 3, 0)))
 
     def flight(self, period_s: float, samples: int) -> FlightSignals:
         """As one flight, every tick with the median noise.
@@ -50,8 +50,8 @@ class Ticks(NamedTuple):
             samples: of the IMU in each tick.
         """
         spread = np.nanmedian(self.sigma, axis=0)
-        rate, force = self.measured[:, :3], self.measured[:, 3:]
-        return FlightSignals(period_s, self.q, self.dq, self.ddq, rate, force, spread[:3], spread[3:], samples)
+        rate, force = self.measured[:, :3], self.measured[:, 3:6]
+        return FlightSignals(period_s, self.q, self.dq, self.ddq, rate, force, spread[:3], spread[3:6], samples)
 
 
 def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
@@ -59,7 +59,7 @@ def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
 
     Args:
         signals: at n ticks; joints without a noise are taken for exact.
-        measured: (n, 6) rate and specific force, NaN where refused.
+        measured: (n, m) rate and specific force, then further instruments, NaN where refused.
     """
     joint_sigma = np.zeros((len(signals.time_s), 2, signals.q.shape[1]))
     if signals.noise is not None:

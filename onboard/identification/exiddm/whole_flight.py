@@ -23,8 +23,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
 from onboard.identification.exiddm.imu_errors import whitened
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, first_rate
-from onboard.identification.exiddm.recursive import DRIFT_MEMORY_s
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor, first_rate
 from onboard.identification.exiddm.ticks import Ticks
 
 INSTRUMENTS = ("gyro", "accelerometer")

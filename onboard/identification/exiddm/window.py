@@ -126,8 +126,8 @@ class WindowSolve:
 
     def _begin(self) -> None:
         """Go on to the next hypothesis, or end."""
-        use = np.logical_and.reduce(np.isfinite(self._ticks.measured[1:-1]), axis=1)
-        if not self._left or use[:FIRST_TICKS].sum() < FIRST_TICKS // 2:
+        use = np.isfinite(self._ticks.measured[1:-1])  # (n, m)
+        if not self._left or use[:FIRST_TICKS, 0].sum() < FIRST_TICKS // 2:
             self.over, self._descent = True, None
             return
         self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
@@ -156,7 +156,7 @@ class WindowSolve:
 
     def _next_guess(self) -> None:
         """Fit from the next guess, stopping at a good fit; settle on the best one."""
-        if self._best is not None and chdtrc(6.0 * self._use.sum(), self._best.residual_sum) > _GOOD_FIT:
+        if self._best is not None and chdtrc(float(self._use.sum()), self._best.residual_sum) > _GOOD_FIT:
             self._guesses.clear()
         if self._guesses:
             x = self._problem.mean.copy()
@@ -206,10 +206,13 @@ class WindowSolve:
         """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
         self._fit = None
         if self._glitches < _FEW * len(self._use):
-            squares = (self._residuals(fitted.x)[0].reshape(-1, 6) ** 2).sum(axis=1)
-            worst = int(squares.argmax())
-            if squares[worst] >= chdtri(6.0, _GLITCH):
-                self._use[np.flatnonzero(self._use)[worst]] = False
+            squares, lines = np.zeros(self._use.shape), self._predictor.lines
+            squares[self._use] = self._residuals(fitted.x)[0] ** 2
+            each = [squares[:, own].sum(axis=1) / chdtri(own.stop - own.start, _GLITCH) for own in lines]
+            worst = int(np.argmax([beyond.max() for beyond in each]))
+            tick = int(each[worst].argmax())
+            if each[worst][tick] >= 1.0:
+                self._use[tick, lines[worst]] = False
                 self._glitches += 1
                 self._settle(self._problem.state(fitted.x))
                 return
@@ -217,14 +220,14 @@ class WindowSolve:
 
     def _solved(self, fitted: Fit) -> None:
         """A result under the hypothesis: the solution if that explains the window."""
-        chance = float(chdtrc(6.0 * self._use.sum(), fitted.residual_sum))
+        chance = float(chdtrc(float(self._use.sum()), fitted.residual_sum))
         if not chance > _EXPLAINED:
             self._begin()
             return
         start = self._problem.state(fitted.x)
         end = self._predict(len(self._ticks.time_s), start)
         F = end.transition[:, self._problem.active]
-        used, glitches, covariance = int(self._use.sum()), self._glitches, F @ fitted.covariance @ F.T
+        used, glitches, covariance = int(self._use[:, 0].sum()), self._glitches, F @ fitted.covariance @ F.T
         self.found = Solved(self._hypothesis, start, end.state, covariance, used, glitches)
         self.over, self._descent = True, None
 

@@ -89,7 +89,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ConfigError: the estimation section does not fit the URDF or the devices.
         ChannelError: a log of another vehicle.
     """
-    online, model = build_exiddm(vehicle)
+    online, model = build_exiddm(vehicle, fused=False)
     payload = str(model.spec.payload_link)
     recorder = _Recorder(payload, len(model.joints))
     estimator = Estimator(vehicle, recorder)

@@ -54,13 +54,13 @@ def base_rate(flight: FlightData) -> BaseRate | None:
 def _unbroken(rows: Rows, start_ns: int, period_ns: int) -> Rows:
     """The longest run of consecutive rows from ``start_ns`` on with every signal present."""
     rows = rows[rows["vehicle_ns"] >= start_ns]
-    fields = ("joint_rad", "joint_rad_s", "joint_rad_s2", "measured")
-    whole = np.logical_and.reduce([np.isfinite(rows[field]).all(axis=1) for field in fields])
+    fields = (*(rows[field] for field in ("joint_rad", "joint_rad_s", "joint_rad_s2")), rows["measured"][:, :6])
+    whole = np.logical_and.reduce([np.isfinite(field).all(axis=1) for field in fields])
     follows = np.diff(rows["vehicle_ns"], prepend=0) == period_ns
     edges = np.flatnonzero(np.concatenate([[True], ~(whole[1:] & whole[:-1] & follows[1:]), [True]]))
     longest = int(np.argmax(np.diff(edges)))
     run = rows[edges[longest] : edges[longest + 1]]
-    return run[1:] if len(run) and not np.isfinite(run["measured"][0]).all() else run
+    return run[1:] if len(run) and not np.isfinite(run["measured"][0, :6]).all() else run
 
 
 def rates(axes: Axes, found: BaseRate, axis: int) -> None:

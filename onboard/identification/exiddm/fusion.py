@@ -1,0 +1,175 @@
+"""Which instruments a filter uses: each one's innovation given the others, and those left out as contradicting them.
+
+A batch's lines are ordered by instrument, those in use before those left out, so that by the Cholesky factor of the
+innovation's covariance each instrument's whitened innovation is that given all instruments before it, and an instrument
+at the end takes no part. An instrument whose innovation is improbable is refused for that batch; after several batches
+in a row it is accused. A load cell's innovation is also regressed on what it should read, over windows of batches: an
+error of its scale that the noise of the joints hides in a batch. A payload that is caught looks alike, and a cell sees
+it before the first IMU does, so the filter leaves the accused out only if the same payload explains a window without
+it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once. The first instrument
+is always used: what contradicts the model there is a change, which the filter detects.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.identification.change import Change
+
+_IMPROBABLE = 1e-9  # chance of an instrument's innovation in a batch below which it is refused
+_CONTRADICTS_BATCHES = 5  # refused in a row: it is left out
+_PATIENCE_BATCHES = 6  # for which an instrument must stand accused: those in which a change is detected
+_AGREES_BATCHES = 100  # in a row: it is used again
+_GAIN_WINDOWS = (5, 10, 20)  # batches
+_GAIN_SIGMAS, _GAIN_STATED = 6.0, 5.0  # of a window's scale error: of its standard error, and of the stated sigma
+
+
+class Accusation(NamedTuple):
+    """An instrument in use that contradicts the others."""
+
+    instrument: int
+    batches: int  # for how many; 0: since the start
+    for_good: bool  # if it is left out
+
+
+class Fusion:
+    """The instruments of one filter.
+
+    Args:
+        names: of the instruments, the first IMU first.
+        lines: of each in a tick's measurement.
+
+    Attributes:
+        left_out: instruments that contradict the others, in the order in which they were found.
+        refused: one in use that was refused for several batches in a row; None if none was.
+    """
+
+    def __init__(self, names: Sequence[str], lines: Sequence[slice]) -> None:
+        self.names, self._lines = tuple(names), tuple(lines)
+        self.left_out: list[int] = []
+        self.refused: Accusation | None = None
+        self._accusing = 0  # batches in a row
+        self._refused, self._agreed = [0] * len(self.names), [0] * len(self.names)
+        self._barred: set[int] = set()  # never used again
+        self._gains = [deque[tuple[float, float]](maxlen=max(_GAIN_WINDOWS)) for _ in self.names]
+        self._news: list[Change] = []
+
+    @property
+    def order(self) -> list[int]:
+        """Instruments, those in use first."""
+        return [k for k in range(len(self.names)) if k not in self.left_out] + self.left_out
+
+    @property
+    def contradicting(self) -> tuple[str, ...]:
+        """Names of what is left out."""
+        return tuple(self.names[k] for k in self.left_out)
+
+    def forget(self) -> None:
+        """Clear the windows after a reset of the filter."""
+        self.refused, self._refused, self._accusing = None, [0] * len(self.names), 0
+        for gains in self._gains:
+            gains.clear()
+
+    def standing(self, accused: Accusation | None) -> Accusation | None:
+        """An accusation that has been made in every batch for long enough; count a batch, None: nothing is accused."""
+        self._accusing = 0 if accused is None else self._accusing + 1
+        if accused is None or self._accusing <= _PATIENCE_BATCHES:
+            return None
+        return accused._replace(batches=accused.batches and accused.batches + _PATIENCE_BATCHES)
+
+    def leave_out(self, instrument: int, *, for_good: bool = True) -> None:
+        """Do not use an instrument from now on, or until it has agreed for long enough."""
+        if for_good:
+            self._barred.add(instrument)
+        if instrument not in self.left_out:
+            self.left_out.append(instrument)
+            self._refused[instrument] = self._agreed[instrument] = 0
+            self._news.append(Change("left_out", np.nan, np.nan, np.nan, self.names[instrument]))
+
+    def rows(self, order: Sequence[int], ticks: int) -> IndexArray:
+        """Places of a batch's lines, (ticks x lines,), instrument by instrument."""
+        width = self._lines[-1].stop
+        each = [np.arange(self._lines[k].start, self._lines[k].stop) for k in order]
+        return np.concatenate([(width * np.arange(ticks)[:, None] + own).ravel() for own in each])
+
+    def without(self, left_out: Sequence[int], measured: FloatArray) -> FloatArray:
+        """Ticks without what some instruments measured, (n, lines)."""
+        measured = measured.copy() if left_out else measured
+        for k in left_out:
+            measured[:, self._lines[k]] = np.nan
+        return measured
+
+    def whole(self, measured: FloatArray) -> BoolArray:
+        """Which lines are there, (n, lines): all of an instrument at a tick, or none."""
+        there = np.isfinite(measured)
+        for own in self._lines:
+            there[:, own] = there[:, own].all(axis=1, keepdims=True)
+        return there
+
+    def improbable(
+        self, order: Sequence[int], innovation: FloatArray, there: BoolArray, known: Sequence[int] = ()
+    ) -> int | None:
+        """The first of the instruments in ``order``, but the very first, whose innovation is improbable.
+
+        Args:
+            order: in which the innovation has them.
+            innovation: whitened, of a batch, in that order.
+            there: which lines were measured, (n, lines).
+            known: instruments that are not asked for.
+        """
+        at = 0
+        for k in order:
+            own = self._lines[k]
+            e = innovation[at : (at := at + len(there) * (own.stop - own.start))]
+            freedom = int(there[:, own].sum())
+            if k and k not in known and freedom and chdtrc(freedom, float(e @ e)) < _IMPROBABLE:
+                return k
+        return None
+
+    def judged(self, refused: Sequence[int], seen: NDArray[np.bool_]) -> None:
+        """Count a batch for and against each instrument.
+
+        Args:
+            refused: instruments with an improbable innovation.
+            seen: which instruments measured at all, (instruments,).
+        """
+        for k in range(1, len(self.names)):
+            if not seen[k]:
+                continue
+            self._refused[k] = self._refused[k] + 1 if k in refused else 0
+            self._agreed[k] = 0 if k in refused else self._agreed[k] + 1
+            if self._refused[k] >= _CONTRADICTS_BATCHES and k not in self.left_out:
+                self.refused = Accusation(k, self._refused[k], for_good=False)
+            elif k in self.left_out and k not in self._barred and self._agreed[k] >= _AGREES_BATCHES:
+                self.left_out.remove(k)
+                self._barred.add(k)  # the next time it stays out
+                self._news.append(Change("taken_back", np.nan, np.nan, np.nan, self.names[k]))
+
+    def off_scale(self, instrument: int, along: float, squares: float, stated: float) -> int:
+        """Count a batch; the length of the window in which a cell's scale is off, 0 if in none.
+
+        Args:
+            instrument: the cell.
+            along: product of its whitened innovation and the whitened effect of a unit error of its scale.
+            squares: of that effect.
+            stated: sigma of its scale.
+        """
+        gains = self._gains[instrument]
+        gains.append((along, squares))
+        sums = np.array(gains)[::-1].cumsum(axis=0)
+        for window in _GAIN_WINDOWS:
+            if window <= len(sums):
+                along, squares = sums[window - 1]
+                if along**2 > _GAIN_SIGMAS**2 * squares and abs(along) > _GAIN_STATED * stated * squares:
+                    return window
+        return 0
+
+    def news(self) -> list[Change]:
+        """Instruments left out and taken back since the last call."""
+        news, self._news = self._news, []
+        return news

@@ -1,0 +1,64 @@
+"""The wrench through the wrist: MuJoCo's force sensor, and derivatives of everything by finite differences."""
+
+import numpy as np
+import pytest
+
+from onboard import config
+from onboard.dynamics.cut_wrench import CutWrench
+from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.free_flight import predict_base_from_rate
+from onboard.dynamics.kinematics import chain_motion
+from onboard.flight.identification import build_model, exiddm_prior, geometry_prior
+from onboard.identification.exiddm.further import CellPrior, FurtherCell, FurtherImu
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from tests.dynamics.free_flyer_twin import twin
+
+PERIOD_s = 0.01
+
+
+def test_it_is_what_mujoco_s_sensor_in_the_wrist_reads():
+    flown = twin(1.0)
+    every = 5
+    flight = flown.flight
+    q, dq, ddq = flown.motion.at(flight.time_s[::every])
+    chain = chain_motion(flown.vehicle, q, dq, ddq)
+    period_s = every * float(flight.time_s[1])
+    rate = flown.vehicle.pose_in_base("imu_base")[0] @ flight.rate_rad_s[0]
+    base = predict_base_from_rate(chain.links, period_s, flown.chi, rate, ())
+    truth = np.concatenate([flight.wrist_force_n, flight.wrist_moment_n_m], axis=1)[::every]
+    assert np.abs(truth).max(axis=0).min() > 0.05
+    for component, unit in enumerate(np.eye(6)):
+        found = CutWrench(flown.vehicle, "link_5", unit, ()).predict(chain, flown.chi, base).values
+        a_ten_thousandth = 1e-4 * np.abs(truth).max()
+        assert np.abs(found - truth[:, component]).max() < a_ten_thousandth, component
+
+
+def test_nothing_beyond_a_cut_is_refused():
+    with pytest.raises(UnknownFrameError, match="no link with inertia lies beyond"):
+        CutWrench(twin(0.1).vehicle, "imu_base", np.eye(6)[0], ())
+
+
+def test_derivatives_of_all_instruments_are_finite_differences():
+    vehicle = config.load(config.packaged("dymaflex"))
+    model = build_model(vehicle)
+    covariance, prior, _ = exiddm_prior(vehicle, model)
+    cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.03, 1e-4, 0.0025, 2e-4))
+    further = [cell, FurtherImu("imu_2", "imu_2", 10, prior, 0.003, 1.0)]
+    geometry = geometry_prior(vehicle, model)
+    predictor = ImuPredictor(model, "imu_base", PERIOD_s, 10, covariance, prior, geometry, further)
+    assert [(own.start, own.stop) for own in predictor.lines] == [(0, 6), (6, 12), (12, 13)]  # cells come last
+    rng = np.random.default_rng(1)
+    t, size, pace, phase = PERIOD_s * np.arange(12)[:, None], *rng.uniform(1.0, 3.0, (3, 5))
+    joints = 0.3 * size * np.sin(pace * t + phase), 0.3 * size * pace * np.cos(pace * t + phase)
+    joints += (-(pace**2) * joints[0],)
+    x = np.nan_to_num(predictor.sigma) * rng.normal(size=len(predictor.names))
+    x[PAYLOAD], x[RATE] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1], [0.2, -0.3, 0.1]
+    jacobian = predictor.predict(*joints, x).jacobian
+    for k, name in enumerate(predictor.names):
+        step = np.zeros(len(x))
+        step[k] = 1e-5 if np.isnan(predictor.sigma[k]) else 1e-3 * predictor.sigma[k]
+        up, down = (predictor.predict(*joints, x + sign * step).values for sign in (1.0, -1.0))
+        slope = (up - down) / (2.0 * step[k])
+        for own in predictor.lines:
+            of_second_order = 5e-3 * np.abs(slope[:, own]).max() + 1e-8 / step[k]
+            assert np.abs(jacobian[:, own, k] - slope[:, own]).max() < of_second_order, (name, own)

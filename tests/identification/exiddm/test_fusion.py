@@ -1,0 +1,78 @@
+"""Which instruments are used, left out and taken back."""
+
+import numpy as np
+import pytest
+
+from onboard.identification.exiddm.fusion import Accusation, Fusion
+
+TICKS = 10
+
+
+@pytest.fixture
+def fusion() -> Fusion:
+    return Fusion(("imu", "imu_2", "cell"), (slice(0, 6), slice(6, 12), slice(12, 13)))
+
+
+def test_lines_are_ordered_by_instrument_and_those_left_out_come_last(fusion: Fusion) -> None:
+    fusion.leave_out(1)
+    assert fusion.order == [0, 2, 1]
+    assert fusion.contradicting == ("imu_2",)
+    rows = fusion.rows(fusion.order, 2)
+    np.testing.assert_array_equal(rows[:14], [0, 1, 2, 3, 4, 5, 13, 14, 15, 16, 17, 18, 12, 25])
+    assert sorted(rows.tolist()) == list(range(26))
+    assert [(change.kind, change.what) for change in fusion.news()] == [("left_out", "imu_2")]
+    assert fusion.news() == []
+
+
+def test_half_an_imu_is_none(fusion: Fusion) -> None:
+    measured = np.zeros((2, 13))
+    measured[0, 7] = measured[1, 12] = np.nan
+    there = fusion.whole(measured)
+    assert there[0].tolist() == [True] * 6 + [False] * 6 + [True]
+    assert there[1].tolist() == [True] * 12 + [False]
+    assert np.isnan(fusion.without([2], measured)[:, 12]).all()
+    assert not np.isnan(measured[0, 12])
+
+
+def test_an_improbable_instrument_is_named_and_the_first_never(fusion: Fusion, rng: np.random.Generator) -> None:
+    there, e = np.ones((TICKS, 13), np.bool_), rng.standard_normal(13 * TICKS)
+    assert fusion.improbable([0, 1, 2], e, there) is None
+    e[: 6 * TICKS] *= 5.0
+    assert fusion.improbable([0, 1, 2], e, there) is None
+    e[12 * TICKS :] *= 5.0
+    assert fusion.improbable([0, 1, 2], e, there) == 2
+    assert fusion.improbable([0, 1, 2], e, there, known=[2]) is None
+
+
+def test_one_refused_for_half_a_second_is_accused_and_one_left_out_is_used_again_once(fusion: Fusion) -> None:
+    seen = np.array([True, True, True])
+    for again in (False, True):
+        for _ in range(5):
+            assert fusion.refused is None
+            fusion.judged([2], seen)
+        assert fusion.refused == Accusation(2, 5, for_good=False)
+        assert fusion.contradicting == ()
+        fusion.forget()
+        assert fusion.refused is None
+        fusion.leave_out(2, for_good=False)
+        fusion.judged([2], np.array([True, True, False]))
+        for _ in range(100):
+            assert fusion.contradicting == ("cell",)
+            fusion.judged([], seen)
+        assert fusion.contradicting == (("cell",) if again else ())
+    assert [change.kind for change in fusion.news()] == ["left_out", "taken_back", "left_out"]
+
+
+def test_a_scale_is_seen_over_batches_that_hide_it(fusion: Fusion, rng: np.random.Generator) -> None:
+    effect = 100.0 * np.ones(TICKS)  # noise of 1 % of the reading, each tick
+
+    def window(error: float) -> int:
+        fusion.forget()
+        batches = rng.standard_normal((60, TICKS)) + error * effect
+        found = (fusion.off_scale(2, float(e @ effect), float(effect @ effect), 0.0025) for e in batches)
+        return next((length for length in found if length), 0)
+
+    assert window(0.0) == 0
+    assert window(0.006) == 0  # seen, and within what is stated
+    assert window(-0.02) > 0
+    assert window(0.05) == 5
