@@ -15,7 +15,7 @@ from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.verdict import Level
 from onboard.offline.foresee.contingency import foresee_without
-from tests.offline.foresee.test_foresee import made
+from tests.offline.foresee.test_foresee import EXACT, made
 
 FREE = ("--base", "free", "--joints", "2")
 
@@ -27,17 +27,7 @@ def free(tmp_path_factory):
 
 def test_a_lost_joint_costs_as_much_as_a_batch_fit_of_the_parked_motion_says(tmp_path):
     """The filter's bound without joint_2 against the information of all ticks at once, joints and place exact."""
-    exact = "position_m = 0.0\nzero_rad = 0.0\nscale = 0.0\ndelay_s = 0.0\n"
-    edits = (
-        ("gyro_drift_rad_s2 = 8.7e-5", "gyro_drift_rad_s2 = 0.0\nposition_m = 0.0"),
-        ("accelerometer_drift_m_s3 = 1e-3", "accelerometer_drift_m_s3 = 0.0"),
-        (
-            "[estimation.prior.link]",
-            f"[estimation.prior.joint.joint_1]\n{exact}[estimation.prior.joint.joint_2]\n{exact}\n[estimation.prior.link]",
-        ),
-        ("noise_rad = 4e-6", "noise_rad = 1e-9"),
-    )
-    vehicle, plan = made(tmp_path, *FREE, edits=edits)
+    vehicle, plan = made(tmp_path, *FREE, edits=EXACT)
     found = foresee_without(vehicle, plan, ["joint_2"])
     identifier, model = build_exiddm(vehicle)
     at = [joint.name for joint in model.joints].index("joint_2")

@@ -25,6 +25,17 @@ from onboard.regressor.rows import standing
 ARM = Path(__file__).resolve().parents[2] / "flight" / "own" / "planar_arm.urdf"
 SCENARIO = '[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 12.0\n'
 
+_NO_ERROR = "position_m = 0.0\nzero_rad = 0.0\nscale = 0.0\ndelay_s = 0.0\n"
+EXACT = (  # of a vehicle by heft init --base free --joints 2: joints and the IMU's place, and nothing drifts
+    ("gyro_drift_rad_s2 = 8.7e-5", "gyro_drift_rad_s2 = 0.0\nposition_m = 0.0"),
+    ("accelerometer_drift_m_s3 = 1e-3", "accelerometer_drift_m_s3 = 0.0"),
+    (
+        "[estimation.prior.link]",
+        f"[estimation.prior.joint.joint_1]\n{_NO_ERROR}[estimation.prior.joint.joint_2]\n{_NO_ERROR}\n[estimation.prior.link]",
+    ),
+    ("noise_rad = 4e-6", "noise_rad = 1e-9"),
+)
+
 
 def made(directory, *init, edits=(), scenario=SCENARIO):
     """A vehicle by ``heft init``, its file edited, and the plan of its rehearsal."""
@@ -43,17 +54,7 @@ def made(directory, *init, edits=(), scenario=SCENARIO):
 
 def test_the_bound_of_a_free_flyer_is_that_of_a_batch_fit(tmp_path):
     """The filter's covariance along the motion against the information of all ticks at once; joints and place exact."""
-    exact = "position_m = 0.0\nzero_rad = 0.0\nscale = 0.0\ndelay_s = 0.0\n"
-    edits = (
-        ("gyro_drift_rad_s2 = 8.7e-5", "gyro_drift_rad_s2 = 0.0\nposition_m = 0.0"),
-        ("accelerometer_drift_m_s3 = 1e-3", "accelerometer_drift_m_s3 = 0.0"),
-        (
-            "[estimation.prior.link]",
-            f"[estimation.prior.joint.joint_1]\n{exact}[estimation.prior.joint.joint_2]\n{exact}\n[estimation.prior.link]",
-        ),
-        ("noise_rad = 4e-6", "noise_rad = 1e-9"),
-    )
-    vehicle, plan = made(tmp_path, "--base", "free", "--joints", "2", edits=edits)
+    vehicle, plan = made(tmp_path, "--base", "free", "--joints", "2", edits=EXACT)
     found = {one.name: one for one in foresee(vehicle, plan).quantities}
     identifier, model = build_exiddm(vehicle)
     links, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
