@@ -35,8 +35,11 @@ def add(commands: Commands) -> None:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    from hil_sim.devices.vehicle_file import rehearsal
-    from hil_sim.plants.planned import default_plan, room_for_motion
+    try:
+        from hil_sim.devices.vehicle_file import rehearsal
+        from hil_sim.plants.planned import default_plan, room_for_motion
+    except ModuleNotFoundError as error:
+        raise ValueError(f"the rehearsal is the simulator's, which is not installed ({error}); install it") from error
     from onboard.offline.planning import files, limits, view
     from onboard.offline.planning.criteria import Criterion
     from onboard.offline.planning.planning import Wanted, plan_motion

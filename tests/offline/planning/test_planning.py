@@ -1,6 +1,7 @@
 """Planned motions: limits are kept, the bound is the flight's own, and the files fly."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -167,6 +168,12 @@ def test_what_is_no_quantity_or_no_motion_is_refused(flyer, capsys):
     (flyer / "still.toml").write_text('[[sequence]]\nphase = 0\naction = "hold"\nduration_s = 4.0\n')
     assert main(["plan", vehicle, "--scenario", str(flyer / "still.toml")]) == 2
     assert "add one" in capsys.readouterr().err
+
+
+def test_without_the_simulator_it_says_what_is_missing(flyer, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "hil_sim.plants.planned", None)  # as if it were not there
+    assert main(["plan", str(flyer / "mine" / "vehicle.toml")]) == 2
+    assert "the simulator's, which is not installed" in capsys.readouterr().err
 
 
 def test_an_arm_that_stands_is_planned_by_its_rows(tmp_path):
