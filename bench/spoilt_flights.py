@@ -26,7 +26,7 @@ from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
 Spoil = Callable[[str, Rows], None]
-_IMU = "imu_base"
+_IMU, _IMU_2, _CELL = "imu_base", "imu_2", "load_cell"
 _ANSWERS = ("estimate", "event_estimation")
 
 
@@ -39,6 +39,12 @@ def _scaled(channel: str, field: str, factor: float, axes: Sequence[int] | None,
             rows[field] = made
         else:
             rows[field][:, list(axes)] = made
+
+
+def _stepped(channel: str, field: str, step: float, name: str, rows: Rows) -> None:
+    """The second half of a stream reads more by a step, SI."""
+    if name == channel:
+        rows[field][len(rows) // 2 :] += np.rint(step / rows["scale"][len(rows) // 2 :]).astype(rows[field].dtype)
 
 
 def _permuted(field: str, order: list[int], name: str, rows: Rows) -> None:
@@ -73,6 +79,12 @@ def spoils() -> dict[str, Spoil]:
         made[f"{joint} x 1.03"] = partial(_scaled, joint, "value_raw", 1.03, None)
         made[f"{joint} sign"] = partial(_scaled, joint, "value_raw", -1.0, None)
     made["IMU 10 ms late"] = partial(_late, _IMU, 0.01)
+    for factor in (0.0, 0.5, 0.95, 1.05, -1.0):  # dead at 0
+        made[f"cell x {factor:g}"] = partial(_scaled, _CELL, "value_raw", factor, None)
+    made["cell + 2 N from mid-flight"] = partial(_stepped, _CELL, "value_raw", 2.0)
+    for words, field in (("gyro", "gyro_raw"), ("accel", "accel_raw")):
+        for factor in (0.7, 0.97, 1.03, -1.0):
+            made[f"{words} 2 x {factor:g}"] = partial(_scaled, _IMU_2, field, factor, None)
     return made
 
 

@@ -58,6 +58,10 @@ SCALAR = np.dtype(
 
 CAN_SYNC = np.dtype([*_HEAD, ("tick", "<u8"), ("sync_counter", "u1")], align=True)
 
+CAN_FRAME = np.dtype(  # sent by us; `host_ns`: when it was handed to the port
+    [*_HEAD, ("cob_id", "<u2"), ("length", "u1"), ("data", "u1", (8,))], align=True
+)
+
 PULSE = np.dtype([*_HEAD, ("edge_ns", "<i8"), ("line_sequence", "<u4")], align=True)
 
 GAP = np.dtype(

@@ -139,15 +139,18 @@ def open_sockets(tables: Mapping[str, BusTable], directory: Path, seed: int = 0)
 
 
 def say(content: dict[str, Any]) -> None:
-    """One JSON line, NumPy values as JSON has them."""
+    """One JSON line, NumPy values as JSON has them; lost where nobody is left to read it."""
 
     def plain(value: object) -> object:
         if isinstance(value, np.ndarray | np.generic):
             return value.tolist()
         raise TypeError(f"{type(value).__name__} has no place in a JSON line.")
 
-    sys.stdout.write(json.dumps(content, default=plain) + "\n")
-    sys.stdout.flush()
+    try:
+        sys.stdout.write(json.dumps(content, default=plain) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:  # else the interpreter reports it again at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def stops_on_signals() -> list[int]:
@@ -156,6 +159,12 @@ def stops_on_signals() -> list[int]:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: stops.append(number))
     return stops
+
+
+def do_not_wait() -> None:
+    """Devices do not wait for processes: real-time priority. Without the right to it they may be late."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
 
 
 class _Leash:
@@ -199,8 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:  # of the scenario or a fault in it
         parser.error(str(error))
     stops = stops_on_signals()
-    with contextlib.suppress(OSError):  # devices do not wait for processes; without the right to this they may be late
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    do_not_wait()
     with open_sockets(mission.scenario.bus, options.directory, options.seed) as ports:
         gc.collect()
         gc.freeze()

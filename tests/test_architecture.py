@@ -28,7 +28,7 @@ CLOCKS = {
     *(f"datetime.datetime.{name}" for name in ("now", "utcnow", "today")),
     "datetime.date.today",
 }
-RUNNERS = ("onboard/flight/runner*.py", "onboard/flight/workers.py", "hil_sim/serve.py", "onboard/cli/*", "bench/*")
+RUNNERS = ("onboard/flight/runner*.py", "onboard/flight/workers.py", "hil_sim/serve*.py", "onboard/cli/*", "bench/*")
 CLOCK_READERS = ("drivers/transports/*", *RUNNERS)
 PRINTERS = ("onboard/cli/*", "bench/*")
 

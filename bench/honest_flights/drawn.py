@@ -144,14 +144,13 @@ class Drawn(NamedTuple):
         return merged
 
     @property
-    def text(self) -> str:
-        """For people."""
-        said = [
-            f"{f['kind']}({f['value']:.3g}) of {f['device']} from {f['start_s']:.1f} s"
-            + (f" to {f['end_s']:.1f} s" if "end_s" in f else "")
-            for f in self.faults
-        ]
-        return f"seed {self.seed} {self.vehicle}: {', '.join([*said, *self.model_errors]) or 'healthy'}"
+    def texts(self) -> tuple[str, ...]:
+        """Faults as ``heft hil --fault`` has them, then the model errors."""
+        faults = list[str]()
+        for fault in self.faults:
+            end = f"{fault['end_s']:.3f}" if "end_s" in fault else ""
+            faults.append(f"{fault['kind']}:{fault['device']}:{fault['start_s']:.3f}:{end}:{fault['value']:g}")
+        return (*faults, *self.model_errors)
 
     @property
     def invisible(self) -> bool:
@@ -171,14 +170,6 @@ class Drawn(NamedTuple):
             if (held or free) and (not free or abs(fault["value"]) < VISIBLE_SCALE):
                 return True
         return False
-
-
-class Outcome(NamedTuple):
-    """What came of a flight."""
-
-    answers: list[dict[str, Any]]  # quantity, truth, value, low, high, supported, standing, leans
-    events: list[str]
-    needed: tuple[str, ...]  # quantities without which it has not answered
 
 
 def draw(seed: int, vehicle: str | None = None, healthy: bool = False) -> Drawn:

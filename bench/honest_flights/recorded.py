@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.honest_flights.drawn import Drawn, Outcome
+from bench.honest_flights.drawn import Drawn
 from bench.identification import free_flyer as bench_flyer
 from bench.identification import planar, workshop
 from drivers.records import IMU, SCALAR, Rows
@@ -21,6 +21,7 @@ from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, Samples, sample
 from onboard import config
 from onboard.dynamics.inertia import elements
 from onboard.identification.quantities import BODY
+from onboard.offline.campaign.results import FlightResult, of_log
 from onboard.offline.estimate_again.identify import identify
 from onboard.recording.writer import LogWriter
 
@@ -63,7 +64,7 @@ class Columns:
         return out
 
 
-def run(drawn: Drawn) -> Outcome:
+def run(drawn: Drawn) -> FlightResult:
     """The answer of one recorded run."""
     rng = np.random.default_rng([drawn.seed, 0x13])
     with tempfile.TemporaryDirectory() as directory:
@@ -73,16 +74,8 @@ def run(drawn: Drawn) -> Outcome:
         else:
             truth, vehicle = _table(path, drawn, rng), "dymaflex_air_bearing"
         log = identify(config.load(config.packaged(vehicle)), [path]).logs[0]
-    usable = log.verdict.level.value != "do not use"
-    found = {answer.name: answer for answer in log.answers}
-    answers = []
-    for name, value in truth.items():
-        one = found.get(name)
-        shown = usable and one is not None and one.supported
-        numbers = {key: getattr(one, key) if shown else np.nan for key in ("value", "low", "high")}
-        said = {"supported": shown, "standing": log.verdict.text}
-        answers.append({"quantity": name, "truth": float(value), **said, **numbers})
-    return Outcome(answers, [log.verdict.text], (next(iter(truth)),))
+    found = of_log(log, {"quantities": truth})
+    return found._replace(answers=tuple(one for one in found.answers if one.quantity in truth))
 
 
 def _workshop(path: Path, drawn: Drawn, rng: np.random.Generator) -> dict[str, float]:

@@ -12,6 +12,8 @@ from drivers.canopen_pdo.event_channel import EventChannel
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.mapped_object import MappedObject
 from drivers.canopen_pdo.node import Node
+from drivers.canopen_pdo.player import Player
+from drivers.canopen_pdo.player_config import PlayerConfig
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
 from drivers.canopen_pdo.sync_channel import SyncChannel
 from drivers.errors import ConfigurationError, FrameError
@@ -25,6 +27,8 @@ MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
 STOOD_NS = 500_000_000  # between two pumps: the process stood still (SIGSTOP), or got no CPU
 GATHER_S = 0.01  # of frames at once while no node waits for an answer
+PLAYING_S = 0.005  # longest wait for a frame while drives are driven
+REST_S, RESTS, SILENT_RESTS = 0.01, 150, 3  # receives in ``stop``, until the drives have stopped
 DRAINS, DRAIN_S = 16, 0.03  # receives in ``stop``, until one is empty
 
 
@@ -37,9 +41,11 @@ class CanopenBus:
         sync: The SYNC producer.
         name: Source of the events of the bus itself.
         guards: How nodes without heartbeat are watched.
+        play: What its drives are driven by, if they are.
 
     Attributes:
         unclaimed: Frames with a COB-ID of no configured node or channel.
+        player: Of ``play``; None without.
 
     Raises:
         ConfigurationError: Duplicate channel name, node number outside 1..127, guard of a node without a channel, or
@@ -53,6 +59,7 @@ class CanopenBus:
         sync: SyncConfig,
         name: str = "canopen",
         guards: Sequence[GuardConfig] = (),
+        play: PlayerConfig | None = None,
     ) -> None:
         self.name = name
         self.unclaimed = 0
@@ -90,10 +97,12 @@ class CanopenBus:
             self._channels.append(channel)
             by_node.setdefault(data.node, []).append(channel)
         guarding = self._guards(guards, by_node)
-        self._nodes = [
-            Node(number, channels, self._port.send, self._report, guarding.get(number))
-            for number, channels in by_node.items()
-        ]
+        self.player = None if play is None else Player(play, self._sync, self._port.send, self._report)
+        self._nodes = []
+        for number, channels in by_node.items():
+            axis = None if self.player is None else self.player.axis_of(number)
+            send = self._port.send if axis is None else axis.send
+            self._nodes.append(Node(number, channels, send, self._report, guarding.get(number), axis))
         self._handlers = self._routes()
 
     @property
@@ -105,6 +114,8 @@ class CanopenBus:
         """Begin the set-up of all nodes in parallel. See ``drivers.device.Device``."""
         self._port.now_ns = self._started_ns = now_ns
         self._port.start()
+        if self.player is not None:
+            self.player.set_time(now_ns)
         for node in self._nodes:
             node.begin(now_ns)
         return self._report.take()
@@ -119,10 +130,14 @@ class CanopenBus:
         if self._pumped_ns is not None:
             self._note_standstill(self._pumped_ns, now_ns)
         self._pumped_ns = now_ns
+        plays = self.player is not None and self.player.is_active
+        timeout_s = min(timeout_s, PLAYING_S) if plays else timeout_s
         frames = self._port.receive(timeout_s)
-        if frames and timeout_s > 0.0 and not any(node.asks for node in self._nodes):
+        if frames and timeout_s > 0.0 and not (plays or any(node.asks for node in self._nodes)):
             frames += self._port.gather(GATHER_S)
         awaited_ns = now_ns + round(timeout_s * 1e9)
+        if self.player is not None:
+            self.player.set_time(max(now_ns, frames[0].host_ns) if frames else awaited_ns)
         parts = self._without_stalls(frames) if frames else []
         for part in parts:  # it may also have stood still within the read
             self._note_standstill(awaited_ns, part[-1].host_ns)
@@ -131,6 +146,8 @@ class CanopenBus:
             self._dispatch(self._whole(part, all_read=part is not parts[-1]))
         for node in self._nodes:
             node.poll(now_ns)
+        if self.player is not None:
+            self.player.step(max(now_ns, awaited_ns))
         self._watch_sync(now_ns)
         return self._handed_over()
 
@@ -144,6 +161,7 @@ class CanopenBus:
         """Stop the nodes, read the remaining frames, record unanswered SYNCs as gaps."""
         self._port.now_ns = now_ns
         self._dispatch(self._receive(0.0))
+        self._stop_drives(now_ns)
         last = self._sync.tick
         for node in self._nodes:
             node.stop()
@@ -161,10 +179,26 @@ class CanopenBus:
             if isinstance(each, EventChannel):
                 each.finish(now_ns)
             each.live = False
+        if self.player is not None:
+            self.player.hand_over()
         text = f"stopped after {self._sync_sequence} SYNCs, {self.unclaimed} unclaimed frames"
         self._report.event(now_ns, Severity.INFO, "stopped", text)
         self._report.flush(now_ns)
         return self._handed_over()
+
+    def _stop_drives(self, now_ns: int) -> None:
+        """Quick stop, and its frames read until the drives have left the enabled state."""
+        if self.player is None:
+            return
+        self.player.step(now_ns)
+        self.player.stop("the flight ends")
+        self.player.step(now_ns)
+        silent, rests = 0, 0
+        while self.player.is_moving and silent <= SILENT_RESTS and rests < RESTS:
+            frames = self._receive(REST_S)
+            silent, rests = 0 if frames else silent + 1, rests + 1
+            self._dispatch(frames)
+            self.player.step(max(now_ns, frames[-1].host_ns) if frames else now_ns)
 
     def _guards(self, configs: Sequence[GuardConfig], nodes: Mapping[int, object]) -> dict[int, Guard]:
         guards = {}
@@ -187,6 +221,8 @@ class CanopenBus:
         for channel in self._channels:
             cob_id = channel.data.cob_id
             routes[cob_id] = (*routes.get(cob_id, ()), channel.accept)
+        for cob_id, route in self.player.routes() if self.player is not None else ():
+            routes[cob_id] = (*routes.get(cob_id, ()), route)
         return routes
 
     def _dispatch(self, frames: list[CanFrame]) -> None:

@@ -1,4 +1,4 @@
-"""CiA 402 drive: actual position 6064h, velocity 606Ch and torque 6077h on every SYNC, up to three channels of a node.
+"""CiA 402 drive: actual position 6064h, velocity 606Ch, torque 6077h and statusword 6041h on every SYNC.
 
 The configured values are mapped in that order into as few TPDOs as hold them. Known limits: position and velocity are
 in the drive's user units (CiA 402-2: scaled by 608Fh, 6091h, 6092h and 6096h), which drives do not report in one common
@@ -8,6 +8,7 @@ an event-driven one that floods the bus with the drive's tool.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import ProcessData, Sample, position_sample
@@ -16,6 +17,7 @@ from drivers.errors import ConfigurationError, FrameError
 from drivers.position import Position
 
 POSITION, VELOCITY, TORQUE = 0x6064_0020, 0x606C_0020, 0x6077_0010  # as mapping entries
+STATUS, MODE = 0x6041_0010, 0x6061_0008  # the statusword; the mode of operation that is in force
 RATED_TORQUE = 0x6076  # mN m
 PDO_BITS = 64
 TWO_PI = 2.0 * math.pi
@@ -32,6 +34,7 @@ class Cia402Config:
         position: Channel of 6064h, rad.
         velocity: Channel of 606Ch, rad/s.
         torque: Channel of 6077h, N m.
+        status: Channel of 6041h, with 6061h as the device's status: of a drive that is driven.
         velocity_scale_rad_s: Velocity unit of the drive, rad/s of the joint; None: counts a second.
         rated_torque_N_m: Rated torque of the motor; None: read from 6076h.
         gear_ratio: Motor revolutions per joint revolution, for the torque; negative where the directions are opposite.
@@ -44,6 +47,7 @@ class Cia402Config:
     position: str | None = None
     velocity: str | None = None
     torque: str | None = None
+    status: str | None = None
     velocity_scale_rad_s: float | None = None
     rated_torque_N_m: float | None = None  # noqa: N815 - a unit, as in vehicle.toml
     gear_ratio: float = 1.0
@@ -68,7 +72,7 @@ class Cia402Config:
     @property
     def names(self) -> tuple[str, ...]:
         """Its channels."""
-        return tuple(name for name in (self.position, self.velocity, self.torque) if name is not None)
+        return tuple(name for name in (self.position, self.velocity, self.torque, self.status) if name is not None)
 
     @property
     def name(self) -> str:
@@ -78,43 +82,61 @@ class Cia402Config:
     @property
     def layout(self) -> list[tuple[int, ...]]:
         """Mapping entries of each TPDO."""
-        wanted = {POSITION: self.position, VELOCITY: self.velocity, TORQUE: self.torque}
+        wanted = {entry: name for name, entry in self._wanted()} | {MODE: self.status}
         layout: list[tuple[int, ...]] = [()]
         for entry in (entry for entry, name in wanted.items() if name is not None):
-            if sum(each & 0xFF for each in (*layout[-1], entry)) > PDO_BITS:
+            together = (entry, MODE) if entry == STATUS else (entry,)  # one answer has both
+            if sum(each & 0xFF for each in (*layout[-1], *together)) > PDO_BITS:
                 layout.append(())
             layout[-1] += (entry,)
         return layout
 
+    def place(self, entry: int) -> "Place":
+        """Where an object that is mapped is found."""
+        at = next(at for at, mapping in enumerate(self.layout) if entry in mapping)
+        mapping = self.layout[at]
+        start = sum(each & 0xFF for each in mapping[: mapping.index(entry)]) // 8
+        length = sum(each & 0xFF for each in mapping) // 8
+        return Place(self.tpdos[at], mapping, start, (entry & 0xFF) // 8, length)
+
     def process_data(self) -> "list[DriveValue]":
         """The channels of the drive."""
-        wanted = ((self.position, POSITION), (self.velocity, VELOCITY), (self.torque, TORQUE))
-        return [DriveValue(self, name, entry) for name, entry in wanted if name is not None]
+        return [DriveValue(self, name, entry) for name, entry in self._wanted() if name is not None]
+
+    def _wanted(self) -> tuple[tuple[str | None, int], ...]:
+        return (self.position, POSITION), (self.velocity, VELOCITY), (self.torque, TORQUE), (self.status, STATUS)
+
+
+class Place(NamedTuple):
+    """Where an object stands: in which TPDO, with what mapping; its first byte, its bytes, and those of the TPDO."""
+
+    tpdo: int
+    mapping: tuple[int, ...]
+    start: int
+    size: int
+    length: int
 
 
 class DriveValue(ProcessData):
-    """One of the three values of a drive: signed counts as sent; a position is unwrapped by ``Position``.
+    """One of the values of a drive: signed counts as sent; a position is unwrapped by ``Position``.
+
+    A statusword is unsigned, and the mode of operation that is in force stands beside it.
 
     Args:
         config: The drive.
         name: Channel.
-        entry: ``POSITION``, ``VELOCITY`` or ``TORQUE``.
+        entry: ``POSITION``, ``VELOCITY``, ``TORQUE`` or ``STATUS``.
     """
 
     profile = 0x0192
 
     def __init__(self, config: Cia402Config, name: str, entry: int) -> None:
-        layout = config.layout
-        place = next(place for place, mapping in enumerate(layout) if entry in mapping)
-        self._tpdo = config.tpdos[place]
+        place = config.place(entry)
+        self._tpdo, self._mapping, self._start, self._size, self._length = place
         super().__init__(name, config.node, frame.TPDO[self._tpdo] + config.node)
         self._config = config
         self._entry = entry
-        self._mapping = layout[place]
-        before = self._mapping[: self._mapping.index(entry)]
-        self._start = sum(each & 0xFF for each in before) // 8
-        self._size = (entry & 0xFF) // 8
-        self._length = sum(each & 0xFF for each in self._mapping) // 8
+        self._mode_at = config.place(MODE).start if entry == STATUS else 0
         self._position = Position(config.counts_per_revolution, config.zero_count)
         per_count = TWO_PI / config.counts_per_revolution
         if entry == POSITION:
@@ -122,7 +144,7 @@ class DriveValue(ProcessData):
         elif entry == VELOCITY:
             self.unit = "rad/s"
             self.scale = per_count if config.velocity_scale_rad_s is None else config.velocity_scale_rad_s
-        else:
+        elif entry == TORQUE:
             self.unit = "N m"
             self.scale = self._per_mille(config.rated_torque_N_m or 0.0)
 
@@ -146,7 +168,10 @@ class DriveValue(ProcessData):
                 f"{self.name}: TPDO of {len(data)} bytes, its objects have {self._length}: "
                 f"check the mapping {0x1A00 + self._tpdo - 1:04X}h"
             )
-        raw = int.from_bytes(data[self._start : self._start + self._size], "little", signed=True)
+        word = data[self._start : self._start + self._size]
+        if self._entry == STATUS:
+            return Sample(int.from_bytes(word, "little"), data[self._mode_at])
+        raw = int.from_bytes(word, "little", signed=True)
         return position_sample(self._position, raw) if self._entry == POSITION else Sample(raw)
 
     def _per_mille(self, rated_N_m: float) -> float:

@@ -61,7 +61,8 @@ class EventChannel(PdoChannel):
         self._heard_ns = self._confirmed_ns = host_ns
         counter = self._object.counter(data)
         if counter is None or self._counter is None or self._object.steps(self._counter, counter) <= 1:
-            if counter is None and self._cut:
+            is_change = counter is None or (self._counter is not None and counter != self._counter)
+            if self._cut and is_change:  # sent again as the node was started, after a change that was not heard
                 self._lose(host_ns, 1)
             self._accept(host_ns, sample, counter)
         elif self._rejected and self._object.steps(self._rejected[-1], counter) <= 1:
@@ -99,10 +100,13 @@ class EventChannel(PdoChannel):
         if counter is not None and counter == self._counter and not open_question:
             return
         host_ns, sample, _ = yield from self._object.read_value()
-        if self._heard_ns >= now_ns:  # a TPDO arrived meanwhile: which of the two is older is not known
-            self._put(host_ns, sample, SampleStatus.NOT_VALID)
+        if self._heard_ns >= now_ns:  # a TPDO arrived meanwhile: which of the two is older is not known, if they differ
+            agrees = sample.value_raw == self._value and not self._rejected
+            self._put(host_ns, sample, SampleStatus.OK if agrees else SampleStatus.NOT_VALID)
+            self._unconfirmed &= not agrees
         elif counter is not None or open_question or sample.value_raw != self._value or self._cut:
             self._read(Reading(host_ns, sample, counter))
+            self._unconfirmed = False
         self._confirmed_ns = now_ns
 
     def _read(self, reading: Reading) -> None:

@@ -5,6 +5,7 @@ from enum import Enum, auto
 
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.channel import PdoChannel
+from drivers.canopen_pdo.drive_axis import DriveAxis
 from drivers.canopen_pdo.frame import NmtCommand, NmtState
 from drivers.canopen_pdo.guarding import Guard
 from drivers.canopen_pdo.sdo import SdoClient, Setup, attempt, read_unsigned, write_unsigned
@@ -47,6 +48,7 @@ class Node:
         send: Sends a frame (COB-ID, data); does not raise on bus faults.
         report: Where events go.
         guard: Node guarding, used if it has no heartbeat.
+        driven: The drive that it is, if it is to be driven.
     """
 
     def __init__(
@@ -56,12 +58,14 @@ class Node:
         send: Callable[[int, bytes], None],
         report: Reporter,
         guard: Guard | None = None,
+        driven: DriveAxis | None = None,
     ) -> None:
         self.number = number
         self.channels = tuple(channels)
         self._send = send
         self._report = report
         self._guard = guard
+        self._driven = driven
         self._guarded_by: Guard | None = None  # while it makes no heartbeat
         self._sdo = SdoClient(number, send)
         self._state = _State.OFF
@@ -85,6 +89,8 @@ class Node:
         """Put the node into pre-operational state and start its set-up."""
         for channel in self.channels:
             channel.live = False
+        if self._driven is not None:
+            self._driven.lost()
         self._state = _State.SETTING_UP
         self._command(NmtCommand.PRE_OPERATIONAL)
         self._sdo.begin(self._setup(), now_ns)
@@ -144,6 +150,8 @@ class Node:
         ):
             text = f"node {self.number} is {state.name.lower()}: started again; look for a second master"
             self._report.event(host_ns, Severity.WARNING, "not_operational", text, self.source)
+            if self._driven is not None:
+                self._driven.lost()
             self._start(host_ns)
 
     def on_emergency(self, host_ns: int, data: bytes) -> None:
@@ -172,6 +180,8 @@ class Node:
         yield from self._watching()
         for channel in self.channels:
             yield from channel.data.setup()
+        if self._driven is not None:
+            yield from self._driven.setup()
 
     def _watching(self) -> Setup:
         """Configure its heartbeat; if it has none, configure node guarding."""
@@ -244,6 +254,8 @@ class Node:
             self._guarded_by.begin(now_ns)
         for channel in self.channels:
             channel.go_live()
+        if self._driven is not None:
+            self._driven.started()
         self._start(now_ns)
         text = f"node {self.number} set up and started"
         self._report.event(now_ns, Severity.INFO, "started", text, self.source)

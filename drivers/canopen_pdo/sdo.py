@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.canopen_pdo import frame
-from drivers.errors import FrameError, NoAnswerError, SdoAbortError
+from drivers.errors import ConfigurationError, FrameError, NoAnswerError, SdoAbortError
 
 TIMEOUT_NS = 500_000_000
 TRIES = 3
@@ -62,6 +62,23 @@ def attempt(index: int, subindex: int, value: int, size: int) -> Generator[SdoRe
     return True
 
 
+def confirm(index: int, subindex: int, value: int, size: int) -> Generator[SdoRead | SdoWrite, SdoData, None]:
+    """Part of a sequence: write an integer of ``size`` bytes, and read it back.
+
+    Raises:
+        SdoAbortError: The node refuses it.
+        ConfigurationError: It took another value.
+    """
+    data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
+    yield SdoWrite(index, subindex, data)
+    reply = yield SdoRead(index, subindex)
+    if reply.data[:size] != data:
+        got = int.from_bytes(reply.data[:size], "little", signed=value < 0)
+        raise ConfigurationError(
+            f"{index:04X}h:{subindex:02X} was written {value} and reads {got}: its range or a write protection"
+        )
+
+
 def ensure_tpdo(
     number: int, cob_id: int, transmission: int, mapping: tuple[int, ...]
 ) -> Generator[SdoRead | SdoWrite, SdoData, None]:
@@ -76,7 +93,21 @@ def ensure_tpdo(
     Raises:
         SdoAbortError: The node has another mapping and refuses to change it.
     """
-    communication, mapped = 0x1800 + number - 1, 0x1A00 + number - 1
+    yield from ensure_pdo(0x1800 + number - 1, cob_id, transmission, mapping)
+
+
+def ensure_rpdo(
+    number: int, cob_id: int, transmission: int, mapping: tuple[int, ...]
+) -> Generator[SdoRead | SdoWrite, SdoData, None]:
+    """Part of a sequence: an RPDO, as ``ensure_tpdo`` has a TPDO. Raises SdoAbortError."""
+    yield from ensure_pdo(0x1400 + number - 1, cob_id, transmission, mapping)
+
+
+def ensure_pdo(
+    communication: int, cob_id: int, transmission: int, mapping: tuple[int, ...]
+) -> Generator[SdoRead | SdoWrite, SdoData, None]:
+    """Part of a sequence: a PDO by its communication parameter; its mapping is 200h further. Raises SdoAbortError."""
+    mapped = communication + 0x200
     present = []
     for place in range((yield from read_unsigned(mapped, 0))):
         present.append((yield from read_unsigned(mapped, place + 1)))

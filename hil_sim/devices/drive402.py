@@ -2,7 +2,7 @@
 
 The plant moves the axis and gives angle and torque, and the drive's motion controller gives its controlwords
 at the times of ``commands``, beside those that arrive over SDO or in RPDO1. What the axis does is not affected by
-them; the torque reads 0 unless the operation is enabled.
+them; the torque reads 0 unless the operation is enabled. ``servo402`` is the one that moves its axis itself.
 
 =====  =============================  ============================================================================
 index  object                         here
@@ -31,6 +31,7 @@ from hil_sim.devices.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen_node import OFF, OPERATIONAL, CanopenNode
 from hil_sim.devices.emulator import Bench, Equivalent, Signal, Twin
 from hil_sim.devices.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
+from hil_sim.devices.rpdo import Rpdo
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
 from hil_sim.sensing.analog import ScalarAnalog
@@ -48,6 +49,7 @@ FAULT = 0x08
 
 _VOLTAGE, _REMOTE, _TARGET_REACHED, _INTERNAL_LIMIT = 0x0010, 0x0200, 0x0400, 0x0800
 _FAULT_RESET: Final = 0x80  # controlword
+_PDO_LENGTH_ERROR: Final = 0x8210
 _POWERED_STATES: Final = (SWITCHED_ON, OPERATION_ENABLED, QUICK_STOP_ACTIVE, FAULT_REACTION_ACTIVE)
 _FAULT_REACTION_NS: Final = 20_000_000
 _QUICK_STOP_NS: Final = 50_000_000
@@ -74,6 +76,7 @@ class Drive402(CanopenNode):
         commands: (mission time in s, controlword) given by the motion controller.
         trips: (mission time in s, error code) at which the drive faults.
         faults: What breaks.
+        extra_faults: Kinds that a subclass applies itself.
 
     Raises:
         FaultError: a fault that a drive cannot have.
@@ -94,8 +97,9 @@ class Drive402(CanopenNode):
         commands: Sequence[tuple[float, int]] = ENABLE,
         trips: Sequence[tuple[float, int]] = (),
         faults: DeviceFaults = NO_FAULTS,
+        extra_faults: tuple[FaultKind, ...] = (),
     ) -> None:
-        super().__init__(node_id, 0x0002_0192, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS))
+        super().__init__(node_id, 0x0002_0192, start_ns, faults, (FaultKind.SATURATED, *INPUT_KINDS, *extra_faults))
         self.hears_process_data = True
         here = [window for window in faults.windows if window.kind is not FaultKind.SATURATED]
         before = [window for window in here if window.kind is not FaultKind.STUCK]
@@ -114,6 +118,7 @@ class Drive402(CanopenNode):
         i16, i32, ro, rw = DataType.I16, DataType.I32, Access.RO, Access.RW
         self._error_code = add(0x603F, 0, Entry(u16, ro, mappable=True))
         self._controlword = add(0x6040, 0, Entry(u16, rw, changed=self._on_controlword, mappable=True))
+        self._rpdos = [Rpdo(self.dictionary, 1, 0x200 + node_id, 255, (0x6040_00_10,))]
         add(0x6041, 0, Entry(u16, ro, read=self.statusword, mappable=True))
         self._mode = add(0x6060, 0, Entry(u8, rw, _MODE_CSP, check=self._check_mode))
         add(0x6061, 0, Entry(u8, ro, read=lambda _: self._mode.value, mappable=True))
@@ -124,7 +129,6 @@ class Drive402(CanopenNode):
         for sub, value in enumerate((2, increments_per_revolution, 1)):
             add(0x608F, sub, Entry(u32 if sub else u8, ro, value))
         add(0x6502, 0, Entry(u32, ro, _CSP | _CST))
-        self._add_rpdo()
         self._tpdo_1 = self._add_tpdo(1, 255, (0x6041_00_10,))
         self._tpdo_2 = self._add_tpdo(2, 1, (0x6064_00_20, 0x606C_00_20))
         self._tpdo_3 = self._add_tpdo(3, 1, (0x6077_00_10, 0x6041_00_10))
@@ -144,11 +148,13 @@ class Drive402(CanopenNode):
 
     def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
         """A frame has ended on the wire."""
-        if identifier == self._rpdo_cob_id.value & 0x7FF and len(data) >= 2:
-            if self.state == OPERATIONAL and not self._is_silent(now_ns):
-                self._command(int.from_bytes(data[:2], "little"), now_ns)
-        else:
+        mine = [rpdo for rpdo in self._rpdos if rpdo.cob_id == identifier]
+        if not mine:
             super().receive(identifier, data, now_ns)
+        elif self.state == OPERATIONAL and not self._is_silent(now_ns):
+            for rpdo in mine:
+                if not rpdo.take(data, now_ns):
+                    self.emergency(_PDO_LENGTH_ERROR, 0x10, b"", now_ns)
 
     def statusword(self, now_ns: int) -> int:
         """Object 6041h."""
@@ -254,14 +260,6 @@ class Drive402(CanopenNode):
         self._on_controlword(word, now_ns)
 
     # Objects
-
-    def _add_rpdo(self) -> None:
-        add, u8, u32, ro = self.dictionary.add, DataType.U8, DataType.U32, Access.RO
-        add(0x1400, 0, Entry(u8, ro, 2))
-        self._rpdo_cob_id = add(0x1400, 1, Entry(u32, Access.RW, 0x200 + self.node_id))
-        add(0x1400, 2, Entry(u8, ro, 255))
-        add(0x1600, 0, Entry(u8, ro, 1))
-        add(0x1600, 1, Entry(u32, ro, 0x6040_00_10))
 
     def _increments(self, now_ns: int) -> int:
         return round(self._angle.value(self._seconds(now_ns)) * self._increments_per_rad)

@@ -36,6 +36,7 @@ class DataType(StrEnum):
     U8 = "<B"
     U16 = "<H"
     U32 = "<I"
+    I8 = "<b"
     I16 = "<h"
     I32 = "<i"
 

@@ -15,6 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 from hil_sim.devices import registry
 from hil_sim.plants import urdf_drawing
 from hil_sim.plants.urdf_drawing import Drawing
+from hil_sim.scenario import bed
 from hil_sim.scenario.load import load, merged, parse
 from hil_sim.scenario.sheets import Sheets, sheet
 from hil_sim.scenario.tables import Scenario, ScenarioError
@@ -28,10 +29,10 @@ _OURS = ("pps", "pulse_generator")  # of the flight computer itself
 
 
 def scenario_of(name: str | Path, over: str | Path | None = None) -> Scenario:
-    """The scenario of a packaged mission by name, of a scenario file, or of the rehearsal of a vehicle file.
+    """The scenario of a packaged mission or test bed by name, of a scenario file, or of a vehicle file's rehearsal.
 
     Args:
-        name: of a packaged scenario, or the path of a scenario or of a vehicle.toml.
+        name: of a packaged scenario or a test bed, or the path of a scenario or of a vehicle.toml.
         over: path of a scenario file whose tables lie over it.
 
     Raises:
@@ -39,16 +40,19 @@ def scenario_of(name: str | Path, over: str | Path | None = None) -> Scenario:
     """
     if str(name).endswith(".toml") and "urdf" in _read(Path(name)).get("vehicle", {}):
         return rehearsal(name, over)
+    flown = bed.find(str(name))
+    if flown is not None:
+        return rehearsal(flown.vehicle, flown.scenario, over)
     own = {} if over is None else _read(Path(over))
     return load(name, {key: value for key, value in own.items() if key != "scenario"})
 
 
-def rehearsal(vehicle: str | Path, over: str | Path | None = None) -> Scenario:
+def rehearsal(vehicle: str | Path, *overs: str | Path | None) -> Scenario:
     """The scenario that rehearses a vehicle.
 
     Args:
         vehicle: path of its vehicle.toml.
-        over: path of a scenario file whose tables lie over the defaults.
+        overs: paths of scenario files whose tables lie over the defaults, each over those before it.
 
     Raises:
         ScenarioError: a file that cannot be read, a device without emulator, a key that is unknown or out of range.
@@ -69,18 +73,24 @@ def rehearsal(vehicle: str | Path, over: str | Path | None = None) -> Scenario:
         "description": f"the rehearsal of {vehicle}",
         "plant": "vehicle",
     }
-    if over is not None:
-        own = _read(Path(over))
-        forbidden = sorted({"vehicle"} & own.keys())
-        if forbidden:
-            raise ScenarioError(f"{over}: [{forbidden[0]}] is the vehicle file's; take it out of the scenario")
-        header = {key: value for key, value in own.pop("scenario", {}).items() if key in ("name", "description")}
-        table = merged(table, {**own, "scenario": header})
-        _find_csv(table, Path(over))
-        if "sequence" in own and "capture" not in own:
-            _fit_capture(table)
+    files = [Path(over) for over in overs if over is not None]
+    for file_over in files:
+        table = _laid_over(table, file_over)
     _drop_empty(table)
-    return parse(table, f"rehearsal of {vehicle}" + (f" with {over}" if over else ""))
+    return parse(table, " with ".join([f"rehearsal of {vehicle}", *map(str, files)]))
+
+
+def _laid_over(table: Table, over: Path) -> Table:
+    """A scenario file's tables over those so far."""
+    own = _read(over)
+    if "vehicle" in own:
+        raise ScenarioError(f"{over}: [vehicle] is the vehicle file's; take it out of the scenario")
+    header = {key: value for key, value in own.pop("scenario", {}).items() if key in ("name", "description")}
+    table = merged(table, {**own, "scenario": header})
+    _find_csv(table, over)
+    if "sequence" in own and "capture" not in own:
+        _fit_capture(table)
+    return table
 
 
 def _tables(file: Table, said: Table, drawing: Drawing) -> Table:

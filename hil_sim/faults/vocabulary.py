@@ -36,6 +36,8 @@ class FaultKind(StrEnum):
     TIMEOUT = "timeout"
     STUCK_BUS = "stuck_bus"
     WHO_AM_I = "who_am_i"
+    TRIP = "trip"
+    EMERGENCY_STOP = "emergency_stop"
     PULSE_DROP = "pulse_drop"
     PULSE_SPURIOUS = "pulse_spurious"
     BUS_OFF = "bus_off"
@@ -63,6 +65,8 @@ EFFECTS: Final = {
     FaultKind.TIMEOUT: "transfers are made, and end in ETIMEDOUT",
     FaultKind.STUCK_BUS: "SDA is held low: no transfer begins (EBUSY)",
     FaultKind.WHO_AM_I: "WHO_AM_I reads VALUE",
+    FaultKind.TRIP: "a drive faults at the start with error code VALUE (0: 2310h), by EMCY (the end is not used)",
+    FaultKind.EMERGENCY_STOP: "a drive's emergency stop is in until the end: no current, brake on, EMCY 5441h",
     FaultKind.PULSE_DROP: "edges of the sync pulse do not reach it",
     FaultKind.PULSE_SPURIOUS: "one more edge every VALUE seconds",
     FaultKind.BUS_OFF: "the flight computer's controller is off the bus; error frames say when",
@@ -97,6 +101,7 @@ _WITHIN: Final = {
     FaultKind.WHO_AM_I: (0, 0xFF, "the byte to read (0 to 255)"),
     FaultKind.FLOOD: (0, 0x7FF, "the COB-ID to send (0 to 7FFh)"),
     FaultKind.FRAME_DROP: (0, 0x7FF, "the COB-ID to lose (0: all)"),
+    FaultKind.TRIP: (0, 0xFFFF, "an error code of CiA 402 (0: 2310h, over current)"),
     FaultKind.NACK: (0, 133, "an errno (0: EREMOTEIO)"),
     FaultKind.BYTE_LOSS: (1e-9, 1.0, "a probability above 0 and up to 1"),
     FaultKind.BYTE_GARBLE: (1e-9, 1.0, "a probability above 0 and up to 1"),

@@ -1,19 +1,28 @@
 """``heft fly`` flies a vehicle on real buses and the real clock."""
 
 import argparse
+import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from onboard.cli.common import (
     FAILED,
+    NOT_READY,
     OK,
     Commands,
     add_live,
     bus_and_url,
+    busy,
     complain,
+    console,
     load_vehicle,
     next_log,
     serve_live,
+    show,
 )
+
+if TYPE_CHECKING:
+    from onboard import config
 
 
 def add(commands: Commands) -> None:
@@ -30,6 +39,8 @@ def add(commands: Commands) -> None:
         metavar="LOG",
         help="start from the last estimate of LOG: the same payload must still be held",
     )
+    fly.add_argument("--motion", type=Path, metavar="CSV", help="motion for the drives, in place of that of [drive]")
+    fly.add_argument("--arm", action="store_true", help="drive the arm: after a preflight, when every drive is ready")
     fly.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
     spoken = fly.add_mutually_exclusive_group()
     spoken.add_argument("--quiet", action="store_true", help="say warnings and errors only")
@@ -45,11 +56,17 @@ def _fly(arguments: argparse.Namespace) -> int:
 
     urls = dict(bus_and_url(text) for text in arguments.url)
     vehicle, plan = load_vehicle(arguments.vehicle), None
+    driven = _with_drives(vehicle, arguments, urls)
+    if driven is None:
+        return NOT_READY
+    vehicle = driven
     log = arguments.log
     if log is None:
         new_log = next_log(vehicle.file.recording.directory, vehicle.file.vehicle.name)
         plan = runner.plan_of(vehicle, new_log, fresh=arguments.new)
         vehicle, log = plan.vehicle, plan.log
+        if plan.before is not None and vehicle.arm:
+            raise ValueError("this start goes on with a flight that lost its power, and does not drive the arm: --new")
     if arguments.earlier:
         from onboard.offline.estimate_again import warm_start
         from onboard.recording.reader import LogReader
@@ -69,3 +86,36 @@ def _fly(arguments: argparse.Namespace) -> int:
     for name in flight.died:
         complain(f"the {name} worker died; see its message above, and the event in the log")
     return FAILED if flight.died or (flight.missing and not flight.was_over) else OK
+
+
+def _with_drives(
+    vehicle: "config.Vehicle", arguments: argparse.Namespace, urls: dict[str, str]
+) -> "config.Vehicle | None":
+    """The vehicle with what its drives are to play, if anything; None where a preflight stands against it."""
+    drive = vehicle.file.drive
+    if arguments.arm or arguments.motion is not None:
+        if drive is None or not drive.armed:
+            raise ValueError(f"{vehicle.label}: --arm and --motion need [drive] armed = true (docs/driving.md)")
+        motion = None if arguments.motion is None else arguments.motion.absolute()
+        vehicle = vehicle.model_copy(update={"arm": arguments.arm, "own_motion": motion})
+    if drive is None or not drive.armed or not (vehicle.arm or drive.phase is not None):
+        return vehicle
+    from onboard.flight import preflight, workers  # Pinocchio comes with them, which a supervisor does without
+    from onboard.flight.estimator import Estimator
+
+    if vehicle.motion is None:
+        raise ValueError(f"{vehicle.label}: no motion to drive: give --motion, or [drive] motion")
+    playing = [bus for bus in vehicle.buses if vehicle.play(bus) is not None]
+    looks = time.monotonic_ns, time.sleep, workers.run_for, None, preflight.FLIGHT_S, Estimator(vehicle), time.time()
+    with busy("preflight, before the arm is driven") as told:
+        found = preflight.preflight(vehicle.with_urls(urls), *looks, told)
+    if found.ready:
+        console().print(f"preflight is green: {vehicle.motion.name} on {', '.join(playing)}")
+        return vehicle
+    show(preflight.render(found))
+    if vehicle.arm:
+        complain("the preflight is not green: the arm is not driven, and nothing flown; fly without --arm to record")
+        return None
+    complain("the preflight is not green: the flight begins, and the arm is not driven")
+    off = drive.model_copy(update={"armed": False})
+    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"drive": off})})

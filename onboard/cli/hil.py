@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def add(commands: Commands) -> None:
     """Make the command known."""
     hil = commands.add_parser("hil", help="fly a scenario against simulated devices")
-    hil.add_argument("scenario", help="a packaged mission: rocksat, dymaflex, ...; or your vehicle.toml")
+    hil.add_argument("scenario", help="a packaged mission or test bed: rocksat, capture, ...; or your vehicle.toml")
     hil.add_argument(
         "--scenario", dest="over", type=Path, metavar="TOML", help="a file that says otherwise: docs/rehearsal.md"
     )
@@ -65,9 +65,9 @@ def _hil(arguments: argparse.Namespace) -> int:
     seed = arguments.seed
     faults = [parse(text) for text in arguments.fault]
     vehicle = config.named(arguments.scenario)
-    own = str(arguments.scenario).endswith(".toml")
-    name = vehicle.file.vehicle.name if own else arguments.scenario
+    name = vehicle.file.vehicle.name if arguments.scenario.endswith(".toml") else arguments.scenario
     scenario = scenario_of(arguments.scenario, arguments.over)
+    own = scenario.scenario.plant == "vehicle"
     expected: list[dict[str, Any]] = []
     if own or faults or arguments.faults or not arguments.realtime:  # what cannot be is refused here, with the reason
         world, urls = open_in_process(scenario, seed, faults)

@@ -3,8 +3,8 @@
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import JointKeys, Phases, Zero
 from onboard.config.free_body import Load
-from onboard.config.loader import load, named, packaged, parse, parse_tree
-from onboard.config.text import read, tree_of
+from onboard.config.loader import load, named, packaged, parse, parse_tree, validated
+from onboard.config.text import laid_over, read, tree_of
 from onboard.config.vehicle import Recording, Vehicle
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Recording",
     "Vehicle",
     "Zero",
+    "laid_over",
     "load",
     "named",
     "packaged",
@@ -23,4 +24,5 @@ __all__ = [
     "parse_tree",
     "read",
     "tree_of",
+    "validated",
 ]

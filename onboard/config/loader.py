@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import AliasChoices, BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -17,6 +17,7 @@ from onboard.config.vehicle import Vehicle, VehicleFile
 from onboard.devices.registry import BROKEN
 
 UNIONS = (Union, UnionType)
+File = TypeVar("File", bound=BaseModel)
 
 
 def packaged(name: str) -> Path:
@@ -68,15 +69,25 @@ def parse_tree(tree: dict[str, Any], path: Path, origin: Origin, urdf: Path | No
     Messages begin with the label of ``origin``, and name lines where it has a text.
     """
     _refuse_broken(origin, tree)
-    try:
-        file = VehicleFile.model_validate(tree)
-    except ValidationError as error:
-        raise ConfigError("\n".join(_explain(origin, tree, dict(one)) for one in error.errors())) from error
-    for where, why in _coerced(tree, file, []):
-        raise ConfigError(f"{origin.place(where)}: {'.'.join(where)!r}: {why}")
+    file = validated(VehicleFile, tree, origin)
     vehicle = Vehicle(path=path, origin=origin, tree=tree, file=file, urdf=urdf)
     check(vehicle)
     return vehicle
+
+
+def validated(model: type[File], tree: dict[str, Any], origin: Origin) -> File:
+    """Tables as an object of ``model``.
+
+    Raises:
+        ConfigError: an unknown key or a wrong value, with its line and a remedy.
+    """
+    try:
+        file = model.model_validate(tree)
+    except ValidationError as error:
+        raise ConfigError("\n".join(_explain(origin, tree, dict(one), model) for one in error.errors())) from error
+    for where, why in _coerced(tree, file, []):
+        raise ConfigError(f"{origin.place(where)}: {'.'.join(where)!r}: {why}")
+    return file
 
 
 def _refuse_broken(origin: Origin, tree: dict[str, Any]) -> None:
@@ -102,11 +113,11 @@ def _coerced(given: Any, read: Any, where: list[str]) -> Iterator[tuple[list[str
         yield where, f"a number is wanted here (found {json.dumps(given)}); write it without quotes"
 
 
-def _explain(origin: Origin, tree: dict[str, Any], error: dict[str, Any]) -> str:
+def _explain(origin: Origin, tree: dict[str, Any], error: dict[str, Any], model: type[BaseModel]) -> str:
     where = _place([str(part) for part in error["loc"]], tree)
     place, name = origin.place(where), ".".join(where)
     if error["type"] == "extra_forbidden":
-        known = list(_model_at(where[:-1], tree).model_fields)
+        known = list(_model_at(where[:-1], tree, model).model_fields)
         near = difflib.get_close_matches(where[-1], known, 1, 0.5)
         remedy = f"did you mean {near[0]!r}? Units are in the key" if near else f"known here: {', '.join(known)}"
         return f"{place}: unknown key {name!r}; {remedy}"
@@ -130,10 +141,9 @@ def _place(loc: list[str], tree: dict[str, Any]) -> list[str]:
     return [*where, *loc[-1:]]
 
 
-def _model_at(where: list[str], tree: dict[str, Any]) -> type[BaseModel]:
-    """The class that reads the table at ``where``."""
-    model: type[BaseModel] = VehicleFile
-    said: Any = VehicleFile  # of the value that is looked at
+def _model_at(where: list[str], tree: dict[str, Any], model: type[BaseModel]) -> type[BaseModel]:
+    """The class that reads the table at ``where``, where ``model`` reads the whole."""
+    said: Any = model  # of the value that is looked at
     node: Any = tree
     for part in where:
         said = _field(model, part).annotation if said is model else _of_items(said)

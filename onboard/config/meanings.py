@@ -5,6 +5,8 @@ The keys of devices are told by their own modules, in ``docs/devices.md``.
 
 from typing import NamedTuple
 
+from onboard.config.drive import Drive
+from onboard.config.drive_meanings import DRIVE
 from onboard.config.estimation import (
     Carried,
     Estimation,
@@ -303,4 +305,5 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "viscous_sigma_N_s_m": _M("Drag in proportion to the slip, 1 sigma about none.", "a puck is worn or dry"),
         "coulomb_sigma_N": _M("Drag that is the same at any slip, 1 sigma about none.", "as above"),
     },
+    Drive: {key: _M(*said) for key, said in DRIVE.items()},
 }

@@ -55,6 +55,15 @@ def tree_of(text: str, label: str) -> dict[str, Any]:
     return tree
 
 
+def laid_over(tree: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """``tree`` with what ``other`` says in its place, table by table."""
+    made = dict(tree)
+    for key, value in other.items():
+        both = isinstance(value, dict) and isinstance(tree.get(key), dict)
+        made[key] = laid_over(tree[key], value) if both else value
+    return made
+
+
 def _depth(tree: dict[str, Any]) -> int:
     level: list[Any] = [tree]
     depth = 0

@@ -7,6 +7,9 @@ from urllib.parse import parse_qs, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.canopen_pdo.player_config import PlayerConfig
+from onboard.config.drive import Drive
+from onboard.config.driving import player_of
 from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
@@ -105,12 +108,14 @@ class VehicleFile(Section):
     planar: Planar | None = None
     recording: Recording = Recording()
     realtime: Realtime = Realtime()
+    drive: Drive | None = None
 
 
 class Vehicle(BaseModel):
     """A parsed vehicle file: its origin, tree and sections.
 
-    ``path``: the file, or the one it replaces; other files are found beside it. ``tree``: as it was written.
+    ``path``: the file, or the one it replaces; other files are found beside it. ``tree``: as it was written. ``arm``:
+    the operator has armed the drives for this flight.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -120,6 +125,8 @@ class Vehicle(BaseModel):
     tree: dict[str, Any]
     file: VehicleFile
     urdf: Path | None = None  # in place of the one that the file names
+    arm: bool = False
+    own_motion: Path | None = None  # in place of that of [drive]
 
     @property
     def text(self) -> str:
@@ -144,6 +151,17 @@ class Vehicle(BaseModel):
             ConfigError: it cannot be read, or is too long.
         """
         return read(self.urdf_path, "the vehicle's URDF", MOST_BYTES_URDF)
+
+    @property
+    def motion(self) -> Path | None:
+        """The motion that drives are to play, beside the vehicle file; None: there is none."""
+        if self.own_motion is not None or self.file.drive is None or self.file.drive.motion is None:
+            return self.own_motion
+        return self.path.parent / self.file.drive.motion
+
+    def play(self, bus: str) -> PlayerConfig | None:
+        """What is played on a bus; see :func:`onboard.config.driving.player_of`."""
+        return player_of(self, bus)
 
     @property
     def channels(self) -> Channels:

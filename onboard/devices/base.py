@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from drivers.canopen_pdo.player_config import PlayerConfig
 from drivers.device import Device
 from drivers.records import Rows
 from onboard.devices import roles
@@ -46,6 +47,9 @@ class Surroundings(Protocol):
     @property
     def buses(self) -> list[str]:
         """Names of all buses."""
+
+    def play(self, bus: str) -> PlayerConfig | None:
+        """What the drives of a CAN bus are to play; None: nothing."""
 
 
 class DeviceSection(Section):

@@ -32,7 +32,8 @@ class CanDevice(BusDevice):
         nodes = {name: device for name, device in bus.devices.items() if isinstance(device, CanopenNodeDevice)}
         guards = {device.node: device.guard for device in nodes.values() if device.guard is not None}
         settings = [device.settings(name) for name, device in nodes.items()]
-        return [CanopenBus(port, settings, sync.settings(sync_name), bus.name, list(guards.values()))]
+        timing = sync.settings(sync_name)
+        return [CanopenBus(port, settings, timing, bus.name, list(guards.values()), bus.around.play(bus.name))]
 
     @classmethod
     def bus_problems(cls, bus: str, devices: Mapping[str, BusDevice]) -> Iterator[Problem]:

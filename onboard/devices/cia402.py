@@ -7,19 +7,23 @@ from pydantic import Field
 
 from drivers.canopen_pdo.cia402 import Cia402Config
 from drivers.canopen_pdo.guarding import GuardConfig
-from drivers.records import SCALAR
+from drivers.records import CAN_FRAME, SCALAR
 from onboard.devices import roles
-from onboard.devices.base import Channels, JointDevice, Problem, Surroundings
+from onboard.devices.base import Channels, Problem, Surroundings
 from onboard.devices.canopen import CanopenNodeDevice
+from onboard.devices.driven import DrivenDevice
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.section import NotNegative, Positive
+from onboard.timebase.delays import Delay
+from onboard.timebase.specs import ChannelClock
 
 
-class Cia402Device(CanopenNodeDevice, JointDevice):
+class Cia402Device(CanopenNodeDevice, DrivenDevice):
     """Drive (CiA 402), sampled on SYNC: its position is the joint's, velocity and torque are recorded where wanted.
 
     ``velocity_scale_rad_s``: the drive's unit of velocity; counts a second where not given. ``rated_torque_N_m``: read
     from the drive where not given. ``gear_ratio``: revolutions of the motor in one of the joint, for the torque.
+    ``driven``: it is sent set points (docs/driving.md); its statusword and every frame that it is sent are recorded.
     """
 
     driver_configs = (Cia402Config, GuardConfig)
@@ -47,8 +51,17 @@ class Cia402Device(CanopenNodeDevice, JointDevice):
     tpdos: tuple[int, ...] = Cia402Config.tpdos
 
     def channels(self, name: str) -> Channels:
-        """Position, velocity, torque."""
-        return dict.fromkeys(self.settings(name).names, SCALAR)
+        """Position, velocity, torque; of a driven one statusword and the frames sent."""
+        sent: Channels = {f"{name}_sent": CAN_FRAME} if self.driven else {}
+        return {**dict.fromkeys(self.settings(name).names, SCALAR), **sent}
+
+    def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
+        """See ``DeviceSection``: of what it sends."""
+        return {channel: one for channel, one in super().clocks(name, around).items() if channel != f"{name}_sent"}
+
+    def delays(self, name: str, around: Surroundings) -> list[Delay]:
+        """See ``DeviceSection``: of what it sends."""
+        return [delay for delay in super().delays(name, around) if delay.channel != f"{name}_sent"]
 
     def roles(self, name: str, period_s: float) -> Roles:
         """Its joint's angle, and the torque where ``torque_sigma_N_m`` is given."""
@@ -76,4 +89,5 @@ class Cia402Device(CanopenNodeDevice, JointDevice):
         """See ``BusDevice``."""
         velocity = f"{name}_velocity" if self.velocity else None
         torque = f"{name}_torque" if self.torque else None
-        return self._settings(Cia402Config, position=name, velocity=velocity, torque=torque)
+        status = f"{name}_status" if self.driven else None
+        return self._settings(Cia402Config, position=name, velocity=velocity, torque=torque, status=status)

@@ -115,10 +115,11 @@ def predict_planar(
     zero, own = np.zeros((n, 3)), np.zeros((n, 3, D.shape[2]))
     rate, spin, force = zero.copy(), zero.copy(), zero.copy()
     force[:, 2] = columns.gravity_m_s2
-    d_rate, d_spin, d_force = own.copy(), own.copy(), own.copy()
+    along = np.zeros((n, 9, D.shape[2]))  # of rate, specific force and angular acceleration
     rate[:, 2], spin[:, 2], force[:, :2] = states[:, 2], a[::2, 2], a[::2, :2]
-    d_rate[:, 2], d_spin[:, 2], d_force[:, :2] = S[:, 2], D[::2, 2], D[::2, :2]
-    base = BasePrediction(rate, spin, force, d_rate, d_spin, d_force, zero, own)
+    along[:, 2], along[:, 8], along[:, 3:5] = S[:, 2], D[::2, 2], D[::2, :2]
+    by_rate, by_wrench = np.zeros((n, 6, 3)), np.broadcast_to(np.eye(6), (n, 6, 6))
+    base = BasePrediction(rate, spin, force, along, by_rate, by_wrench, zero, own)
     return PlanarPrediction(base, states)
 
 

@@ -10,25 +10,16 @@ momentum P_0 of 3.6-3.8). The specific force and angular acceleration follow fro
 needed. Unlike regression rows, the prediction contains no measured base motion, so its noise causes no bias.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.errors import SignalError
-from onboard.dynamics.joint_errors import ErrorColumns
-from onboard.dynamics.kinematics import (
-    LinkMotion,
-    bodies_of,
-    composite_of,
-    cross,
-    hat,
-    momentum_columns,
-    relative_momentum,
-    stacked,
-    turned,
-    wrench_and_slope,
-    wrench_columns,
-)
+from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
+from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
+from onboard.dynamics.spatial import Columns, hat, times
 from onboard.estimation.arrays import FloatArray
 
 
@@ -38,15 +29,40 @@ class BasePrediction(NamedTuple):
     rate: FloatArray  # (n, 3) rad/s
     acceleration: FloatArray  # (n, 3) rad/s^2
     specific_force: FloatArray  # (n, 3) m/s^2, at the base frame's origin
-    d_rate: FloatArray  # (n, 3, 3 + c); c columns of chi, those asked for
-    d_acceleration: FloatArray
-    d_specific_force: FloatArray
+    along: FloatArray  # (n, 9, 3 + c) derivative of the rate, then columns of a wrench; c columns of chi
+    by_rate: FloatArray  # (n, 6, 3) derivative of specific force and acceleration by the rate
+    by_wrench: FloatArray  # (n, 6, 6) and by that wrench
     momentum: FloatArray  # (n, 3) N m s, angular, about the centre of mass
     d_momentum: FloatArray  # (n, 3, 3 + c)
+    bodies: Bodies | None = None  # the links as they move
+    displaced: Displaced | None = None  # what errors of the joints do to them
+
+    @property
+    def d_rate(self) -> FloatArray:
+        """Derivative of the rate, (n, 3, 3 + c)."""
+        return self.along[:, :3]
+
+    @property
+    def d_specific_force(self) -> FloatArray:
+        """Derivative of the specific force, (n, 3, 3 + c)."""
+        return self._derived(slice(0, 3))
+
+    @property
+    def d_acceleration(self) -> FloatArray:
+        """Derivative of the angular acceleration, (n, 3, 3 + c)."""
+        return self._derived(slice(3, 6))
+
+    def _derived(self, rows: slice) -> FloatArray:
+        by_wrench = self.by_wrench[:, rows] @ self.along[:, 3:]
+        return np.asarray(self.by_rate[:, rows] @ self.along[:, :3] + by_wrench, np.float64)
 
 
 def predict_base(
-    links: tuple[LinkMotion, ...], period_s: float, chi: FloatArray, momentum: FloatArray, free: tuple[int, ...]
+    links: Frames | Sequence[LinkMotion],
+    period_s: float,
+    chi: FloatArray,
+    momentum: FloatArray,
+    free: tuple[int, ...],
 ) -> BasePrediction:
     """Predicts the base's motion on an even grid of ticks (Limparis 2.84-2.93, 3.6-3.8).
 
@@ -60,16 +76,16 @@ def predict_base(
     Raises:
         SignalError: fewer than four ticks.
     """
-    return _predict(links, period_s, chi, momentum, free, by_rate=False)
+    return _predict(links, period_s, chi, momentum, Columns(free), by_rate=False)
 
 
 def predict_base_from_rate(
-    links: tuple[LinkMotion, ...],
+    links: Frames | Sequence[LinkMotion],
     period_s: float,
     chi: FloatArray,
     rate: FloatArray,
-    free: tuple[int, ...],
-    errors: ErrorColumns | None = None,
+    free: tuple[int, ...] | Columns,
+    errors: ErrorsAlong | None = None,
 ) -> BasePrediction:
     """As :func:`predict_base` from the base's rate w_0 at the first tick, (3,), rad/s; derivatives by (w_0, chi).
 
@@ -79,54 +95,54 @@ def predict_base_from_rate(
     filter: the gyro's bias adds to the rate itself, but to the momentum multiplied by every inertia, so that a filter
     with the momentum as its state gains information in unobservable directions as its linearisation point moves.
     """
-    return _predict(links, period_s, chi, rate, free, errors, by_rate=True)
+    columns = free if isinstance(free, Columns) else Columns(free)
+    return _predict(links, period_s, chi, rate, columns, errors, by_rate=True)
 
 
 def _predict(
-    links: tuple[LinkMotion, ...],
+    links: Frames | Sequence[LinkMotion],
     period_s: float,
     chi: FloatArray,
     start: FloatArray,
-    free: tuple[int, ...],
-    errors: ErrorColumns | None = None,
+    free: Columns,
+    errors: ErrorsAlong | None = None,
     *,
     by_rate: bool,
 ) -> BasePrediction:
-    n = links[0].p.shape[0]
+    frames = links if isinstance(links, Frames) else frames_of(links)
+    n = len(frames.p)
     if n < 4:
         raise SignalError(f"{n} ticks; predict four or more")
-    every = stacked(links)
-    bodies = bodies_of(every, chi)
-    inverse = np.asarray(np.linalg.inv(composite_of(bodies)), np.float64)
-    mu = relative_momentum(bodies)
+    bodies = Bodies(frames, chi)
+    inverse = np.asarray(np.linalg.inv(bodies.composite), np.float64)
+    mu = bodies.relative_momentum
     from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
-    still = turned(inverse[:, 3:], mu)  # less the rate without a momentum
+    still = times(inverse[:, 3:], mu)  # less the rate without a momentum
     momentum = np.linalg.solve(from_eta[0, 3:], start + still[0]) if by_rate else start
     eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s)
-    twist = turned(from_eta, eta) - turned(inverse, mu)
-    v, w = twist[:, None, :3], twist[:, None, 3:]  # (n, 1, 3)
-
-    bias, slope = wrench_and_slope(bodies, w)  # (n, 6), (n, 6, 3)
-    thrust = -turned(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
-    force, spin = thrust[:, None, :3], thrust[:, None, 3:]
-    uncertain = LinkMotion(*(part[:, list(free)] for part in every))
-    H = momentum_columns(uncertain, v, w).swapaxes(1, 2).reshape(n, 6, -1)
-    W = wrench_columns(uncertain, w, force, spin).swapaxes(1, 2).reshape(n, 6, -1)
+    bias, slope = bodies.moved(times(from_eta, eta) - times(inverse, mu))  # (n, 6), (n, 6, 3)
+    w = bodies.twist[:, 3:]
+    thrust = -times(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
+    bodies.pushed(thrust)
+    c = 10 * len(free.links)
+    along = np.zeros((n, 9, 3 + c + (0 if errors is None else errors.columns)))
+    H = np.zeros((n, 6, along.shape[2] - 3))
+    free.into(H[:, :, :c], bodies.X, bodies.V)
+    free.into(along[:, 3:, 3 : 3 + c], bodies.X, bodies.V, bodies.A)
+    displaced = None
     if errors is not None:
-        of_joints = errors(bodies, v[:, 0], w[:, 0], force[:, 0], spin[:, 0])
-        H, W = (np.concatenate(pair, axis=2) for pair in zip((H, W), of_joints, strict=True))
+        displaced = errors.displaced(bodies)
+        errors.into(displaced, bodies, H[:, :, c:], along[:, 3:, 3 + c :])
     at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
-    d_start: FloatArray = np.eye(3, 3 + at_fixed_eta.shape[2])
+    d_start: FloatArray = np.eye(3, along.shape[2])
     if by_rate:
         d_start[:, 3:] = -at_fixed_eta[0]
         d_start = np.asarray(np.linalg.solve(from_eta[0, 3:], d_start), np.float64)
-    d_eta = _integrate_sensitivity(w[:, 0], eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, d_start, period_s)
-    d_rate = from_eta[:, 3:] @ d_eta
-    d_rate[:, :, 3:] += at_fixed_eta
-    d_wrench = slope @ d_rate
-    d_wrench[:, :, 3:] += W
-    d_thrust = -(inverse @ d_wrench)
-    return BasePrediction(w[:, 0], spin[:, 0], force[:, 0], d_rate, d_thrust[:, 3:], d_thrust[:, :3], eta, d_eta)
+    d_eta = _integrate_sensitivity(w, eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, d_start, period_s)
+    np.matmul(from_eta[:, 3:], d_eta, out=along[:, :3])
+    along[:, :3, 3:] += at_fixed_eta
+    force, spin = thrust[:, :3], thrust[:, 3:]
+    return BasePrediction(w, spin, force, along, -(inverse @ slope), -inverse, eta, d_eta, bodies, displaced)
 
 
 def rate_of_momentum(
@@ -149,27 +165,43 @@ def rate_of_momentum(
     return rate, inverse @ _integrate_sensitivity(rate, eta, inverse, nothing, np.eye(3), period_s)
 
 
-def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rate and specific force of a sensor fixed in the base, in its own axes.
+class SensorPrediction(NamedTuple):
+    """Rate and specific force of a sensor fixed in the base, in its own axes."""
 
-    ``f_So = f_Bo + dw x p + w x (w x p)``: the acceleration of a point of a rigid body.
+    values: FloatArray  # (n, 6)
+    gain: FloatArray  # (n, 6, 9) their derivative by what ``BasePrediction.along`` is the derivative of
+    by_place: FloatArray  # (n, 6, 3) and by the sensor's place
+
+
+def sensor_in_base(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> SensorPrediction:
+    """``f_So = f_Bo + dw x p + w x (w x p)``: the acceleration of a point of a rigid body.
 
     Args:
         base: its motion.
         R_BS: axes of the sensor's frame S in the base's B, (3, 3).
         p_BoSo_B: its origin, (3,), m.
-
-    Returns:
-        Values (n, 6) and derivatives (n, 6, 3 + c).
     """
     w = base.rate
-    force = base.specific_force + cross(base.acceleration, p_BoSo_B) + cross(w, cross(w, p_BoSo_B))
+    W, P = hat(w), hat(p_BoSo_B)
+    by_place = hat(base.acceleration) + W @ W
+    values = np.empty((len(w), 6))
+    values[:, :3] = w @ R_BS
+    values[:, 3:] = (base.specific_force + by_place @ p_BoSo_B) @ R_BS
+    gain = np.zeros((len(w), 6, 9))
+    gain[:, :3, :3] = R_BS.T
+    at_place = np.concatenate([R_BS.T, -R_BS.T @ P], axis=1)  # (3, 6)
     # d(w x (w x p)) = (w x (dw x p)) + dw x (w x p) = -(hat(w) hat(p) + hat(w x p)) dw
-    bend = -(hat(w) @ hat(p_BoSo_B) + hat(cross(w, p_BoSo_B)))
-    d_force = base.d_specific_force - hat(p_BoSo_B) @ base.d_acceleration + bend @ base.d_rate
-    return np.concatenate([w @ R_BS, force @ R_BS], axis=1), np.concatenate(
-        [R_BS.T @ base.d_rate, R_BS.T @ d_force], axis=1
-    )
+    gain[:, 3:, :3] = at_place @ base.by_rate - R_BS.T @ (W @ P + hat(W @ p_BoSo_B))
+    gain[:, 3:, 3:] = at_place @ base.by_wrench
+    d_place = np.zeros((len(w), 6, 3))
+    d_place[:, 3:] = R_BS.T @ by_place
+    return SensorPrediction(values, gain, d_place)
+
+
+def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Values, (n, 6), and derivatives, (n, 6, 3 + c), of :func:`sensor_in_base`."""
+    found = sensor_in_base(base, R_BS, p_BoSo_B)
+    return found.values, np.asarray(found.gain @ base.along, np.float64)
 
 
 def _midpoints(x: FloatArray) -> FloatArray:

@@ -16,19 +16,19 @@ with ``K(L) S = crf(S) L``, ``dI = crf(V) I - I crm(V)`` summed over the links b
 axes of a frame that the joint displaces too, and about its origin, dF is without K(F): the frame moves by the same S.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import Bodies, Chain, LinkMotion, cross, hat, spatial_inertias, stacked, turned
+from onboard.dynamics.bodies import Bodies, Sums
+from onboard.dynamics.kinematics import Chain
+from onboard.dynamics.spatial import coad, crm
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 JOINT_ERRORS = ("place_x", "place_y", "place_z", "zero", "scale", "delay")
 PER_JOINT = len(JOINT_ERRORS)
-ErrorColumns = Callable[[Bodies, FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 
 class Readings(NamedTuple):
@@ -67,6 +67,13 @@ class Readings(NamedTuple):
         )
 
 
+class Displaced(NamedTuple):
+    """Screws of a joint's translations along its axes and of its own motion, and what they become with its seat."""
+
+    screws: FloatArray  # (n, joints, 6, 12): S, X S, (X X + dX) S, four columns each
+    readings: Readings
+
+
 class JointErrors:
     """Errors of the joints of a vehicle.
 
@@ -77,112 +84,89 @@ class JointErrors:
 
     Attributes:
         turns: the joints of the functions, each as one in its column, (m, joints).
+        columns: number of the errors, 6 x joints + m.
     """
 
     def __init__(self, vehicle: VehicleModel, cyclic: Sequence[int] = (), frame: str | None = None) -> None:
-        self._cyclic = np.array(cyclic, np.intp)
-        self.turns = np.eye(len(vehicle.joints))[self._cyclic]
+        joints = len(vehicle.joints)
+        self.turns = np.eye(joints)[np.array(cyclic, np.intp)]
         links = range(len(vehicle.links)) if frame is None else vehicle.distal_links(frame)
-        self._axes = np.array([joint.axis for joint in vehicle.joints])
-        self._revolute = np.array([[joint.revolute] for joint in vehicle.joints])
-        beyond = np.zeros((len(vehicle.joints), len(vehicle.links)))
-        for row, joint in zip(beyond, vehicle.joints, strict=True):
-            row[list(vehicle.distal_links(joint.name))] = 1.0
-        self._beyond = beyond[:, list(links)]
-        displaces = self._beyond.all(axis=1) if frame is not None else np.zeros(len(beyond), np.bool_)
+        self._axes, self._revolute = vehicle.tree.axis, vehicle.tree.revolute
+        self._beyond = np.zeros((joints, len(vehicle.links)))
+        for row, joint in zip(self._beyond, vehicle.joints, strict=True):
+            row[[link for link in vehicle.distal_links(joint.name) if link in links]] = 1.0
+        displaces = self._beyond.sum(axis=1) == len(links) if frame is not None else np.zeros(joints, np.bool_)
         self._stays = np.where(displaces, 0.0, 1.0)[:, None]
+        self.columns = PER_JOINT * joints + len(cyclic)
+        each = np.arange(joints)
+        self._of = np.concatenate([each, each, np.array(cyclic, np.intp)])  # joint of each error that is a function
+        first = PER_JOINT * each
+        self._at = np.concatenate([first + 4, first + 5, np.arange(PER_JOINT * joints, self.columns)])
+        self._still = (first[:, None] + np.arange(4)).ravel()  # of places and zeros
 
-    def along(self, chain: Chain, readings: Readings) -> ErrorColumns:
-        """:meth:`columns` of one motion of the vehicle's chain, and what its encoders read."""
-        return partial(self.columns, stacked(chain.seats), readings)
+    def along(self, chain: Chain, readings: Readings) -> "ErrorsAlong":
+        """The errors of one motion of the vehicle's chain, and what its encoders read."""
+        return ErrorsAlong(self, chain, readings)
 
-    def columns(
-        self,
-        seats: LinkMotion,
-        readings: Readings,
-        bodies: Bodies,
-        v: FloatArray,
-        w: FloatArray,
-        f: FloatArray,
-        dw: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of momentum and wrench of all links about the base's origin, (n, 6, 6 x joints + m) each.
+    def beyond(self, bodies: Bodies) -> Sums:
+        """Sums over the links beyond each joint, those beyond the frame alone."""
+        return bodies.sums(self._beyond)
+
+    def into(self, displaced: Displaced, bodies: Bodies, H: FloatArray | None, Y: FloatArray) -> None:
+        """Derivatives of momentum and wrench of the links about the base's origin, (n, 6, columns) each.
 
         Args:
-            seats: of the joints, stacked.
-            readings: of their encoders.
-            bodies: the links, all or those beyond the frame.
-            v: velocity of the base's origin, (n, 3), base axes, as all.
-            w: its rate, (n, 3).
-            f: specific force there, (n, 3).
-            dw: its angular acceleration, (n, 3).
+            displaced: by the errors.
+            bodies: all links, with the base's motion.
+            H: where that of the momentum is put; None: it is not wanted.
+            Y: where that of the wrench is put.
         """
-        base = np.concatenate([v, w], axis=1)[:, None]
-        base_rate = np.concatenate([f - cross(w, v), dw], axis=1)[:, None]
-        V, A = _spatial(bodies.motion, base, base_rate)
-        each = spatial_inertias(bodies)  # (n, links, 6, 6)
-        momentum, along, across = turned(each, V), _crm(V), _crf(V)
-        L = self._beyond @ momentum  # (n, joints, 6)
-        F = self._beyond @ (turned(each, A) + turned(across, momentum))
-        I, dI = self._sums(each), self._sums(across @ each - each @ along)  # noqa: E741
-        W, dW = _spatial(seats, base, base_rate)
-        X, KL = _crm(W), _coad(L)
-        S = self._screws(seats)
-        still, IS = KL + I @ X, I @ S
-        momenta = still @ S  # (n, joints, 6, 4)
-        wrenches = ((KL + dI) @ X + _coad(F * self._stays) + I @ (X @ X + _crm(dW))) @ S
-        turn, slide = IS[..., 3], ((still + I @ X + dI) @ S[..., 3:])[..., 0]
-        q, dq, ddq, jerk = (x[:, :, None] for x in readings[:4])
-        zero, own = momenta[..., 3], wrenches[..., 3]
-        H = np.stack([*np.moveaxis(momenta, -1, 0), q * zero + dq * turn, dq * zero + ddq * turn], axis=-1)
-        scale, delay = q * own + dq * slide + ddq * turn, dq * own + ddq * slide + jerk * turn
-        Y = np.stack([*np.moveaxis(wrenches, -1, 0), scale, delay], axis=-1)
-        n, of = len(v), self._cyclic
-        H, Y = (x.swapaxes(1, 2).reshape(n, 6, -1) for x in (H, Y))
-        if of.size:
-            e, de, dde = (readings.cyclic[:, k, :, None] for k in range(3))
-            more = e * zero[:, of] + de * turn[:, of], e * own[:, of] + de * slide[:, of] + dde * turn[:, of]
-            H, Y = (np.concatenate([x, y.swapaxes(1, 2)], axis=2) for x, y in zip((H, Y), more, strict=True))
-        return H, Y
-
-    def _screws(self, seats: LinkMotion) -> FloatArray:
-        """Screws of a joint's translation by its axes, and of its own motion, (n, joints, 6, 4)."""
-        axis = turned(seats.R, self._axes)
-        S = np.zeros((*axis.shape[:2], 6, 4))
-        S[..., :3, :3] = seats.R
-        S[..., :3, 3] = np.where(self._revolute, cross(seats.p, axis), axis)
-        S[..., 3:, 3] = np.where(self._revolute, axis, 0.0)
-        return S
-
-    def _sums(self, each: FloatArray) -> FloatArray:
-        """Sums over the links beyond each joint, (n, joints, 6, 6)."""
-        n, links = each.shape[:2]
-        return np.asarray((self._beyond @ each.reshape(n, links, 36)).reshape(n, -1, 6, 6), np.float64)
+        U, readings = displaced.screws, displaced.readings
+        n = len(U)
+        sums = self.beyond(bodies)
+        I = sums.inertia @ U[..., 3:]  # noqa: E741
+        K = coad(sums.momentum) @ U[..., :8]
+        D = sums.change @ U[..., 3:8]
+        wrenches = K[..., 4:] + D[..., 1:] + I[..., 5:] + coad(sums.wrench * self._stays) @ U[..., :4]
+        turn, slide = I[..., 0], K[..., 3] + 2.0 * I[..., 4] + D[..., 0]
+        every = np.stack([readings.q, readings.dq, readings.ddq, readings.jerk], axis=1)
+        f = np.concatenate([every[:, :3], every[:, 1:], readings.cyclic], axis=2)[..., None]  # (n, 3, functions, 1)
+        of = self._of
+        Y[:, :, self._still] = wrenches.transpose(0, 2, 1, 3).reshape(n, 6, -1)
+        Y[:, :, self._at] = (
+            wrenches[..., 3][:, of] * f[:, 0] + slide[:, of] * f[:, 1] + turn[:, of] * f[:, 2]
+        ).swapaxes(1, 2)
+        if H is None:
+            return
+        momenta = K[..., :4] + I[..., 1:5]
+        H[:, :, self._still] = momenta.transpose(0, 2, 1, 3).reshape(n, 6, -1)
+        H[:, :, self._at] = (momenta[..., 3][:, of] * f[:, 0] + turn[:, of] * f[:, 1]).swapaxes(1, 2)
 
 
-def _spatial(motion: LinkMotion, base: FloatArray, base_rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Spatial twist and acceleration about the base's origin, (n, k, 6), of what moves relative to the base."""
-    own = np.concatenate([motion.v - cross(motion.w, motion.p), motion.w], axis=-1)
-    change = motion.a - cross(motion.dw, motion.p) - cross(motion.w, motion.v)
-    return base + own, base_rate + turned(_crm(base), own) + np.concatenate([change, motion.dw], axis=-1)
+class ErrorsAlong(NamedTuple):
+    """Errors of the joints along one motion."""
 
+    errors: JointErrors
+    chain: Chain
+    readings: Readings
 
-def _crm(V: FloatArray) -> FloatArray:
-    """``crm(V) U = V x U`` of motion vectors (linear, angular), (..., 6, 6)."""
-    out = np.zeros((*V.shape, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = hat(V[..., 3:])
-    out[..., :3, 3:] = hat(V[..., :3])
-    return out
+    @property
+    def columns(self) -> int:
+        """How many they are."""
+        return self.errors.columns
 
+    def displaced(self, bodies: Bodies) -> Displaced:
+        """What they displace, with the base moving as the bodies do."""
+        seats, n = self.chain.seats, len(bodies.twist)
+        U = np.zeros((n, seats.p.shape[1], 6, 12))
+        U[..., :3, :3] = seats.R
+        U[..., 3] = self.chain.screws
+        X = crm(seats.V + bodies.twist[:, None])
+        change = seats.A + bodies.rate[:, None] + seats.V @ crm(bodies.twist).swapaxes(1, 2)
+        np.matmul(X, U[..., :4], out=U[..., 4:8])
+        U[..., 8:] = X @ U[..., 4:8] + crm(change) @ U[..., :4]
+        return Displaced(U, self.readings)
 
-def _crf(V: FloatArray) -> FloatArray:
-    """``crf(V) F = V x* F`` of force vectors, (..., 6, 6): ``-crm(V)'``."""
-    return -_crm(V).swapaxes(-1, -2)
-
-
-def _coad(L: FloatArray) -> FloatArray:
-    """``K(L) S = S x* L``, (..., 6, 6)."""
-    out = np.zeros((*L.shape, 6))
-    out[..., :3, 3:] = out[..., 3:, :3] = -hat(L[..., :3])
-    out[..., 3:, 3:] = -hat(L[..., 3:])
-    return out
+    def into(self, displaced: Displaced, bodies: Bodies, H: FloatArray, Y: FloatArray) -> None:
+        """See :meth:`JointErrors.into`."""
+        self.errors.into(displaced, bodies, H, Y)

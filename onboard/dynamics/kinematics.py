@@ -11,22 +11,18 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from onboard.dynamics.errors import SignalError
+from onboard.dynamics.spatial import force_transforms, hat, own_inertias, times
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
-_NOWHERE = pin.SE3.Identity()
-_HAT = np.zeros((3, 9))  # maps a vector's elements to its cross-product matrix
-_HAT[[0, 0, 1, 1, 2, 2], [7, 5, 2, 6, 3, 1]] = 1.0, -1.0, 1.0, -1.0, 1.0, -1.0
 _TENSOR = np.zeros((3, 18))  # maps a vector to its product with a symmetric tensor, by columns of XX XY YY XZ YZ ZZ
 _TENSOR[[0, 1, 2, 0, 1, 2, 0, 1, 2], [0, 1, 3, 7, 8, 10, 15, 16, 17]] = 1.0
-_SYMMETRIC = np.array([4, 5, 7, 5, 6, 8, 7, 8, 9])  # XX XY YY XZ YZ ZZ of standard parameters as a tensor
 
 
 class LinkMotion(NamedTuple):
-    """Motion of one link frame relative to the base, base axes; or of several, (n, links, ...)."""
+    """Motion of one link frame relative to the base, base axes."""
 
     R: FloatArray  # (n, 3, 3) link axes in base axes
     p: FloatArray  # (n, 3) origin
@@ -36,11 +32,25 @@ class LinkMotion(NamedTuple):
     dw: FloatArray  # (n, 3) angular acceleration
 
 
+class Frames(NamedTuple):
+    """Motion of k frames relative to the base."""
+
+    R: FloatArray  # (n, k, 3, 3) axes in base axes
+    p: FloatArray  # (n, k, 3) origins
+    V: FloatArray  # (n, k, 6) spatial twists: the linear part is that of the point at the base's origin
+    A: FloatArray  # (n, k, 6) their rates of change
+
+    def first(self, ticks: int) -> "Frames":
+        """The first ticks."""
+        return Frames(*(part[:ticks] for part in self))
+
+
 class Chain(NamedTuple):
     """Motion of a vehicle's links and joints relative to the base."""
 
-    links: tuple[LinkMotion, ...]  # in the order of the vehicle's links
-    seats: tuple[LinkMotion, ...]  # the frame of each joint at its zero, fixed in the link that carries the joint
+    links: Frames  # in the order of the vehicle's links
+    seats: Frames  # the frame of each joint at its zero, fixed in the link that carries the joint
+    screws: FloatArray  # (n, joints, 6) twist of a joint's unit rate
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -55,12 +65,6 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return out
 
 
-def hat(a: FloatArray) -> FloatArray:
-    """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
-    out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)
-    return out
-
-
 def turned(R: FloatArray, a: FloatArray) -> FloatArray:
     """Rotation ``b[k] = R[k] @ a[k]`` for every tick k; ``a`` may be one vector."""
     out: FloatArray = np.einsum("...ij,...j->...i", R, a)
@@ -68,14 +72,18 @@ def turned(R: FloatArray, a: FloatArray) -> FloatArray:
 
 
 def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[LinkMotion, ...]:
-    """The links of :func:`chain_motion`, joints where they are drawn."""
-    return chain_motion(vehicle, q, dq, ddq).links
+    """The links of :func:`chain_motion` one by one, joints where they are drawn."""
+    R, p, V, A = chain_motion(vehicle, q, dq, ddq).links
+    w, dw = V[..., 3:], A[..., 3:]
+    v = V[..., :3] + cross(w, p)
+    a = A[..., :3] + cross(dw, p) + cross(w, v)
+    return tuple(LinkMotion(*(part[:, k] for part in (R, p, v, w, a, dw))) for k in range(len(vehicle.links)))
 
 
 def chain_motion(
     vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, offsets: FloatArray | None = None
 ) -> Chain:
-    """Motion of every link with columns, by recursion over the joints (Rodrigues' formula; Featherstone 2008).
+    """Motion of every link with columns (Rodrigues' formula; Featherstone 2008): axes by recursion, the rest by sums.
 
     Args:
         vehicle: the model; the links are in the order of its ``links``.
@@ -87,61 +95,48 @@ def chain_motion(
     Raises:
         SignalError: shapes that do not fit.
     """
-    n, nj = q.shape[0], len(vehicle.joints)
+    n, nj, tree = q.shape[0], len(vehicle.joints), vehicle.tree
     if any(signal.shape != (n, nj) for signal in (q, dq, ddq)):
         raise SignalError(f"joint signals must be (n, {nj}); they are {q.shape}, {dq.shape}, {ddq.shape}")
-    model, zero = vehicle.model, np.zeros((n, 3))
-    still = LinkMotion(np.broadcast_to(np.eye(3), (n, 3, 3)), zero, zero, zero, zero, zero)
-    of_joint = {1: still}  # by Pinocchio's joint index; 1 is the base
-    seats = []
-    for column, joint in enumerate(vehicle.joints):
-        index = int(model.getJointId(joint.name))
-        seat = _fixed(of_joint[int(model.parents[index])], model.jointPlacements[index])
-        if offsets is not None:
-            seat = _moved(seat, seat.R @ offsets[column])
-        seats.append(seat)
-        axis = turned(seat.R, np.asarray(joint.axis))
-        x, dx, ddx = (signal[:, column, None] for signal in (q, dq, ddq))
-        if joint.revolute:
-            K = hat(np.asarray(joint.axis))
-            turn = np.eye(3) + np.sin(x)[..., None] * K + (1.0 - np.cos(x))[..., None] * (K @ K)  # Rodrigues
-            spin = cross(seat.w, axis) * dx
-            of_joint[index] = LinkMotion(
-                seat.R @ turn, seat.p, seat.v, seat.w + axis * dx, seat.a, seat.dw + axis * ddx + spin
-            )
-        else:
-            out = axis * x
-            swing = cross(seat.w, out)
-            v = seat.v + swing + axis * dx
-            a = seat.a + axis * ddx + 2.0 * cross(seat.w, axis * dx) + cross(seat.dw, out) + cross(seat.w, swing)
-            of_joint[index] = LinkMotion(seat.R, seat.p + out, v, seat.w, a, seat.dw)
-    frames = [model.frames[vehicle.frame_id(name)] for name in vehicle.links]
-    links = tuple(_fixed(of_joint[int(frame.parentJoint)], frame.placement) for frame in frames)
-    return Chain(links, tuple(seats))
+    arms = tree.seat_origin if offsets is None else tree.seat_origin + times(tree.seat_axes, offsets)
+    angle = q[:, :, None, None]
+    turn = np.eye(3) + np.sin(angle) * tree.hat + (1.0 - np.cos(angle)) * (tree.hat @ tree.hat)  # Rodrigues
+    seated = tree.seat_axes @ turn
+    axes = np.empty((n, nj + 1, 3, 3))  # of the bodies
+    axes[:, 0] = np.eye(3)
+    for joint, carrier in enumerate(tree.parent.tolist()):
+        np.matmul(axes[:, carrier], seated[:, joint], out=axes[:, joint + 1])
+    carriers = axes[:, tree.parent]
+    seat_R = carriers @ tree.seat_axes
+    axis, steps = times(seat_R, tree.axis), times(carriers, arms)  # (n, joints, 3)
+    slides = axis * q[..., None] * (1.0 - tree.revolute)
+    seat_p = steps + tree.below @ (steps + slides)
+    origins = np.zeros((n, nj + 1, 3))
+    origins[:, 1:] = seat_p + slides
+    screws = np.empty((n, nj, 6))
+    screws[..., :3] = cross(seat_p, axis) * tree.revolute + axis * (1.0 - tree.revolute)
+    screws[..., 3:] = axis * tree.revolute
+    moves = screws * dq[..., None]
+    W = tree.below @ moves
+    rates = screws * ddq[..., None]
+    rates[..., :3] += cross(W[..., 3:], moves[..., :3]) + cross(W[..., :3], moves[..., 3:])
+    rates[..., 3:] += cross(W[..., 3:], moves[..., 3:])
+    on = axes[:, tree.body]
+    p = origins[:, tree.body] + times(on, tree.link_origin)
+    links = Frames(on @ tree.link_axes, p, tree.moved @ moves, tree.moved @ rates)
+    return Chain(links, Frames(seat_R, seat_p, W, tree.below @ rates), screws)
 
 
-def _fixed(parent: LinkMotion, placement: pin.SE3) -> LinkMotion:
-    """Motion of a frame fixed in its parent."""
-    if placement == _NOWHERE:
-        return parent
-    moved = _moved(parent, turned(parent.R, np.asarray(placement.translation)))
-    return moved._replace(R=parent.R @ np.asarray(placement.rotation))
-
-
-def _moved(frame: LinkMotion, arm: FloatArray) -> LinkMotion:
-    """Motion of a frame fixed in another, its axes alike, its origin ``arm`` away, (n, 3), base axes."""
-    swing = cross(frame.w, arm)
-    return frame._replace(p=frame.p + arm, v=frame.v + swing, a=frame.a + cross(frame.dw, arm) + cross(frame.w, swing))
+def frames_of(links: Sequence[LinkMotion]) -> Frames:
+    """Motions of several links as frames."""
+    R, p, v, w, a, dw = (np.stack(parts, axis=1) for parts in zip(*links, strict=True))
+    linear, change = v - cross(w, p), a - cross(dw, p) - cross(w, v)
+    return Frames(R, p, np.concatenate([linear, w], axis=-1), np.concatenate([change, dw], axis=-1))
 
 
 def first_ticks(links: Sequence[LinkMotion], ticks: int) -> tuple[LinkMotion, ...]:
     """The first ``ticks`` ticks of some links' motion."""
     return tuple(LinkMotion(*(part[:ticks] for part in link)) for link in links)
-
-
-def stacked(links: Sequence[LinkMotion]) -> LinkMotion:
-    """Motions of several links stacked, (n, links, ...), for vectorised arithmetic."""
-    return LinkMotion(*(np.stack(parts, axis=1) for parts in zip(*links, strict=True)))
 
 
 def _inertia_columns(x: FloatArray) -> FloatArray:
@@ -199,61 +194,6 @@ def wrench_columns(link: LinkMotion, w: FloatArray, f: FloatArray, dw: FloatArra
     return W
 
 
-class Bodies(NamedTuple):
-    """Links with their standard parameters, in base axes, each about its own origin."""
-
-    motion: LinkMotion  # stacked
-    mass: FloatArray  # (links, 1)
-    first: FloatArray  # (n, links, 3) first moment
-    inertia: FloatArray  # (n, links, 3, 3)
-    arm: FloatArray  # (n, links, 3, 3) cross-product matrix of where it is
-    offset: FloatArray  # (n, links, 3, 3) and of its first moment
-
-
-def bodies_of(links: LinkMotion, chi: FloatArray) -> Bodies:
-    """:func:`stacked` links with their standard parameters, (10 x links,), rotated to base axes."""
-    own, R = chi.reshape(-1, 10), links.R
-    tensor = own[:, _SYMMETRIC].reshape(-1, 3, 3)
-    first = turned(R, own[:, 1:4])
-    return Bodies(links, own[:, :1], first, R @ tensor @ R.swapaxes(-1, -2), hat(links.p), hat(first))
-
-
-def relative_momentum(bodies: Bodies) -> FloatArray:
-    """Momentum of the links with the base at rest, (n, 6): ``mu`` of :mod:`onboard.dynamics.free_flight`."""
-    links, m, h = bodies.motion, bodies.mass, bodies.first
-    linear = m * links.v + cross(links.w, h)
-    angular = cross(h, links.v) + turned(bodies.inertia, links.w) + cross(links.p, linear)
-    return np.concatenate([linear.sum(axis=1), angular.sum(axis=1)], axis=1)
-
-
-def wrench_and_slope(bodies: Bodies, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Wrench on all links while the base only turns, (n, 6), and its derivative with respect to w, (n, 6, 3).
-
-    Newton-Euler without the terms of the base's specific force and angular acceleration, which do not depend on w.
-
-    Args:
-        bodies: the links.
-        w: rate of the base, (n, 1, 3).
-    """
-    links, m, h, I = bodies.motion, bodies.mass, bodies.first, bodies.inertia  # noqa: E741
-    P, H = bodies.arm, bodies.offset
-    wi = links.w + w
-    dwi = links.dw + cross(w, links.w)
-    sweep = cross(w, links.p) + 2.0 * links.v
-    fi = cross(w, sweep) + links.a
-    turning, along = cross(wi, h), turned(I, wi)
-    out = np.empty((*wi.shape[:-1], 6))
-    force = out[..., :3]
-    force[:] = m * fi + cross(dwi, h) + cross(wi, turning)
-    out[..., 3:] = cross(h, fi) + turned(I, dwi) + cross(wi, along) + cross(links.p, force)
-    Wi, relative = hat(wi), hat(links.w)
-    d_fi = -hat(sweep) - hat(w) @ P
-    slope = np.empty((*wi.shape[:-1], 6, 3))
-    slope[..., :3, :] = m[..., None] * d_fi + H @ relative - hat(turning) - Wi @ H
-    slope[..., 3:, :] = H @ d_fi - I @ relative - hat(along) + Wi @ I + P @ slope[..., :3, :]
-    return out.sum(axis=1), slope.sum(axis=1)
-
-
 def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArray:
     """Composite spatial inertia of the vehicle about the base's origin, (n, 6, 6) (Featherstone 2008).
 
@@ -261,21 +201,16 @@ def composite_inertia(links: Sequence[LinkMotion], chi: FloatArray) -> FloatArra
         links: motions, in the order of the columns.
         chi: standard parameters, (10 x links,).
     """
-    return composite_of(bodies_of(stacked(links), chi))
+    X = force_transforms(np.stack([link.R for link in links], axis=1), np.stack([link.p for link in links], axis=1))
+    return np.asarray(spatial_inertias(X, chi).sum(axis=1), np.float64)
 
 
-def composite_of(bodies: Bodies) -> FloatArray:
-    """:func:`composite_inertia` of bodies."""
-    return np.asarray(spatial_inertias(bodies).sum(axis=1), np.float64)
+def spatial_inertias(X: FloatArray, chi: FloatArray) -> FloatArray:
+    """Spatial inertia of each link about the base's origin, (n, links, 6, 6) (Featherstone 2008).
 
-
-def spatial_inertias(bodies: Bodies) -> FloatArray:
-    """Spatial inertia of each link about the base's origin, (n, links, 6, 6) (Featherstone 2008)."""
-    m, P = bodies.mass, bodies.arm
-    shift = P @ bodies.offset
-    C = np.zeros((*P.shape[:2], 6, 6))
-    C[..., :3, :3] = m[..., None] * np.eye(3)
-    C[..., 3:, :3] = hat(bodies.first + m * bodies.motion.p)
-    C[..., :3, 3:] = -C[..., 3:, :3]
-    C[..., 3:, 3:] = bodies.inertia - shift - shift.swapaxes(-1, -2) - m[..., None] * P @ P
-    return C
+    Args:
+        X: :func:`onboard.dynamics.spatial.force_transforms` of the links, (n, links, 6, 6).
+        chi: standard parameters, (10 x links,).
+    """
+    out: FloatArray = X @ own_inertias(chi) @ X.swapaxes(-1, -2)
+    return out

@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
+from onboard.dynamics.tree import tree_of
 from onboard.estimation.arrays import FloatArray
 
 STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
@@ -101,6 +102,7 @@ class VehicleModel:
         joints: the joints, in the order of the columns of q, dq, ddq.
         links: links with mass, in the order of their columns; the payload link among them even without ``<inertial>``.
         chi: standard parameters from the URDF, (10 x links,).
+        tree: joints and links as arrays.
     """
 
     def __init__(self, urdf: str, spec: VehicleSpec) -> None:
@@ -132,6 +134,7 @@ class VehicleModel:
         self.chi = np.concatenate([_standard_parameters(elements[name]) for name in self.links])
         self.chi.setflags(write=False)
         self.joints = tuple(self._joint(root, index) for index in range(2, self.model.njoints))
+        self.tree = tree_of(self.model, self.joints, self.links)
         self._neutral = self.model.createData()
         pin.framesForwardKinematics(self.model, self._neutral, pin.neutral(self.model))
 

@@ -84,6 +84,7 @@ class Descent:
         prior_information: L, (p, p), positive semi-definite.
         iterations: at most.
         tolerance: predicted decrease of the whitened sum of squares below which the iteration stops.
+        damping: of the first step, relative to the information's diagonal.
 
     Attributes:
         at: (p,) where the next prediction is wanted.
@@ -97,13 +98,14 @@ class Descent:
         prior_information: FloatArray,
         iterations: int = 50,
         tolerance: float = 1e-4,
+        damping: float = 1e-3,
     ) -> None:
         self.at: FloatArray = np.asarray(start, np.float64).copy()
         self.found: Fit | None = None
         self._mean, self._prior = prior_mean, prior_information
         self._iterations, self._tolerance = iterations, tolerance
         self._x, self._now = self.at, Normal(prior_information, np.zeros_like(self.at), np.inf)
-        self._iteration, self._damping, self._promised = 0, 1e-3, np.inf
+        self._iteration, self._damping, self._promised = 0, damping, np.inf
 
     def take(self, predicted: Normal) -> None:
         """Takes the normal equations of the whitened residuals, predicted less measured, at ``at``.
@@ -180,6 +182,7 @@ def fit_normal(
     prior_information: FloatArray,
     iterations: int = 50,
     tolerance: float = 1e-4,
+    damping: float = 1e-3,
 ) -> Fit:
     """Minimises ``|r(x)|^2 + (x - x0)' L (x - x0)`` by a :class:`Descent`.
 
@@ -190,13 +193,14 @@ def fit_normal(
         prior_information: L, (p, p), positive semi-definite.
         iterations: at most.
         tolerance: predicted decrease of the whitened sum of squares below which the iteration stops.
+        damping: of the first step, relative to the information's diagonal.
 
     Raises:
         ConvergenceError: no minimum within ``iterations``.
         SingularError: as :func:`inverse_of`.
         RowError: a residual at the start that is not finite.
     """
-    descent = Descent(start, prior_mean, prior_information, iterations, tolerance)
+    descent = Descent(start, prior_mean, prior_information, iterations, tolerance, damping)
     while descent.found is None:
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = evaluate(descent.at)

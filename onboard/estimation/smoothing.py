@@ -122,7 +122,6 @@ class SmoothingWindow:
         self.width_s = width_s
         self.kernel = kernel
         self.samples = times.size
-        self._weights: dict[int, FloatArray] = {}
         low = np.searchsorted(times, at - 0.5 * width_s, side="right")
         high = np.searchsorted(times, at + 0.5 * width_s, side="left")
         self.valid: BoolArray = (high - low) * kernel.reach >= _MIN_SAMPLES  # (n,)
@@ -149,26 +148,28 @@ class SmoothingWindow:
         Kernel values times trapezoidal cells, plus the smallest correction (weighted with B about its middle) that
         makes the derivative of quadratic polynomials equal to the kernel's, for any sample times.
         """
-        if derivative not in (0, 1, 2):
-            raise RowError(f"derivative {derivative} is not one of 0, 1, 2")
-        known = self._weights.get(derivative)
-        if known is None:
-            known = self._weights[derivative] = self._made(derivative)
-        return known
+        return self._of_orders((derivative,))[:, 0]
 
-    def _made(self, derivative: int) -> FloatArray:
+    def _of_orders(self, orders: Sequence[int]) -> FloatArray:
+        """:meth:`weights` of some derivatives, (n, o, l)."""
+        for derivative in orders:
+            if derivative not in (0, 1, 2):
+                raise RowError(f"derivative {derivative} is not one of 0, 1, 2")
+        return self._weights[:, list(orders)]
+
+    @cached_property
+    def _weights(self) -> FloatArray:
+        """:meth:`weights` of the three derivatives, (n, 3, l)."""
         if not self._some:
-            return np.zeros(self._index.shape)
-        cell, shapes, powers, correctors = self._correction
-        kernel = shapes[derivative] * cell
-        if derivative == 1:
-            kernel = -kernel  # by parts
-        target = self.kernel.of_powers(derivative) - (kernel[:, None] @ powers)[:, 0]  # (n, 3)
-        raw = kernel + (correctors @ target[..., None])[..., 0]
+            return np.zeros((self._index.shape[0], 3, self._index.shape[1]))
+        kernels, powers, correctors = self._correction
+        targets = np.array([self.kernel.of_powers(order) for order in range(3)]) - kernels @ powers  # (v, 3, 3)
+        raw = kernels + targets @ correctors.swapaxes(1, 2)
+        raw /= self.width_s ** np.arange(3.0)[:, None]
         if not self._whole:
-            made, raw = raw, np.zeros(self._index.shape)
+            made, raw = raw, np.zeros((len(self.valid), *raw.shape[1:]))
             raw[self.valid] = made
-        return np.asarray(raw / self.width_s**derivative, np.float64)
+        return raw
 
     @cached_property
     def _some(self) -> bool:
@@ -181,11 +182,11 @@ class SmoothingWindow:
         return bool(self.valid.all())
 
     @cached_property
-    def _correction(self) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray], FloatArray, FloatArray]:
+    def _correction(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """For the v valid windows.
 
         Returns:
-            Quadrature weights (v, l), the kernel and its derivatives (v, l), powers of the samples' places (v, l, 3),
+            The kernel and its derivatives with quadrature weights (v, 3, l), powers of the samples' places (v, l, 3),
             weights per moment error (v, l, 3).
         """
         u, cell = (self._u, self._cell) if self._whole else (self._u[self.valid], self._cell[self.valid])
@@ -197,9 +198,12 @@ class SmoothingWindow:
             about = (u - self.kernel.first_moment) / self.kernel.reach
             near = _BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else _BASE(about)
             shapes = [part(u) for part in self.kernel.parts]
+        kernels = np.empty((len(u), 3, u.shape[1]))
+        for order, shape in enumerate(shapes):
+            np.multiply(shape, -cell if order == 1 else cell, out=kernels[:, order])  # the first derivative by parts
         weighted = powers * (near * cell)[..., None]
         correctors = weighted @ np.linalg.inv(weighted.swapaxes(1, 2) @ powers)
-        return cell, (shapes[0], shapes[1], shapes[2]), powers, correctors
+        return kernels, powers, correctors
 
     def apply(self, values: ArrayLike, derivative: int = 0) -> Smoothed:
         """The ``derivative``-th derivative of the smoothed ``values`` at every tick: :meth:`derivatives`."""
@@ -225,16 +229,12 @@ class SmoothingWindow:
         if not self._some:
             nothing = np.full((self.valid.size, columns.shape[1]), np.nan)
             return [Smoothed(nothing, self.valid, np.full(self.valid.size, np.nan)) for _ in orders]
-        under, made = columns[self._index], []  # (n, l, c)
-        for order in orders:
-            weights = self.weights(order)
-            out = (weights[:, None] @ under)[:, 0]
-            gain = np.sqrt((weights * weights).sum(axis=1))
-            if not self._whole:
-                out[~self.valid] = np.nan
-                gain[~self.valid] = np.nan
-            made.append(Smoothed(out, self.valid, gain))
-        return made
+        weights = self._of_orders(orders)
+        values_at = weights @ columns[self._index]  # (n, o, c)
+        gains = np.sqrt((weights * weights).sum(axis=2))
+        if not self._whole:
+            values_at[~self.valid] = gains[~self.valid] = np.nan
+        return [Smoothed(values_at[:, k], self.valid, gains[:, k]) for k in range(len(orders))]
 
 
 def smooth(

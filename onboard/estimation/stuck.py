@@ -80,6 +80,12 @@ class StuckReadings:
         n, kept = len(readings), len(self._lengths)
         if not n:
             return np.zeros(0, np.bool_), NONE
+        if self._differ(readings) and usable.all():
+            lengths = np.concatenate([self._lengths, np.ones(n, np.int64)])
+            self._values = np.concatenate([self._values, readings])[-_RUNS:]
+            found = np.concatenate([self._stuck, np.zeros(n, np.bool_)])
+            self._lengths, self._stuck = lengths[-_RUNS:], found[-_RUNS:]
+            return found[kept:], NONE
         values = np.concatenate([self._values, np.where(usable[:, None], readings, np.nan)])
         first = np.ones(len(values), np.bool_)
         differs = values[1:] != values[:-1]
@@ -97,6 +103,16 @@ class StuckReadings:
             before = slice(-int(old[at[0]]), -int(old[at[-1] + 1]))
         self._values, self._lengths, self._stuck = values[-_RUNS:], lengths[-_RUNS:], found[-_RUNS:]
         return found[run[kept:]], before
+
+    def _differ(self, readings: NDArray[np.float64]) -> bool:
+        """Whether every reading differs from the one before, and no run before them can be judged by them."""
+        if not len(self._lengths) or (self._longest is None and self._lengths.max() >= _SHORTEST):
+            return False
+        same = readings[1:] == readings[:-1]
+        first = readings[0] == self._values[-1]
+        if same.shape[1] == 1:
+            return not (first[0] or same.any())
+        return not (first.all() or same.all(axis=1).any())
 
     @staticmethod
     def _by_travel(values: NDArray[np.float64], lengths: NDArray[np.int64]) -> BoolArray:

@@ -8,14 +8,18 @@ from collections.abc import Mapping, Sequence
 from drivers.device import Device
 from drivers.errors import DriverError
 from drivers.records import Batch, Severity, event
+from onboard.flight.arming import Arming
 from onboard.flight.publisher import Expected, Publisher
 
 
 class Acquisition:
-    """Steps a set of devices. The simulated runner calls :meth:`step`; in the real one each bus has a thread."""
+    """Steps a set of devices. The simulated runner calls :meth:`step`; in the real one each bus has a thread.
 
-    def __init__(self, devices: Sequence[Device], publisher: Publisher) -> None:
-        self._publisher = publisher
+    ``arming``: arms their drives; without it nothing is driven.
+    """
+
+    def __init__(self, devices: Sequence[Device], publisher: Publisher, arming: Arming | None = None) -> None:
+        self._publisher, self._arming = publisher, arming
         self.devices = list(devices)
         self._due_ns = dict.fromkeys((device.name for device in devices), 0)
 
@@ -30,11 +34,16 @@ class Acquisition:
         except (DriverError, OSError) as error:
             self._publisher.publish([event(now_ns, Severity.ERROR, "device_failed", device.name, str(error))])
             return False
+        if self._arming is not None:
+            self._publisher.publish(self._arming.started(device, now_ns))
         return True
 
     def pump(self, device: Device, now_ns: int, timeout_s: float) -> None:
         """Pump one device and publish its batches."""
-        self._publisher.publish(device.pump(now_ns, timeout_s))
+        batches = device.pump(now_ns, timeout_s)
+        self._publisher.publish(batches)
+        if self._arming is not None:
+            self._arming.see(batches)
 
     def step(self, now_ns: int) -> None:
         """Pump every device that is due, without waiting."""

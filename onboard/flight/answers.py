@@ -115,6 +115,7 @@ _CHANGES = {
 
 
 PAYLOAD_CHANGES = ("change", "capture", "ejection", "contact", "instrument")
+_INSTRUMENTS = ("left_out", "taken_back")
 _REJECTED = ("release_contradicted", "capture_contradicted")
 _AGO = re.compile(r"(-?\d+\.\d\d) s ago")
 
@@ -129,6 +130,16 @@ def change_event(now_ns: int, change: Change) -> Batch:
         text += f", not before {since_s:.2f} s ago; innovations {change.score:.1f} times their expected size"
     severity = Severity.WARNING if change.kind == "instrument" else Severity.INFO
     return event(now_ns, severity, change.kind, "estimation", text)
+
+
+def instrument_of(row: np.void) -> Change | None:
+    """The instrument that an EVENT of :func:`change_event` leaves out or takes back; None for any other event."""
+    kind = row["code"].decode("ascii", "replace")
+    if row["source"] != b"estimation" or kind not in _INSTRUMENTS:
+        return None
+    name, _, _ = row["text"].decode("utf-8", "replace").partition(" ")
+    at_s = 1e-9 * float(row["host_ns"])
+    return Change(kind, at_s, at_s, np.nan, name)
 
 
 def change_of(row: np.void) -> Change | None:

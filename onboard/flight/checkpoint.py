@@ -7,9 +7,9 @@ by the rows named in its TICK record, so a checkpoint and the ticks after it res
 from pathlib import Path
 from typing import NamedTuple
 
-from onboard.flight.directories import write_private
+from onboard.flight.directories import open_private, write_private
 from onboard.flight.estimator import Estimator
-from onboard.flight.state import Places, StateError, from_bytes, to_bytes
+from onboard.flight.state import Places, StateError, from_bytes, write
 
 _NAME, _UNDERWAY = "estimator.checkpoint.npz", "estimator.redoing"
 
@@ -43,7 +43,8 @@ class Checkpoints:
             StateError: a part of the estimator is not data.
         """
         unfinished = self._path.with_suffix(".new")
-        write_private(unfinished, to_bytes(tuple(checkpoint), self._places))
+        with open_private(unfinished) as file:
+            write(file, tuple(checkpoint), self._places)
         unfinished.rename(self._path)
         self.taken_over()
 

@@ -49,7 +49,7 @@ def open_bus(vehicle: config.Vehicle, name: str, clock: Clock, opened: OpenDevic
     bus = OpeningBus(name, vehicle.devices_on(name), vehicle, clock, [])
     try:
         devices = next(iter(bus.devices.values())).open_on(bus)
-    except (DriverError, OSError) as error:
+    except (DriverError, config.ConfigError, OSError) as error:
         for port in bus.ports:
             port.close()
         text = f"{bus.url}: {error}; without {', '.join(bus.devices)}"

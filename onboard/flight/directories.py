@@ -15,6 +15,7 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 _LOCK = "lock"
 _NAME_LENGTH = 64  # of the part of a directory's name that is taken from a log's
@@ -176,9 +177,17 @@ def write_private(path: Path, data: bytes, *, durable: bool = False) -> None:
     Raises:
         OSError: there is no room.
     """
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    with open(descriptor, "wb") as file:
+    with open_private(path) as file:
         file.write(data)
         if durable:
             file.flush()
-            os.fsync(descriptor)
+            os.fsync(file.fileno())
+
+
+def open_private(path: Path) -> BinaryIO:
+    """A file that only this user may read, to be written in place of what was there.
+
+    Raises:
+        OSError: there is no room, or it cannot be made.
+    """
+    return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600), "wb")

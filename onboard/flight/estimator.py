@@ -26,6 +26,7 @@ from onboard.flight.signals import SignalSmoother, kernel_of
 from onboard.flight.witness import RateWitness
 from onboard.flight.zeroing import Temperatures, Zeroing
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
@@ -83,7 +84,7 @@ class Estimator:
         roles = roles_of(vehicle)
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
         self._temperatures = Temperatures(self._imu)
-        further = self.online.exiddm.predictor.further if isinstance(self.online, ExiddmIdentifier) else ()
+        further = self.online.further if isinstance(self.online, ExiddmIdentifier | TableRun) else ()
         self._further = channels_of(roles, further)
         self._witness: RateWitness | None = None
         try:

@@ -113,12 +113,11 @@ def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> Online
     return Hypotheses(lambda: build_identifier(vehicle)[0], redundant)
 
 
-def build_exiddm(vehicle: config.Vehicle, *, fused: bool = True) -> tuple[ExiddmIdentifier, VehicleModel]:
+def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleModel]:
     """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
 
     Args:
         vehicle: its file.
-        fused: with further IMUs and load cells, or the first IMU alone.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -130,7 +129,7 @@ def build_exiddm(vehicle: config.Vehicle, *, fused: bool = True) -> tuple[Exiddm
         _check_joints(roles, model)
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
-        further = further_instruments(vehicle, roles, imu_prior) if fused else []
+        further = further_instruments(vehicle, roles, imu_prior)
         predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, covariance, imu_prior, geometry, further)
         known = None
         if settings.carried:

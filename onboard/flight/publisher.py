@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.records import Batch, Rows, SampleStatus, gap
+from drivers.records import CAN_FRAME, Batch, Rows, SampleStatus, gap
 from onboard.ring import RingWriter
 
 SHARED_CHANNELS = ("event", "gap")
@@ -68,6 +68,8 @@ class Publisher:
             for name, ring in rings.items():
                 if name not in SHARED_CHANNELS and len(rows := ring.newest()):
                     left = _left(rows)
+                    if rows.dtype == CAN_FRAME:  # what we send has no rate
+                        left = left._replace(period_ns=0.0)
                     if name in changes:
                         left = left._replace(period_ns=0.0, value=int(rows["value_raw"][-1]))
                     self._left[name] = left

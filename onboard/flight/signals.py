@@ -211,7 +211,7 @@ class SignalSmoother:
         of_change[:-1], of_change[-1] = sigma[1:], sigma[-1] * (np.pi / self.width_s)
         moved = one.timing_s * np.sqrt(np.maximum(change * change - of_change * of_change, 0.0))
         sigma = np.hypot(sigma, moved)
-        found, column = {}, 0
+        found, column, cyclic = {}, 0, self._cyclic(group, window, derivatives)
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])
             refused, column = gaps, part.stop
@@ -219,17 +219,29 @@ class SignalSmoother:
                 held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
                 refused = refused | reasons(held, reason)
             ripple = self._signals[name].ripple if derivatives else ()
-            cyclic = None
             for periods, rms in ripple:
                 left = rms * CYCLIC_LEFT if self._cyclic_fitted else rms
                 for order in range(derivatives + 1):
                     passed = left * self._response.gain(periods * out[1, :, part], order)
                     sigma[order, :, part] = np.hypot(sigma[order, :, part], passed)
-            if ripple and self._cyclic_fitted:
-                functions = window.derivatives(cyclic_functions(recent.values[:, 0], ripple), range(derivatives + 1))
-                cyclic = np.stack([smoothed.values for smoothed in functions], axis=1)
-            found[name] = ChannelAtTicks(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused, cyclic)
+            found[name] = ChannelAtTicks(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused, cyclic.get(name))
         return found
+
+    def _cyclic(
+        self, group: Mapping[str, "_Recent"], window: SmoothingWindow, derivatives: int
+    ) -> dict[str, FloatArray]:
+        """Functions of the cyclic errors of the channels that have some, see :class:`ChannelAtTicks`."""
+        each = {
+            name: cyclic_functions(recent.values[:, 0], ripple)
+            for name, recent in group.items()
+            if derivatives and self._cyclic_fitted and (ripple := self._signals[name].ripple)
+        }
+        if not each:
+            return {}
+        smoothed = window.derivatives(np.hstack(list(each.values())), range(derivatives + 1))
+        functions = np.stack([one.values for one in smoothed], axis=1)
+        ends = np.cumsum([one.shape[1] for one in each.values()])[:-1]
+        return dict(zip(each, np.split(functions, ends, axis=2), strict=True))
 
     def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> ChannelAtTicks:
         channel, recent = self._signals[name], self._recent(name, timebase, at_ns)

@@ -16,7 +16,7 @@ import zipfile
 from collections import deque
 from collections.abc import Iterator
 from enum import Enum
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 import pydantic
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from onboard.dynamics.vehicle import VehicleModel
 
-FORMAT = 2
+FORMAT = 3
 _ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "devices", "flight")
 _PACKAGES = tuple(f"onboard.{room}." for room in _ROOMS)
 _TREE, _DATA = "tree", "data"
@@ -98,17 +98,14 @@ class _Writer:
     def __init__(self, places: Places) -> None:
         self._places, self._number = places, dict[int, int]()
         self._kept: list[object] = []  # so that no number is given twice
-        self._arrays: list[memoryview] = []  # bytes of arrays, joined before anything changes them
+        self.arrays: list[memoryview] = []  # their bytes, to be written before anything changes them
         self._end = 0
-
-    @property
-    def data(self) -> bytes:
-        """All arrays, one after the other."""
-        return b"".join(self._arrays)
 
     def node(self, thing: object) -> Any:
         if isinstance(thing, _PLAIN) and type(thing) in _PLAIN:
             return thing
+        if type(thing) is tuple and all(type(item) in _PLAIN for item in thing):
+            return ["plain", thing]  # thousands of short ones: no number each
         if (place := self._places.of(thing)) is not None:
             return ["at", place]
         if id(thing) in self._number:
@@ -123,7 +120,7 @@ class _Writer:
             raise StateError(f"an array of {array.dtype} cannot be written as values")
         order: Literal["F", "C"] = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
         flat = np.ravel(array, order=order)
-        self._arrays.append(flat.view(np.uint8).data if flat.nbytes else memoryview(b""))
+        self.arrays.append(flat.view(np.uint8).data if flat.nbytes else memoryview(b""))
         self._end += array.nbytes
         return [np.lib.format.dtype_to_descr(array.dtype), order, list(array.shape), self._end - array.nbytes]
 
@@ -165,6 +162,8 @@ class _Reader:
         tag, *rest = node
         if tag == "at":
             return self._places.at[rest[0]]
+        if tag == "plain":
+            return tuple(rest[0])
         if tag == "same":
             return self._made[rest[0]]
         number = len(self._made)
@@ -246,25 +245,33 @@ def _class(name: str) -> type:
 
 
 def to_bytes(thing: object, places: Places) -> bytes:
-    """``thing`` as the bytes of an NPZ file: a tree, and its arrays.
+    """What :func:`write` writes."""
+    file = io.BytesIO()
+    write(file, thing, places)
+    return file.getvalue()
+
+
+def write(file: IO[bytes], thing: object, places: Places) -> None:
+    """Write ``thing`` as an NPZ file: a tree, and its arrays.
 
     Args:
+        file: that can be sought in.
         thing: an object of ours, or containers of them.
         places: of what a new one has anyway.
 
     Raises:
-        StateError: a part of it is neither data nor in ``places``.
+        StateError: a part of it is neither data nor in ``places``; nothing is written.
     """
     writer = _Writer(places)
     tree = json.dumps({"format": FORMAT, "root": writer.node(thing)}).encode()
-    file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as container:  # as np.savez writes it, without its copies of the data
-        for name, part in ((_TREE, tree), (_DATA, writer.data)):
+        for name, parts in ((_TREE, [memoryview(tree)]), (_DATA, writer.arrays)):
             with container.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                about = {"descr": "|u1", "fortran_order": False, "shape": (len(part),)}
+                size = sum(part.nbytes for part in parts)
+                about = {"descr": "|u1", "fortran_order": False, "shape": (size,)}
                 np.lib.format.write_array_header_1_0(entry, about)
-                entry.write(part)
-    return file.getvalue()
+                for part in parts:
+                    entry.write(part)
 
 
 def from_bytes(data: bytes, places: Places) -> Any:

@@ -24,6 +24,7 @@ from onboard import config
 from onboard.flight import directories, manifest, realtime, rings
 from onboard.flight.acquisition import Acquisition
 from onboard.flight.announcer import RECORDER_SAID
+from onboard.flight.arming import Arming
 from onboard.flight.health import Beat
 from onboard.flight.health_status import Status
 from onboard.flight.publisher import Publisher
@@ -102,7 +103,7 @@ def _acquire(vehicle: config.Vehicle, directory: Path, supervised: Supervised) -
     writers = rings.create(directory, vehicle, rings.device_channels(vehicle))
     publisher = Publisher(writers, renumber=True, changes=changes)
     opened = open_devices(vehicle, time.monotonic_ns)
-    acquisition = Acquisition(opened.devices, publisher)
+    acquisition = Acquisition(opened.devices, publisher, Arming(vehicle, directory))
     acquisition.report(opened.problems)
     has = realtime.apply(realtime.settings(vehicle.file.realtime, "acquisition"))
     if said := has.said():

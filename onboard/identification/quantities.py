@@ -1,6 +1,6 @@
 """Reported quantities: linear combinations of base parameters, and their estimates."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -73,6 +73,10 @@ class Findings(NamedTuple):
 
     against: tuple[str, ...] = ()  # they are not to be used
     doubts: tuple[str, ...] = ()  # they are weak
+
+    def plus(self, against: Iterable[str] = (), doubts: Iterable[str] = ()) -> "Findings":
+        """These and more."""
+        return Findings((*self.against, *against), (*self.doubts, *doubts))
 
 
 class Estimate(NamedTuple):

@@ -92,7 +92,7 @@ def test_interfaces_are_those_of_the_vehicle_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ([], USAGE, "packaged are: dymaflex"),
+        ([], USAGE, "packaged are: air_bearing"),
         (["--vehicle", "rocksatt"], USAGE, "rocksatt/vehicle.toml; packaged are"),
         (["--frobnicate"], USAGE, "unknown argument --frobnicate"),
         (["--vehicle"], USAGE, "needs a value"),

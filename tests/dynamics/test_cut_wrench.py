@@ -28,7 +28,7 @@ def test_it_is_what_mujoco_s_sensor_in_the_wrist_reads():
     truth = np.concatenate([flight.wrist_force_n, flight.wrist_moment_n_m], axis=1)[::every]
     assert np.abs(truth).max(axis=0).min() > 0.05
     for component, unit in enumerate(np.eye(6)):
-        found = CutWrench(flown.vehicle, "link_5", unit, ()).predict(chain, flown.chi, base).values
+        found = CutWrench(flown.vehicle, "link_5", unit, ()).predict(base).values
         a_ten_thousandth = 1e-4 * np.abs(truth).max()
         assert np.abs(found - truth[:, component]).max() < a_ten_thousandth, component
 

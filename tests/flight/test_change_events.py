@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.records import Severity, event
-from onboard.flight.answers import PAYLOAD_CHANGES, change_event, change_of
+from onboard.flight.answers import PAYLOAD_CHANGES, change_event, change_of, instrument_of
 from onboard.identification.change import Change
 
 
@@ -26,6 +26,14 @@ def test_a_rejected_announcement_is_read_at_the_time_of_its_event(kind: str) -> 
     found = change_of(change_event(10**9, Change(kind, 0.9, 0.9, np.nan, "x")).rows[0])
     assert found is not None
     assert (found.kind, found.time_s, found.since_s) == (kind, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["left_out", "taken_back"])
+def test_an_instrument_left_out_or_taken_back_is_read_from_its_event(kind: str) -> None:
+    found = instrument_of(change_event(10**9, Change(kind, 0.9, 0.9, np.nan, "imu_2")).rows[0])
+    assert found is not None
+    assert (found.kind, found.what, found.time_s) == (kind, "imu_2", 1.0)
+    assert instrument_of(change_event(10**9, Change("capture", 0.9, 0.9, np.nan, "imu_2")).rows[0]) is None
 
 
 def test_other_events_are_no_changes() -> None:

@@ -29,7 +29,7 @@ def table(fault: Fault) -> dict[str, Any]:
 def test_every_lost_sample_is_in_a_gap(seed: int, mission: str, fault: str) -> None:
     told = flown(seed, mission, [table(parse(fault))], without_estimator=True)
     assert (told["unnamed"], told["jumps"]) == ({}, {})
-    assert any(missing for _, _, missing, _ in told["accounts"].values()) or seed == 647
+    assert any(missing for _, _, missing, _ in told["accounts"].values())
 
 
 def test_a_healthy_flight_has_no_gap_but_for_questions_without_an_answer() -> None:
@@ -41,7 +41,7 @@ def test_a_healthy_flight_has_no_gap_but_for_questions_without_an_answer() -> No
 def test_the_campaign_draws_every_kind_on_every_mission() -> None:
     drawn = [draw(seed) for seed in range(7001, 8001)]
     kinds = {fault["kind"] for _, faults in drawn for fault in faults}
-    assert kinds == set(FaultKind)
+    assert kinds == set(FaultKind) - {FaultKind.TRIP, FaultKind.EMERGENCY_STOP}  # of driven arms: bench.drive_faults
     for mission in {name for name, _ in drawn}:
         flown_on = {fault["device"] for name, faults in drawn if name == mission for fault in faults}
         assert flown_on == set(vocabulary(mission))

@@ -210,10 +210,10 @@ def test_an_estimator_without_room_for_a_checkpoint_says_so_and_goes_on(
 ) -> None:
     rings.create(tmp_path, vehicle, rings.device_channels(vehicle))
 
-    def refuse(path: Path, data: bytes) -> None:
+    def refuse(path: Path) -> None:
         raise OSError(errno.ENOSPC, "no room")
 
-    monkeypatch.setattr(checkpoint, "write_private", refuse)
+    monkeypatch.setattr(checkpoint, "open_private", refuse)
     worker = DurableEstimation(vehicle, tmp_path, 0)
     for step in range(100):
         worker.step(step * 50_000_000)

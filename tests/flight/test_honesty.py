@@ -1,6 +1,6 @@
 """Instruments that lie, flown: the answer is right, or none is given, and the log says which instrument and why.
 
-``docs/honesty.md`` has the whole table; ``bench/honesty.py`` is the campaign that a slice of is flown here.
+``docs/honesty.md`` has the whole table; ``bench/plans/honesty.toml`` is the campaign that a slice of is flown here.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bench.honest_flights.drawn import MISSION
-from bench.honesty import fly as fly_seed
+from bench.honest_flights.flown import flight
 from hil_sim.scenario.load import load
 from onboard.estimation.gates import GateReason
 from tests.flight.missions import Result, fly
@@ -90,6 +90,6 @@ def test_of_two_cells_the_one_that_lies_is_named_and_the_other_answers(
 
 @pytest.mark.parametrize("seed", [4002, 4003])
 def test_a_slice_of_the_campaign_holds_no_confident_nonsense(seed: int) -> None:
-    flown = fly_seed(seed)
-    assert "failed" not in flown
-    assert flown["invisible"] or not flown["nonsense"]
+    flown = flight(seed, {})
+    assert flown.answers
+    assert not flown.nonsense

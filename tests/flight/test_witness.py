@@ -14,21 +14,28 @@ import pytest
 
 from drivers.records import Rows
 from onboard import cli, config
+from onboard.flight.answers import change_event
+from onboard.flight.estimation import SUFFIX
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_model
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import ChannelAtTicks
 from onboard.flight.witness import RateWitness
+from onboard.identification.change import Change
+from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.feed import feed
+from onboard.offline.estimate_again.identify import identify
 from onboard.offline.report import theme
 from onboard.offline.report.base_rate import base_rate
 from onboard.offline.report.flight_data import FlightData, gather
 from onboard.offline.report.gallery import Gallery
 from onboard.offline.report.sections import _base_rate
 from onboard.recording.reader import LogReader
+from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result, fly
 
 MASS_kg = 5.0
+EVENTS = "event" + SUFFIX
 NOISE_rad_s = 6e-4
 SEQUENCE = [
     {"phase": 0, "action": "hold", "duration_s": 1.0},
@@ -112,6 +119,41 @@ def test_a_second_imu_of_a_wrong_scale_is_left_out(flown: Result) -> None:
     texts, mass = told(flown.flown.log, "imu_2", spoil)
     assert texts == ["imu_2 contradicts the other instruments: estimates without it"]
     assert_weak(mass, "imu_2")
+
+
+def test_on_the_ground_it_is_as_well_known_with_the_same_instruments(flown: Result) -> None:
+    (found,) = identify(config.load(config.packaged("dymaflex")), [flown.flown.log]).logs
+    mass, centre_m = found.answers[0], found.answers[1]
+    assert found.verdict.level is Level.GOOD
+    assert abs(mass.value - MASS_kg) < 3.0 * mass.sigma
+    assert mass.sigma < 0.006 * MASS_kg  # 0.009 without the wrist cell
+    assert "device.load_cell.scale_sigma" in mass.leans
+    assert "load_cell" in found.residuals
+    assert abs(centre_m.value - 0.03) < 4.0 * centre_m.sigma
+
+
+@pytest.mark.parametrize("told_on_board", [False, True])
+def test_on_the_ground_one_that_contradicts_is_found_or_was_told(
+    flown: Result, tmp_path: Path, told_on_board: bool
+) -> None:
+    """The wrist cell reads 8 % more, unnoticed on board; or nothing is wrong but that it was left out on board."""
+    copy, wanted = tmp_path / "copy.mcap", {*config.load(config.packaged("dymaflex")).channels, "estimate", EVENTS}
+    with LogWriter.create(copy, durable=False) as writer:
+        for name, rows in LogReader(flown.flown.log).batches():
+            if name in wanted:
+                if name == "load_cell" and not told_on_board:
+                    rows["value_raw"] = np.rint(1.08 * rows["value_raw"])
+                writer.register(name, rows.dtype)
+                writer.write(name, rows)
+        if told_on_board:
+            name, said = change_event(int(rows["host_ns"][-1]), Change("left_out", np.nan, np.nan, np.nan, "load_cell"))
+            writer.write(EVENTS, said)
+    (found,) = identify(config.load(config.packaged("dymaflex")), [copy]).logs
+    mass = found.answers[0]
+    assert found.verdict.level is Level.WEAK
+    assert "without load_cell, which contradicts the others" in found.verdict.text
+    assert abs(mass.value - MASS_kg) < 3.0 * mass.sigma
+    assert mass.sigma > 0.006 * MASS_kg
 
 
 def assert_weak(mass: np.void, without: str) -> None:

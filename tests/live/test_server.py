@@ -232,8 +232,9 @@ def test_the_process_finds_its_flight_and_goes_with_it(tmp_path: Path, monkeypat
             async def client() -> None:
                 async with subscribed(int(port)) as (connection, channel):
                     assert channel["topic"] == "/joint"
-                    for first in range(0, 100, 5):  # a channel that was only just made may not be known at once
+                    for first in range(0, 500, 5):  # a channel that was only just made may not be known at once
                         writer.push(rows(first, 5))
+                        await asyncio.sleep(0.1)
                         with contextlib.suppress(TimeoutError):
                             if isinstance(await asyncio.wait_for(connection.recv(), 1), bytes):
                                 return

@@ -49,6 +49,7 @@ def test_every_value_of_a_driver_can_be_set_or_is_known(kind: str) -> None:
         "baud",  # stands in the bus URL
         "channels",  # [[device.NAME.channel]]
         "position",  # the device's name
+        "status",  # NAME_status
         "sync_name",  # NAME_sync
     }
     model = DEVICES[kind]

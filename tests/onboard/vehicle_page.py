@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pydantic import AliasChoices
 
+from onboard.config.drive import Drive
 from onboard.config.estimation import (
     Carried,
     Estimation,
@@ -59,6 +60,7 @@ TABLES: dict[str, type[Section]] = {
     "[[planar.puck]]": Puck,
     "[recording]": Recording,
     "[realtime]": Realtime,
+    "[drive]": Drive,
 }
 HEAD = """# vehicle.toml
 

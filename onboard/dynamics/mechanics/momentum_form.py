@@ -12,14 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import (
-    bodies_of,
-    composite_of,
-    link_motions,
-    relative_momentum,
-    stacked,
-    turned,
-)
+from onboard.dynamics.bodies import Bodies
+from onboard.dynamics.kinematics import chain_motion, turned
 from onboard.dynamics.mechanics import barycentric
 from onboard.dynamics.mechanics.chain import chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
@@ -67,9 +61,9 @@ def momentum_form(
         SignalError: by the virtual manipulator, an arm that is no chain of revolute joints.
     """
     if method is Method.EXIDDM:
-        bodies = bodies_of(stacked(link_motions(vehicle, q, dq, np.zeros_like(q))), chi)
-        inverse = np.asarray(np.linalg.inv(composite_of(bodies)), np.float64)[:, 3:]
-        return MomentumForm(inverse[:, :, 3:], turned(inverse, relative_momentum(bodies)))
+        bodies = Bodies(chain_motion(vehicle, q, dq, np.zeros_like(q)).links, chi)
+        inverse = np.asarray(np.linalg.inv(bodies.composite), np.float64)[:, 3:]
+        return MomentumForm(inverse[:, :, 3:], turned(inverse, bodies.relative_momentum))
     arm = FloatingArm(vehicle, vehicle.spec.payload_link or vehicle.joints[-1].name, chi)
     if method is Method.GENERALIZED_JACOBIAN:
         A = np.array([arm.momentum_map(one) for one in q])  # (n, 6, 6 + joints)

@@ -127,9 +127,9 @@ class TableExiddm(Exiddm):
         """See :meth:`Exiddm.fit`."""
         try:
             return super().fit()
-        except (ConvergenceError, SignalError):
+        except (ConvergenceError, SignalError) as error:
             if np.ptp(self._base.signals.q, axis=0).max(initial=0.0) < _STILL:
-                raise
+                raise ConvergenceError("no joint moves: these data do not determine a payload") from error
             return self._in_stages()
 
     def _in_stages(self) -> PayloadFit:

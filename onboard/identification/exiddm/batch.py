@@ -32,6 +32,7 @@ from onboard.identification.exiddm.imu_errors import (
     BIASES,
     CERTAIN,
     ImuPrior,
+    gain_of,
     imu_blocks,
     imu_reading,
     tick_mean,
@@ -222,8 +223,9 @@ class Exiddm:
         true, d_true = at_sensor(base, self._R_BS, self._p_BoSo_B)
         time_s = np.asarray(signals.period_s * (np.arange(n) - 0.5 * (len(self._valid) - 1)), np.float64)
         change = np.gradient(true, signals.period_s, axis=0)
-        shown = imu_reading(true, d_true, change, time_s, x[self._errors])
-        jacobian = np.concatenate([shown.d_motion, shown.d_errors], axis=2)[:, :, layout.kept]
+        shown = imu_reading(true, change, time_s, x[self._errors])
+        d_motion = gain_of(x[self._errors]) @ d_true
+        jacobian = np.concatenate([d_motion, shown.d_errors], axis=2)[:, :, layout.kept]
         values, jacobian = tick_mean(shown.values, signals.samples), tick_mean(jacobian, signals.samples)
         return whitened(values, jacobian, self._measured[:n], self._sigma, self._valid[:n])
 

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.cut_wrench import CutReading
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.imu_errors import ImuPrior, tick_mean
 from onboard.identification.exiddm.parameters import Block
@@ -59,8 +58,13 @@ class FurtherCell(NamedTuple):
         names = tuple(f"{kind}_{self.name}" for kind in CellPrior._fields)
         return Block(names, np.array(self.prior, np.float64))
 
-    def shown(self, true: CutReading, period_s: float, errors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Readings of the inner ticks, (b,), their derivatives by the motion, (b, c), and by its errors, (b, 4).
+    @staticmethod
+    def gain(errors: FloatArray) -> float:
+        """Its reading per component; errors in the order of :class:`CellPrior`, (4,)."""
+        return 1.0 + float(errors[2])
+
+    def shown(self, true: FloatArray, period_s: float, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Readings of the inner ticks, (b,), and their derivatives by its errors, (b, 4).
 
         Args:
             true: its component at b + 2 ticks.
@@ -68,12 +72,11 @@ class FurtherCell(NamedTuple):
             errors: in the order of :class:`CellPrior`, (4,).
         """
         bias, drift, scale, delay_s = errors
-        change = (true.values[2:] - true.values[:-2]) / (2.0 * period_s)
-        late = tick_mean(true.values, self.samples)[1:-1] - delay_s * change
-        by_motion = (1.0 + scale) * tick_mean(true.d_values, self.samples)[1:-1]
-        time_s = period_s * np.arange(1, len(true.values) - 1)
+        change = (true[2:] - true[:-2]) / (2.0 * period_s)
+        late = tick_mean(true, self.samples)[1:-1] - delay_s * change
+        time_s = period_s * np.arange(1, len(true) - 1)
         by_errors = np.stack([np.ones_like(time_s), time_s, late, -(1.0 + scale) * change], axis=1)
-        return (1.0 + scale) * late + bias + drift * time_s, by_motion, by_errors
+        return (1.0 + scale) * late + bias + drift * time_s, by_errors
 
 
 Further = FurtherImu | FurtherCell

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import hat
+from onboard.dynamics.spatial import hat
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.exiddm.parameters import Block
 
@@ -39,6 +39,10 @@ DRIFTS = ("gyro_drift_rad_s2", "accelerometer_drift_m_s3")
 _OF_BOTH = ("delay_s", "clock_rate_error")
 SIZE = 3 * (len(ImuPrior._fields) - len(_OF_BOTH)) + len(_OF_BOTH)
 
+_ROWS = np.arange(6)
+_BIAS = 12 * (_ROWS // 3) + _ROWS % 3  # place of each row's bias
+_POWERS = np.repeat([1.0, 2.0], 3)  # of time that each row is scaled by
+
 
 def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
     """The IMU's errors as blocks of unknowns, in the order that :func:`imu_reading` takes them."""
@@ -50,45 +54,48 @@ def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
 
 
 class ImuReading(NamedTuple):
-    """What the IMU shows, rate then specific force in its axes, and how that depends on motion and errors."""
+    """What the IMU shows, rate then specific force in its axes, and how that depends on its errors."""
 
     values: FloatArray  # (n, 6)
-    d_motion: FloatArray  # (n, 6, c) by what the true motion depends on
     d_errors: FloatArray  # (n, 6, SIZE)
 
 
-def imu_reading(
-    true: FloatArray, d_true: FloatArray, change: FloatArray, time_s: FloatArray, errors: FloatArray
-) -> ImuReading:
-    """The equations at the head of this module, values and derivatives.
+def gain_of(errors: FloatArray) -> FloatArray:
+    """``1 + diag(scale) - hat(misalignment)`` of rate and specific force, (6, 6): the reading per true motion.
 
-    The effect of delay and clock rate error on the other derivatives is left out: it is of second order.
+    The effect of delay and clock rate error on this derivative is left out: it is of second order.
+
+    Args:
+        errors: in the order of :func:`imu_blocks`, (SIZE,).
+    """
+    E = np.eye(6)
+    for k, (scale, misalignment) in enumerate(errors[:-2].reshape(2, 4, 3)[:, 2:]):
+        rows = slice(3 * k, 3 * k + 3)
+        E[rows, rows] += np.diag(scale) - hat(misalignment)
+    return E
+
+
+def imu_reading(true: FloatArray, change: FloatArray, time_s: FloatArray, errors: FloatArray) -> ImuReading:
+    """The equations at the head of this module.
 
     Args:
         true: rate and specific force, IMU axes, (n, 6).
-        d_true: derivative of these, (n, 6, c).
         change: their derivative in time, (n, 6).
         time_s: t, (n,).
         errors: in the order of :func:`imu_blocks`, (SIZE,).
     """
-    n = len(true)
     delay_s, rate_error = errors[-2:]
-    late = delay_s + rate_error * time_s[:, None]
-    values, d_motion, d_errors = np.empty((n, 6)), np.empty(d_true.shape), np.zeros((n, 6, SIZE))
-    for k, (bias, drift, scale, misalignment) in enumerate(errors[:-2].reshape(2, 4, 3)):
-        rows = slice(3 * k, 3 * k + 3)
-        own = true[:, rows] - late * change[:, rows] - (1 + k) * rate_error * true[:, rows]
-        E = np.eye(3) + np.diag(scale) - hat(misalignment)
-        values[:, rows] = own @ E.T + bias + time_s[:, None] * drift
-        d_motion[:, rows] = E @ d_true[:, rows]
-        columns = d_errors[:, rows, 12 * k : 12 * k + 12]
-        columns[:, :, :3] = np.eye(3)
-        columns[:, :, 3:6] = time_s[:, None, None] * np.eye(3)
-        columns[:, :, 6:9] = own[:, :, None] * np.eye(3)
-        columns[:, :, 9:] = hat(own)
-        d_errors[:, rows, -2] = -change[:, rows] @ E.T
-        d_errors[:, rows, -1] = -(time_s[:, None] * change[:, rows] + (1 + k) * true[:, rows]) @ E.T
-    return ImuReading(values, d_motion, d_errors)
+    bias, drift = errors[:-2].reshape(2, 4, 3)[:, :2].swapaxes(0, 1).reshape(2, 6)
+    t, E = time_s[:, None], gain_of(errors)
+    own = true - (delay_s + rate_error * t) * change - rate_error * _POWERS * true
+    d_errors = np.zeros((len(true), 6, SIZE))
+    d_errors[:, _ROWS, _BIAS] = 1.0
+    d_errors[:, _ROWS, _BIAS + 3] = t
+    d_errors[:, _ROWS, _BIAS + 6] = own
+    d_errors[:, :3, 9:12], d_errors[:, 3:, 21:24] = hat(own[:, :3]), hat(own[:, 3:])
+    d_errors[:, :, -2] = -change @ E.T
+    d_errors[:, :, -1] = -(t * change + _POWERS * true) @ E.T
+    return ImuReading(own @ E.T + bias + t * drift, d_errors)
 
 
 def tick_mean(x: FloatArray, samples: int) -> FloatArray:

@@ -16,25 +16,25 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
+from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
-from onboard.dynamics.free_flight import BasePrediction, at_sensor, predict_base_from_rate
+from onboard.dynamics.free_flight import BasePrediction, predict_base_from_rate, sensor_in_base
 from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
-from onboard.dynamics.kinematics import (
-    Chain,
-    bodies_of,
-    chain_motion,
-    composite_of,
-    cross,
-    hat,
-    link_motions,
-    relative_momentum,
-    stacked,
-    turned,
-)
+from onboard.dynamics.kinematics import chain_motion, cross
+from onboard.dynamics.spatial import Columns, times
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.further import Further, FurtherCell
-from onboard.identification.exiddm.imu_errors import BIASES, DRIFTS, SIZE, ImuPrior, imu_blocks, imu_reading, tick_mean
+from onboard.identification.exiddm.imu_errors import (
+    BIASES,
+    DRIFTS,
+    SIZE,
+    ImuPrior,
+    gain_of,
+    imu_blocks,
+    imu_reading,
+    tick_mean,
+)
 from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, Block, GeometryPrior, Layout, UncertainLinks
 from onboard.identification.exiddm.ticks import Ticks
 
@@ -60,15 +60,6 @@ class Prediction(NamedTuple):
         return all(bool((np.abs(part) < _IMMODERATE).all()) for part in parts)  # False for NaN
 
 
-class _Motion(NamedTuple):
-    """Of base and arm with the unknowns as they are estimated."""
-
-    base: BasePrediction
-    chain: Chain
-    chi: FloatArray
-    readings: Readings | None  # None: the joints are exact
-
-
 class _Imu(NamedTuple):
     """An IMU, and where its unknowns stand among all."""
 
@@ -77,6 +68,15 @@ class _Imu(NamedTuple):
     samples: int
     errors: slice
     place: slice
+
+
+class _Own(NamedTuple):
+    """Where the unknowns of an instrument alone stand in the state, and among all that it has."""
+
+    errors: slice | IndexArray
+    of_errors: slice | IndexArray
+    place: slice | IndexArray = slice(0)
+    of_place: slice | IndexArray = slice(0)
 
 
 class ImuPredictor:
@@ -120,7 +120,7 @@ class ImuPredictor:
         self.vehicle, self.period_s = vehicle, period_s
         self.further = tuple(sorted(further, key=lambda one: isinstance(one, FurtherCell)))
         self._links = UncertainLinks(vehicle, link_covariance)
-        halves = [np.linalg.cholesky(block) for block in self._links.covariances]
+        halves = [np.asarray(np.linalg.cholesky(block), np.float64) for block in self._links.covariances]
         self._basis = block_diag(*halves) if halves else np.zeros((0, 0))  # of the links, one sigma long each
         r = len(self._basis)
         blocks = {
@@ -156,7 +156,19 @@ class ImuPredictor:
         self.lines = tuple(slice(a, b) for a, b in pairwise(ends))
         self._joint_errors = JointErrors(vehicle, of_cyclic)
         self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
-        self._joint_columns = 13 + r + layout.kept[self._in_joints] - layout["joints"].start  # of the base's motion
+        self._columns = Columns(self._links.indices, [np.eye(10), *halves])
+        of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
+        self._of_motion = [  # places in the state, and among what the base's motion depends on
+            (slice(0, PAYLOAD.stop), slice(0, PAYLOAD.stop)),
+            (_together(self._in_links), slice(13, 13 + r)),
+            (_together(self._in_joints), _together(of_joints)),
+        ]
+        self._own = [_Own(*_kept(layout, one.errors), *_kept(layout, one.place)) for one in self._imus]
+        self._own += [_Own(*_kept(layout, layout[cell.name])) for cell, _ in self._cells]
+        self._samples = np.zeros((self.lines[-1].stop, 1))  # see tick_mean
+        samples_of = [*(one.samples for one in self._imus), *(one.samples for one, _ in self._cells)]
+        for own, count in zip(self.lines, samples_of, strict=True):
+            self._samples[own] = (1.0 - 1.0 / count**2) / 24.0
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := _drift(name)) in self.names
         ]
@@ -189,19 +201,18 @@ class ImuPredictor:
 
     def joint_effect(self, q: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""
-        n, joints = q.shape
-        one = np.tile(np.eye(joints), (n, 1))  # each joint's unit rate by itself
-        links = link_motions(self.vehicle, np.repeat(q, joints, axis=0), one, np.zeros_like(one))
-        chi = self._chi(state)
-        bodies = bodies_of(stacked(links), chi)
-        twist = -turned(np.asarray(np.linalg.inv(composite_of(bodies)), np.float64), relative_momentum(bodies))
-        effect = np.zeros((n, joints, 2, self.lines[-1].stop))
+        still = np.zeros_like(q)
+        chain = chain_motion(self.vehicle, q, still, still)
+        bodies, S = Bodies(chain.links, self._chi(state)), chain.screws
+        momenta = times(self._joint_errors.beyond(bodies).inertia, S)  # (n, joints, 6)
+        twist = -momenta @ np.asarray(np.linalg.inv(bodies.composite), np.float64).swapaxes(1, 2)
+        effect = np.zeros((*q.shape, 2, self.lines[-1].stop))
         for imu, own in zip(self._imus, self.lines, strict=False):
-            force = twist[:, :3] + cross(twist[:, 3:], imu.p_BoSo_B)
-            effect[:, :, 0, own.start : own.start + 3] = (twist[:, 3:] @ imu.R_BS).reshape(n, joints, 3)
-            effect[:, :, 1, own.start + 3 : own.stop] = (force @ imu.R_BS).reshape(n, joints, 3)
+            force = twist[..., :3] + cross(twist[..., 3:], imu.p_BoSo_B)
+            effect[:, :, 0, own.start : own.start + 3] = twist[..., 3:] @ imu.R_BS
+            effect[:, :, 1, own.start + 3 : own.stop] = force @ imu.R_BS
         for (_, cut), own in zip(self._cells, self.lines[len(self._imus) :], strict=True):
-            effect[:, :, 1, own.start] = cut.of_joint_accelerations(links, chi, twist).reshape(n, joints)
+            effect[:, :, 1, own.start] = cut.of_joint_accelerations(bodies, S, twist)
         return effect
 
     def predict(
@@ -222,47 +233,39 @@ class ImuPredictor:
         n, layout, m = len(q), self._layout, self.lines[-1].stop
         x = layout.whole(state)
         readings = Readings.of(q, dq, ddq, self.period_s, self._functions(n, cyclic))
-        motion = self._move(readings, x, self.period_s)
+        base = self._move(readings, x, self.period_s)
         time_s = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64)
-        values, jacobian = np.empty((n - 2, m)), np.zeros((n - 2, m, layout.size))
-        for imu, own in zip(self._imus, self.lines, strict=False):
-            true, d_true = at_sensor(motion.base, imu.R_BS, imu.p_BoSo_B + x[imu.place])
+        values, jacobian = np.empty((n - 2, m)), np.zeros((n - 2, m, len(state)))
+        by_motion = np.empty((n, m, base.along.shape[2]))
+        for imu, own, kept in zip(self._imus, self.lines, self._own, strict=False):
+            true, gain, by_place = sensor_in_base(base, imu.R_BS, imu.p_BoSo_B + x[imu.place])
+            E = gain_of(x[imu.errors])
+            np.matmul(E @ gain, base.along, out=by_motion[:, own])
             change = (true[2:] - true[:-2]) / (2.0 * self.period_s)
-            means = (tick_mean(part, imu.samples)[1:-1] for part in (true, d_true, self._by_place(motion.base, imu)))
-            own_true, own_d, by_place = means
-            by_motion = np.concatenate([own_d, by_place], axis=2)
-            shown = imu_reading(own_true, by_motion, change, time_s, x[imu.errors])
+            mean, d_place = (tick_mean(part, imu.samples)[1:-1] for part in (true, E @ by_place))
+            shown = imu_reading(mean, change, time_s, x[imu.errors])
             values[:, own] = shown.values
-            self._spread(shown.d_motion[:, :, :-3], jacobian[:, own])
-            jacobian[:, own, imu.place] = shown.d_motion[:, :, -3:]
-            jacobian[:, own, imu.errors] = shown.d_errors
-        for (cell, cut), own in zip(self._cells, self.lines[len(self._imus) :], strict=True):
-            reading = cut.predict(motion.chain, motion.chi, motion.base, motion.readings)
-            shown_N, by_motion_N, by_errors = cell.shown(reading, self.period_s, x[layout[cell.name]])
-            values[:, own.start] = shown_N
-            self._spread(by_motion_N[:, None], jacobian[:, own])
-            jacobian[:, own.start, layout[cell.name]] = by_errors
+            jacobian[:, own, kept.errors] = shown.d_errors[:, :, kept.of_errors]
+            jacobian[:, own, kept.place] = d_place[:, :, kept.of_place]
+        for (cell, cut), own, kept in zip(
+            self._cells, self.lines[len(self._imus) :], self._own[len(self._imus) :], strict=True
+        ):
+            reading, errors = cut.predict(base), x[layout[cell.name]]
+            values[:, own.start], d_errors = cell.shown(reading.values, self.period_s, errors)
+            by_motion[:, own.start] = cell.gain(errors) * reading.d_values
+            jacobian[:, own.start, kept.errors] = d_errors[:, kept.of_errors]
+        means = by_motion[2:] + by_motion[:-2]
+        means *= self._samples
+        means += (1.0 - 2.0 * self._samples) * by_motion[1:-1]
+        for here, there in self._of_motion:
+            jacobian[:, :, here] = means[:, :, there]
         carried, transition = state.copy(), np.eye(len(state))
-        carried[RATE] = motion.base.rate[-2]
-        self._into(transition, motion.base.d_rate[-2])
+        carried[RATE] = base.rate[-2]
+        self._into(transition, base.d_rate[-2])
         for bias_at, drift_at in self.biases:
             carried[bias_at] += time_s[-1] * state[drift_at]
             transition[bias_at, drift_at] = time_s[-1]
-        return Prediction(values, jacobian[:, :, layout.kept], carried, transition)
-
-    def _by_place(self, base: BasePrediction, imu: "_Imu") -> FloatArray:
-        """Derivative of an IMU's rate and specific force by its place in the base, (n, 6, 3)."""
-        d_place = np.zeros((len(base.rate), 6, 3))
-        d_place[:, 3:] = imu.R_BS.T @ (hat(base.acceleration) + hat(base.rate) @ hat(base.rate))
-        return d_place
-
-    def _spread(self, by_motion: FloatArray, jacobian: FloatArray) -> None:
-        """Put derivatives by what the base's motion depends on, (b, k, c), where they belong among all unknowns."""
-        r, at = len(self._basis), self._layout
-        jacobian[:, :, : PAYLOAD.stop] = by_motion[:, :, : PAYLOAD.stop]
-        jacobian[:, :, at["links"]] = by_motion[:, :, PAYLOAD.stop : PAYLOAD.stop + r] @ self._basis
-        if self._in_joints.size:  # joints without errors have no columns
-            jacobian[:, :, at["joints"].start : at["cyclic"].stop] = by_motion[:, :, PAYLOAD.stop + r :]
+        return Prediction(values, jacobian, carried, transition)
 
     def carried(
         self, predicted: Prediction, start: FloatArray, state: FloatArray, covariance: FloatArray
@@ -305,35 +308,32 @@ class ImuPredictor:
         """
         parts = q, dq, ddq, np.zeros_like(q), self._functions(2, cyclic)
         readings = Readings(*(np.repeat(part, 2, axis=0) for part in parts))
-        base = self._move(readings, self._layout.whole(state), 0.0).base
+        base = self._move(readings, self._layout.whole(state), 0.0)
         carried, transition = state.copy(), np.eye(len(state))
         carried[RATE] = base.rate[-1]
         self._into(transition, base.d_rate[-1])
         turned = np.linalg.norm(base.momentum[-1]) * base.d_rate[-1, :, :3] @ np.linalg.inv(base.d_momentum[-1, :, :3])
         return carried, transition, turned @ turned.T
 
-    def _move(self, readings: Readings, x: FloatArray, period_s: float) -> _Motion:
+    def _move(self, readings: Readings, x: FloatArray, period_s: float) -> BasePrediction:
         """With all unknowns (every one, :meth:`Layout.whole`) as they are estimated."""
         vehicle, at = self.vehicle, self._layout
         chi = self._links.chi(x[PAYLOAD], self._basis @ x[at["links"]])
         if not self._in_joints.size:
-            chain = chain_motion(vehicle, *readings[:3])
-            base = predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._links.indices)
-            return _Motion(base, chain, chi, None)
+            links = chain_motion(vehicle, *readings[:3]).links
+            return predict_base_from_rate(links, period_s, chi, x[RATE], self._columns)
         own = x[at["joints"]].reshape(-1, PER_JOINT)
         corrected = readings.corrected(own, x[at["cyclic"]], self._joint_errors.turns)
         chain = chain_motion(vehicle, *corrected, own[:, :3])
         errors = self._joint_errors.along(chain, readings)
-        base = predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._links.indices, errors)
-        return _Motion(base, chain, chi, readings)
+        return predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._columns, errors)
 
     def _functions(self, ticks: int, cyclic: FloatArray | None) -> FloatArray:
         return np.zeros((ticks, 3, len(self._joint_errors.turns))) if cyclic is None else cyclic
 
     def _into(self, transition: FloatArray, d_rate: FloatArray) -> None:
-        transition[RATE, : PAYLOAD.stop] = d_rate[:, :13]
-        transition[RATE, self._in_links] = d_rate[:, 13 : 13 + len(self._basis)] @ self._basis
-        transition[RATE, self._in_joints] = d_rate[:, self._joint_columns]
+        for here, there in self._of_motion:
+            transition[RATE, here] = d_rate[:, there]
 
     def _chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""
@@ -375,6 +375,19 @@ def _blocks_of(one: Further) -> dict[str, Block]:
 def _named(layout: Layout, end: str) -> IndexArray:
     """Estimated unknowns whose names end so."""
     return np.array([at for at, known in enumerate(layout.names) if known.endswith(end)], np.intp)
+
+
+def _kept(layout: Layout, block: slice) -> tuple[slice | IndexArray, slice | IndexArray]:
+    """What is estimated of a block: places in the state, and in the block."""
+    at = np.flatnonzero((layout.kept >= block.start) & (layout.kept < block.stop))
+    return _together(at), _together(layout.kept[at] - block.start)
+
+
+def _together(places: IndexArray) -> slice | IndexArray:
+    """Places as a slice where they are one after the other: what is indexed by it is not copied."""
+    if places.size and (np.diff(places) == 1).all():
+        return slice(int(places[0]), int(places[-1]) + 1)
+    return places
 
 
 def _drift(name: str) -> str:

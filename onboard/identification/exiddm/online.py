@@ -1,5 +1,7 @@
 """The recursive non-linear ExIDDM as an :class:`onboard.identification.online.OnlineIdentifier`."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.linalg import cholesky
 from scipy.special import ndtri
@@ -13,6 +15,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.corrections import too_large
+from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
@@ -37,6 +40,24 @@ _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT
 _RECENT_s = 60.0
 
 
+def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
+    """Names of the lines of the base IMU and further instruments."""
+    names = list(IMU_ROWS)
+    for one in further:
+        names += [one.name] if one.width == 1 else [f"{row}_{one.name}" for row in IMU_ROWS]
+    return tuple(names)
+
+
+def gated(signals: Signals, excluded: ReasonArray) -> ReasonArray:
+    """Reasons for which each line of each tick, (n, lines), is not used."""
+    found = np.repeat(np.asarray(excluded, np.int64)[:, None], signals.measured.shape[1], axis=1)
+    if signals.refused is not None:
+        found |= signals.refused
+    joints = np.isfinite(np.concatenate([signals.q, signals.dq, signals.ddq], axis=1)).all(axis=1)
+    found[~(np.isfinite(signals.measured + signals.sigma) & joints[:, None])] |= GateReason.GAP
+    return found
+
+
 class ExiddmIdentifier:
     """The recursive non-linear ExIDDM. Its rows are the lines of the base IMU, further IMUs and load cells.
 
@@ -53,9 +74,8 @@ class ExiddmIdentifier:
     def __init__(self, exiddm: RecursiveExiddm) -> None:
         self.exiddm = exiddm
         payload = exiddm.predictor.vehicle.spec.payload_link
-        self.row_names: tuple[str, ...] = IMU_ROWS
-        for one in exiddm.predictor.further:
-            self.row_names += (one.name,) if one.width == 1 else tuple(f"{row}_{one.name}" for row in IMU_ROWS)
+        self.further = exiddm.predictor.further
+        self.row_names = rows_of(self.further)
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
         self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
         self.rows_used = 0
@@ -76,11 +96,7 @@ class ExiddmIdentifier:
         shape = (n, len(self.row_names))
         if signals.measured.shape != shape or signals.sigma.shape != shape or excluded.shape != (n,):
             raise SignalError(f"{n} ticks need {shape} readings; they are {signals.measured.shape}")
-        found = np.repeat(np.asarray(excluded, np.int64)[:, None], shape[1], axis=1)
-        if signals.refused is not None:
-            found |= signals.refused
-        joints = np.isfinite(np.concatenate([signals.q, signals.dq, signals.ddq], axis=1)).all(axis=1)
-        found[~(np.isfinite(signals.measured + signals.sigma) & joints[:, None])] |= GateReason.GAP
+        found = gated(signals, excluded)
         measured = np.where((found == 0), signals.measured, np.nan)
         ticks = ticks_of(signals, measured)
         first, glitches = 0, self.exiddm.glitches

@@ -10,32 +10,31 @@ sum ``r' r + 2 g' d + d' N d``. Two questions are asked of this:
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
-from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Block, FlightFit, WholeFlight, total_of
+from onboard.identification.exiddm.chance import Chance, squares_of
+from onboard.identification.exiddm.whole_flight import Block, FlightFit, WholeFlight, total_of
 from onboard.identification.rows.held_out import HeldOut, HeldOutFit
 
 _PAYLOAD = slice(0, 10)
 _DETERMINED = 1e-6  # share of a part's information about the payload that is its own, in a direction that counts
 
 
-class Difference(NamedTuple):
+@dataclass(frozen=True)
+class Difference(Chance):
     """How far the payload of a part of the flight is from that of the rest."""
 
     part: str
-    squares: float  # chi-squared if they are the same
-    freedom: int
 
     @property
-    def chance(self) -> float:
-        """Probability of so large a difference."""
-        return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
+    def text(self) -> str:
+        """``the load_cell tells another payload than the rest (chi-squared 90 of 6)``."""
+        return f"{self.part} tells another payload than the rest (chi-squared {self.squares:.0f} of {self.freedom})"
 
 
 def differences(found: FlightFit, phases: Callable[[float], int]) -> list[Difference]:
@@ -48,7 +47,7 @@ def differences(found: FlightFit, phases: Callable[[float], int]) -> list[Differ
     held = [block for block in found.blocks if block.held]
     middle_s = _middle(held)
     made = [_difference(found, "the later half of the motion", (b for b in held if b.middle_s > middle_s))]
-    for name in INSTRUMENTS[1:]:
+    for name in list(dict.fromkeys(block.instrument for block in held))[1:]:
         made.append(_difference(found, f"the {name}", (b for b in held if b.instrument == name)))
     codes = sorted({phases(block.middle_s) for block in held})
     for code in codes[1:]:
@@ -104,17 +103,14 @@ def _prediction(
 def _difference(found: FlightFit, part: str, blocks: Iterable[Block]) -> Difference:
     rows = list(blocks)
     if not rows or len(rows) == len(found.blocks):
-        return Difference(part, 0.0, 0)
+        return Difference(0.0, 0, part)
     some = total_of(rows, found.fit.x.size)
     across = some.information[_PAYLOAD]  # (10, p)
     own = across[:, _PAYLOAD]
     S = own - across @ found.fit.covariance @ across.T
     scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
-    values, vectors = np.linalg.eigh(S / np.outer(scale, scale))
-    told = values > _DETERMINED
-    projected = vectors[:, told].T @ (some.gradient[_PAYLOAD] / scale)
-    squares = float((projected**2 / values[told]).sum()) / max(1.0, found.misfit)
-    return Difference(part, squares, int(told.sum()))
+    squares, freedom = squares_of(some.gradient[_PAYLOAD] / scale, S / np.outer(scale, scale), _DETERMINED)
+    return Difference(squares / max(1.0, found.misfit), freedom, part)
 
 
 def _middle(blocks: Sequence[Block]) -> float:

@@ -32,6 +32,7 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredi
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
+from onboard.identification.exiddm.snapshots import Snapshots
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
@@ -41,7 +42,7 @@ BATCH_TICKS = 10
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
-WORK = 80  # ticks predicted (50 to 150 us each) per tick taken in
+WORK = 80  # ticks predicted (80 us each, a piece at a time) per tick taken in
 _STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
 _SNAPSHOTS = 28  # batches of states kept, to restore the one before a change
 
@@ -104,7 +105,7 @@ class RecursiveExiddm:
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
         self.fusion = Fusion(("imu", *(one.name for one in predictor.further)), predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self._snapshots: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_SNAPSHOTS)
+        self._snapshots = Snapshots(_SNAPSHOTS)
         self._innovations = Innovations(predictor, self.fusion)
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
@@ -231,7 +232,7 @@ class RecursiveExiddm:
     def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int) -> None:
         """Begin a window with what was known so many batches ago."""
         now = self._prior if self.state is None else (self.state, self.covariance)
-        prior = self._snapshots[max(0, len(self._snapshots) - 1 - batches_back)] if self._snapshots else now
+        prior = self._snapshots.back(batches_back) if len(self._snapshots) else now
         self.state, self.held, self.ticks_used = None, None, 0
         self._open(hypotheses, *prior)
 
@@ -259,7 +260,7 @@ class RecursiveExiddm:
             if found is not None:
                 self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
             assert self.state is not None
-            self._snapshots.append((self.state, self.covariance))
+            self._snapshots.append(self.state, self.covariance)
         elif found is not None:
             for instrument in self._without:
                 self.fusion.leave_out(instrument, for_good=self._accused is None or self._accused.for_good)
@@ -318,8 +319,7 @@ class RecursiveExiddm:
 
     def _step(self) -> None:
         assert self.state is not None
-        self._due -= _STEP_WORK
-        ticks = self._pending
+        ticks, self._due = self._pending, self._due - _STEP_WORK
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
@@ -357,7 +357,7 @@ class RecursiveExiddm:
                 again, self._stepped = self._stepped, None
                 self._asked = again, (Hypothesis.NEW,), ()
                 return
-        self._snapshots.append((self.state, self.covariance))
+        self._snapshots.append(self.state, self.covariance)
         if not suspect:
             self._compare(innovation)
 

@@ -1,4 +1,4 @@
-"""Corrections of the IMU, kind by kind, against the sigmas that are stated for them.
+"""Corrections of the instruments, kind by kind, against the sigmas that are stated for them.
 
 Under the stated sigmas s the fitted corrections c, of covariance P, are ``c ~ N(0, diag(s^2) - P)`` (the difference of
 an efficient estimate and its prior; Hausman, Econometrica 46, 1978). Each kind is tested by itself, and the mean of its
@@ -6,17 +6,20 @@ axes too, as a reference voltage changes them alike: where the flight hardly tel
 whatever the error is, and a sum over all corrections hides it. A scale of DYMAFLEX's accelerometer that is common to
 its axes moves the mass by half of it, and c by a fortieth: 5 % are corrected by less than one sigma, and found by four
 to six. The flight is then fitted again with that kind hardly bound, as widens the interval of the mass by a quarter.
+Kinds of further instruments are many, and one of them that is wrong can be left out
+(:mod:`onboard.identification.exiddm.witnesses`), so theirs have to be less likely.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.exiddm.chance import Chance, squares_of
+from onboard.identification.exiddm.further import FurtherCell
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
 
@@ -28,54 +31,70 @@ KINDS = (
     "place",
     "delay_s",
 )
-UNLIKELY = 0.02  # chance below which a kind is fitted freely
+KINDS_OF_CELL = ("scale", "delay_s")
+UNLIKELY, UNLIKELY_FURTHER = 0.02, 0.005  # chance below which a kind is fitted freely: of the first IMU, of others
 _FREE = 10.0  # times its stated sigma
 _OF_SIGMA, _MOST_CAUSES = 0.2, 3  # part of sigma from which on a cause is named, and how many are
 _OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
     f"place_{axis}": "position_m" for axis in "xyz"
 }
+_OF_CELLS = {
+    "scale": "scale_sigma",
+    "bias": "zero_sigma_N",
+    "drift": "zero_drift_N_s",
+    "delay_s": "delay_sigma_ms",
+}
 _TOLD = 0.005  # share of a correction's variance that the flight takes away, in a direction that is tested
 
 
-class Kind(NamedTuple):
-    """A kind of correction of the IMU."""
+@dataclass(frozen=True)
+class Kind(Chance):
+    """A kind of correction of an instrument."""
 
-    name: str  # of :data:`KINDS`
+    device: int  # its number in the predictor, 0: the first IMU
+    of: str  # its name
+    name: str  # of :data:`KINDS` or :data:`KINDS_OF_CELL`
     common: bool  # the mean of its axes
     parameters: IndexArray
-    squares: float  # chi-squared if it is as stated
-    freedom: int
 
     @property
-    def chance(self) -> float:
-        """Probability of so large a correction."""
-        return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
+    def unlikely(self) -> bool:
+        """Whether it is to be fitted freely."""
+        return self.chance < (UNLIKELY_FURTHER if self.device else UNLIKELY)
 
     @property
     def text(self) -> str:
         """``accelerometer_scale of the IMU, common to its axes, is not as stated (chance 3e-05)``."""
-        which = f"{self.name} of the IMU{', common to its axes,' if self.common else ''}"
+        which = f"{self.name} of {self.of}{', common to its axes,' if self.common else ''}"
         return f"{which} is not as stated (chance {self.chance:.0e})"
 
 
 def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:
-    """Every kind that has a stated sigma, the least likely first.
+    """Every kind of the instruments that take part that has a stated sigma, the least likely first.
 
     Args:
         flight: that was fitted, with the sigmas as they are stated.
         found: its fit.
     """
+    own: dict[tuple[int, str], list[int]] = {}
+    for place, parameter in enumerate(found.names):
+        device, correction = _correction(flight, parameter)
+        axis = correction[-2:] in ("_x", "_y", "_z")
+        own.setdefault((device, correction[:-2] if axis else correction), []).append(place)
     made = []
-    for name in KINDS:
-        at = np.array([k for k, own in enumerate(found.names) if _is_of(own, name)], np.intp)
-        if not at.size:
+    for device, of in enumerate(("the IMU", *(one.name for one in flight.further))):
+        if device not in flight.devices:
             continue
-        sigma = flight.sigma[at]
-        scaled = found.fit.x[at] / sigma
-        told = np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
-        made.append(_tested(name, at, scaled, told, np.eye(at.size)))
-        if at.size > 1:
-            made.append(_tested(name, at, scaled, told, np.full((at.size, 1), at.size**-0.5)))
+        is_cell = device and isinstance(flight.further[device - 1], FurtherCell)
+        for name in KINDS_OF_CELL if is_cell else KINDS:
+            at = np.array(own.get((device, name), []), np.intp)
+            sigma = flight.sigma[at]
+            scaled = found.fit.x[at] / sigma
+            told = np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
+            sums = [np.eye(at.size), np.full((at.size, 1), at.size**-0.5)] if at.size > 1 else [np.eye(at.size)]
+            for common, along in enumerate(sums if at.size else []):
+                squares, freedom = squares_of(along.T @ scaled, along.T @ told @ along, _TOLD)
+                made.append(Kind(squares, freedom, device, of, name, bool(common), at))
     return sorted(made, key=lambda one: one.chance)
 
 
@@ -90,7 +109,7 @@ def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[Kind]) -> Flig
     Raises:
         ConvergenceError, SingularError: as :meth:`WholeFlight.fit`.
     """
-    unlikely = [one.parameters for one in kinds if one.chance < UNLIKELY]
+    unlikely = [one.parameters for one in kinds if one.unlikely]
     if not unlikely:
         return found
     flight.widen(np.concatenate(unlikely), _FREE)
@@ -112,7 +131,7 @@ def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     parts = (D @ found.fit.covariance) / np.where(np.isfinite(flight.sigma), flight.sigma, np.inf)
     causes: dict[str, FloatArray] = {}
     for name, squares in zip(found.names[10:], parts.T[10:] ** 2, strict=True):
-        if key := _key(name):
+        if key := _key(flight, name):
             causes[key] = causes.get(key, np.zeros(10)) + squares
     sigma = np.sqrt(np.diag(found.payload.covariance))
     body = found.payload.body
@@ -126,30 +145,26 @@ def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _key(parameter: str) -> str:
+def _key(flight: WholeFlight, parameter: str) -> str:
     """The vehicle file's key of a parameter's sigma; empty for one that has none."""
     link, inertial, _ = parameter.partition("_inertial_")
     if inertial:
         return f"prior.link.{link}"
-    if parameter.endswith("_imu"):
-        return "imu_prior.position_m"
+    device, correction = _correction(flight, parameter)
+    if device and isinstance(one := flight.further[device - 1], FurtherCell):
+        return f"device.{one.name}.{_OF_CELLS[correction]}" if correction in _OF_CELLS else ""
     for kind, key in _OF_JOINTS.items():
-        if parameter.startswith(f"{kind}_"):
+        if parameter.startswith(f"{kind}_") and not device:
             return f"prior.joint.{parameter[len(kind) + 1 :]}.{key}"
-    own = parameter[:-2] if parameter.endswith(("_x", "_y", "_z")) else parameter
+    own = correction[:-2] if correction.endswith(("_x", "_y", "_z")) else correction
+    if own == "place":
+        return "imu_prior.position_m"
     return f"imu_prior.{own}" if own in ImuPrior._fields else ""
 
 
-def _is_of(parameter: str, kind: str) -> bool:
-    if kind == "place":
-        return parameter.endswith("_imu")
-    return parameter == kind or (parameter[:-2] == kind and parameter[-2:] in ("_x", "_y", "_z"))
-
-
-def _tested(name: str, at: IndexArray, scaled: FloatArray, told: FloatArray, along: FloatArray) -> Kind:
-    """Chi-squared of corrections in their sigmas, (k,), of which a share (k, k) is told, along columns (k, d)."""
-    values, vectors = np.linalg.eigh(along.T @ told @ along)
-    counts = values > _TOLD
-    projected = (vectors[:, counts].T @ along.T @ scaled) ** 2
-    common = along.shape[1] < at.size
-    return Kind(name, common, at, float((projected / values[counts]).sum()), int(np.count_nonzero(counts)))
+def _correction(flight: WholeFlight, parameter: str) -> tuple[int, str]:
+    """The instrument of a parameter by its number, and the name without it; 0 for what is no instrument's."""
+    for device, one in enumerate(flight.further, 1):
+        if parameter.endswith(f"_{one.name}"):
+            return device, parameter.removesuffix(f"_{one.name}")
+    return 0, parameter.removesuffix("_imu")

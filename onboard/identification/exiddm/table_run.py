@@ -1,8 +1,10 @@
-"""Onboard part of a run on an air-bearing table: gates the ticks; nothing is estimated on board.
+"""Gates and keeps ticks that are estimated afterwards; on an air-bearing table nothing is estimated on board.
 
 The velocity follows from the joints only from the start of the run on, so the run is estimated in one batch afterwards
 (:mod:`onboard.identification.exiddm.air_bearing`).
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,7 +12,8 @@ from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.exiddm.online import IMU_ROWS
+from onboard.identification.exiddm.further import Further
+from onboard.identification.exiddm.online import gated, rows_of
 from onboard.identification.quantities import Estimate, Findings
 from onboard.regressor.signals import Signals
 
@@ -18,14 +21,16 @@ from onboard.regressor.signals import Signals
 class TableRun:
     """An :class:`onboard.identification.online.OnlineIdentifier` that gates ticks and estimates nothing.
 
-    Its rows are the six lines of the base IMU, means over each tick.
+    Its rows are the six lines of the base IMU and those of further instruments, means over each tick.
 
     Args:
         payload: link of which nothing is known.
+        further: instruments.
     """
 
-    def __init__(self, payload: str) -> None:
-        self.row_names: tuple[str, ...] = IMU_ROWS
+    def __init__(self, payload: str, further: Sequence[Further] = ()) -> None:
+        self.further = tuple(further)
+        self.row_names = rows_of(self.further)
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
         self.quantity_names: tuple[str, ...] = ()
         self.rows_used = 0
@@ -33,9 +38,7 @@ class TableRun:
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Gates new ticks."""
-        found = np.repeat(np.asarray(excluded, np.int64)[:, None], len(self.row_names), axis=1)
-        every = [signals.q, signals.dq, signals.ddq, signals.measured, signals.sigma]
-        found[~np.isfinite(np.concatenate(every, axis=1)).all(axis=1)] |= GateReason.GAP
+        found = gated(signals, excluded)
         for reason in self.refused:
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         return found

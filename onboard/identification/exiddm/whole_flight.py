@@ -3,16 +3,20 @@
 The likelihood of :mod:`onboard.identification.exiddm.recursive` without its linearisation errors: all unknowns are
 constant over the flight, but the base's rate at the start of each segment and the IMU's biases, and every iteration
 predicts the whole flight anew about the same estimate (Gauss-Newton, :mod:`onboard.estimation.maximum_likelihood`).
-What is flown free determines biases, scales, links and joints, and so narrows the payload's interval.
+What is flown free determines biases, scales, links and joints, and so narrows the payload's interval. All instruments
+of the predictor take part but those that are left out, be it the first IMU.
 
 A bias is a straight line over the flight with a kink every ``KINK_s``: the sigma of a kink's change of slope is that of
-the random walk of the filter's drift, ``drift sqrt(2 KINK_s / DRIFT_MEMORY_s)``.
+the random walk of the filter's drift, ``drift sqrt(2 KINK_s / DRIFT_MEMORY_s)``. A delay that wanders (a clock without
+marks) is a constant and, in stretches of its correlation time T, a deviation of its stated sigma s: noise along the
+effect d of a delay, so that rows are whitened by ``(1 + s^2 d d')^(-1/2)``.
 
-Normal equations are kept for each block of ticks and each instrument, so that agreement of parts of the flight
-(:mod:`onboard.identification.exiddm.parts`) costs no further prediction, and memory hardly grows with the flight.
+Normal equations are kept for each block of ticks and each instrument, of the parameters that it depends on, so that
+agreement of parts of the flight (:mod:`onboard.identification.exiddm.parts`) costs no further prediction, and memory
+hardly grows with the flight.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +30,7 @@ from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor, first_rate
 from onboard.identification.exiddm.ticks import Ticks
 
-INSTRUMENTS = ("gyro", "accelerometer")
+INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 KINK_s = 5.0
 _BLOCK_TICKS = 200
 _SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
@@ -34,7 +38,8 @@ _CHANCE = 1e-5  # of a block's residual sum: what is exceeded more rarely counts
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _MOST_GLITCHES = 0.1  # share of the ticks that may be left out as outliers
 _EVALUATIONS = 25  # predictions of the flight in a stage
-_ROUGH, _FINE = 10.0, 0.03  # decrease of the residual sum at which a stage ends
+_ROUGH, _FINE = 50.0, 1.0  # decrease of the residual sum that a last step, which is taken, promises
+_DAMPING = 1e-6  # of the first step
 
 
 class Segment(NamedTuple):
@@ -44,10 +49,19 @@ class Segment(NamedTuple):
     held: bool
 
 
+class Instrument(NamedTuple):
+    """Lines whose residuals are judged together."""
+
+    name: str
+    device: int  # its number among the predictor's instruments, 0: the first IMU
+    lines: slice
+
+
 class Block(NamedTuple):
     """Normal equations of some ticks of one instrument at an estimate."""
 
-    normal: Normal
+    normal: Normal  # by the parameters in ``columns``
+    columns: IndexArray
     rows: int
     instrument: str
     held: bool
@@ -65,36 +79,51 @@ class FlightFit(NamedTuple):
     blocks: tuple[Block, ...]  # at the estimate
     misfit: float  # residual sum over its degrees of freedom
     by_instrument: dict[str, float]  # the same of each instrument: the larger of all its rows and its worst part
-    glitches: int  # ticks left out
+    residuals: FloatArray  # (n, lines) whitened, predicted less measured, of all segments; NaN where not used
+    glitches: int  # lines left out
 
 
 class _Along(NamedTuple):
     """Prediction of b ticks of a segment."""
 
     ticks: slice
-    values: FloatArray  # (b, 6)
-    jacobian: FloatArray  # (b, 6, predictor's p), by the state at the block's start
+    values: FloatArray  # (b, lines)
+    jacobian: FloatArray  # (b, lines, predictor's p), by the state at the block's start
     d_rate: FloatArray  # (3, predictor's p) of the rate there by the state at the segment's start
     lines: FloatArray  # (b, 2 + kinks)
 
 
 class WholeFlight:
-    """Predicts the base IMU in every segment of a flight and fits the unknowns to it.
+    """Predicts the instruments in every segment of a flight and fits the unknowns to them.
 
     Args:
-        predictor: of the vehicle's IMU.
+        predictor: of the vehicle's instruments.
         payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
         segments: in the order of their times; too short ones are left out.
+        without: numbers of the predictor's instruments that take no part.
 
     Attributes:
         names: of the p parameters: those of the predictor without the rate, rates, kinks of biases.
         sigma: (p,) before the flight; NaN where nothing is known.
         segments: those that are fitted.
+        time_s: of all their ticks, (n,).
+        further: the predictor's instruments besides the first IMU, be they left out or not.
+        instruments: those that take part.
+        devices: their numbers.
         of_a_part: indices of the parameters that differ from part to part of a flight: rates and biases.
     """
 
-    def __init__(self, predictor: ImuPredictor, payload_sigma: FloatArray, segments: Sequence[Segment]) -> None:
+    def __init__(
+        self,
+        predictor: ImuPredictor,
+        payload_sigma: FloatArray,
+        segments: Sequence[Segment],
+        without: Collection[int] = (),
+    ) -> None:
         self._predictor = predictor
+        self.further = predictor.further
+        self.instruments = tuple(one for one in _instruments_of(predictor) if one.device not in without)
+        self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self.segments = [one for one in segments if len(one.ticks.time_s) >= _SHORTEST_TICKS]
         self._begin_s = min((float(one.ticks.time_s[0]) for one in self.segments), default=0.0)
         end_s = max((float(one.ticks.time_s[-1]) for one in self.segments), default=0.0)
@@ -125,11 +154,19 @@ class WholeFlight:
         self.of_a_part = np.setdiff1d(
             np.concatenate([np.arange(self._constants, len(self.names)), *self._of_lines]), []
         ).astype(np.intp)
-        self._use: list[BoolArray] = [
-            np.logical_and.reduce(np.isfinite(one.ticks.measured), axis=1) for one in self.segments
+        self.time_s = np.concatenate([one.ticks.time_s for one in self.segments]) if self.segments else np.zeros(0)
+        self._use: list[BoolArray] = [  # (n, devices)
+            np.stack([np.isfinite(one.ticks.measured[:, own]).all(axis=1) for own in predictor.lines], axis=1)
+            for one in self.segments
         ]
         self._sigma = [one.ticks.sigma for one in self.segments]
-        self._squares: list[FloatArray] = []  # of the whitened residuals of each tick, at the last evaluation
+        self._left: list[FloatArray] = []  # whitened residuals of each segment, (n, lines), at the last evaluation
+        self._wander = {
+            device: (at, max(1, round(memory_s / predictor.period_s)))
+            for device, own in enumerate(predictor.of_further, 1)
+            for at, memory_s in predictor.wandering
+            if at in own
+        }
 
     @property
     def prior_information(self) -> FloatArray:
@@ -164,9 +201,9 @@ class WholeFlight:
         for length_s in stages_s:
             x = self._settle(x, _ROUGH, length_s)[0].x
             x = self.start(np.concatenate([start[:10], x[10 : self._constants]]))
+        x = self._settle(x, _ROUGH)[0].x
+        glitches = self._leave_out()
         found, blocks = self._settle(x, _FINE)
-        if glitches := self._leave_out():
-            found, blocks = self._settle(found.x, _FINE)
         chi, covariance = found.x[:10], found.covariance[:10, :10]
         known = int(np.isfinite(self.sigma).sum())
         freedom = sum(block.rows for block in blocks) + known - found.x.size
@@ -180,50 +217,38 @@ class WholeFlight:
             blocks,
             misfit,
             _by_instrument(blocks),
+            np.concatenate(self._left),
             glitches,
         )
 
-    def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[Block]:
+    def blocks(self, x: FloatArray, length_s: float = np.inf, *, held_only: bool = False) -> list[Block]:
         """Normal equations of all ticks up to so many seconds after the start of each segment, at x, (p,)."""
         found = []
-        self._squares = [np.zeros(len(one.ticks.time_s)) for one in self.segments]
+        self._left = [np.full(one.ticks.measured.shape, np.nan) for one in self.segments]
         for k, one in enumerate(self.segments):
+            if held_only and not one.held:
+                continue
             for along in self._along(x, k, length_s):
-                use = self._use[k][along.ticks]
-                if not use.any():
-                    continue
-                measured, sigma = one.ticks.measured[along.ticks], self._sigma[k][along.ticks]
-                r, J = whitened(along.values, self._jacobian(along, k), measured, sigma, use)
-                self._squares[k][np.arange(along.ticks.start, along.ticks.stop)[use]] = (r.reshape(-1, 6) ** 2).sum(
-                    axis=1
-                )
                 middle_s = float(one.ticks.time_s[along.ticks].mean())
-                of_row = np.arange(r.size) % 6 // 3
-                for number, instrument in enumerate(INSTRUMENTS):
-                    own = of_row == number
-                    normal = Normal.of(r[own], J[own])
-                    found.append(Block(normal, int(own.sum()), instrument, one.held, middle_s))
+                for instrument in self.instruments:
+                    use = self._use[k][along.ticks, instrument.device]
+                    if use.any():
+                        r, J, columns = self._rows(along, k, instrument, use)
+                        ticks = np.arange(along.ticks.start, along.ticks.stop)[use]
+                        self._left[k][ticks, instrument.lines] = r.reshape(len(ticks), -1)
+                        normal = Normal.of(r, J)
+                        found.append(Block(normal, columns, r.size, instrument.name, one.held, middle_s))
         return found
 
-    def residuals(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Whitened, predicted less measured, of all segments at x, (p,): times (n,), (n, 6) with NaN where not used."""
-        every = [np.full((len(one.ticks.time_s), 6), np.nan) for one in self.segments]
-        for k, (one, left) in enumerate(zip(self.segments, every, strict=True)):
-            for along in self._along(x, k, np.inf):
-                here = (along.values - one.ticks.measured[along.ticks]) / self._sigma[k][along.ticks]
-                left[along.ticks] = np.where(self._use[k][along.ticks, None], here, np.nan)
-        return np.concatenate([one.ticks.time_s for one in self.segments]), np.concatenate(every)
-
     def without_payload(self, x: FloatArray) -> list[Block]:
-        """Normal equations if nothing were held, all else as in x, (p,), rates by the first readings."""
+        """Normal equations of the held segments if nothing were held, all else as in x, (p,), rates by readings."""
         bare = x[: self._constants].copy()
         bare[:10] = 0.0
-        return self.blocks(self.start(bare))
+        return self.blocks(self.start(bare), held_only=True)
 
     def _settle(self, x: FloatArray, tolerance: float, length_s: float = np.inf) -> tuple[Fit, tuple[Block, ...]]:
         self._weigh(x)
-        best = np.inf, tuple[Block, ...](), self._squares
-
+        best = np.inf, tuple[Block, ...](), self._left
         evaluations = 0
 
         def evaluate(at: FloatArray) -> Normal:
@@ -235,11 +260,11 @@ class WholeFlight:
             total = total_of(blocks, len(self.names))
             cost = total.squares + float(np.nansum((at / self.sigma) ** 2))
             if cost < best[0]:
-                best = cost, blocks, self._squares
+                best = cost, blocks, self._left
             return total
 
-        found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance)
-        self._squares = best[2]
+        found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance, _DAMPING)
+        self._left = best[2]
         return found, best[1]
 
     def _weigh(self, x: FloatArray) -> None:
@@ -249,13 +274,16 @@ class WholeFlight:
             self._sigma[k] = np.hypot(one.ticks.sigma, noise)
 
     def _leave_out(self) -> int:
-        """Leave out ticks that the last fit contradicts, if these are few; returns their number."""
-        limit = float(chdtri(6.0, _GLITCH))
-        kept = [use & ~(squares > limit) for use, squares in zip(self._use, self._squares, strict=True)]
-        out = sum(int(use.sum() - own.sum()) for use, own in zip(self._use, kept, strict=True))
-        if out > _MOST_GLITCHES * sum(int(use.sum()) for use in self._use):
-            return 0
-        self._use = kept
+        """Leave out ticks of an instrument that the last fit contradicts, if these are few; returns how many lines."""
+        out = 0
+        for device, own in enumerate(self._predictor.lines):
+            limit = float(chdtri(own.stop - own.start, _GLITCH))
+            far = [np.nan_to_num(left[:, own] ** 2).sum(axis=1) > limit for left in self._left]
+            count = sum(int(one.sum()) for one in far)
+            if count <= _MOST_GLITCHES * sum(int(use[:, device].sum()) for use in self._use):
+                out += count * (own.stop - own.start)
+                for use, one in zip(self._use, far, strict=True):
+                    use[one, device] = False
         return out
 
     def _state(self, x: FloatArray, segment: int) -> FloatArray:
@@ -294,27 +322,65 @@ class WholeFlight:
         t = time_s - self._begin_s
         return np.column_stack([np.ones_like(t), t, np.maximum(0.0, t[:, None] - self._kinks_s)])
 
-    def _jacobian(self, along: _Along, segment: int) -> FloatArray:
-        """By all parameters, (b, 6, p)."""
-        J = np.zeros((*along.values.shape, len(self.names)))
-        J[:, :, : self._constants] = along.jacobian[:, :, RATE.stop :]
-        by_rate = along.jacobian[:, :, RATE]
-        J[:, :, : self._constants] += by_rate @ along.d_rate[:, RATE.stop :]
-        at = self._constants + 3 * segment
-        J[:, :, at : at + 3] = by_rate @ along.d_rate[:, RATE]
-        for columns, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):
-            J[:, :, columns] = along.jacobian[:, :, bias_at, None] * along.lines[:, None]
-        if not self.segments[segment].held:
-            J[:, :, :10] = 0.0
-        return J
+    def _rows(
+        self, along: _Along, segment: int, instrument: Instrument, use: BoolArray
+    ) -> tuple[FloatArray, FloatArray, IndexArray]:
+        """Whitened residuals of the ticks to use, (u,), their derivatives, (u, k), and by which parameters, (k,)."""
+        own, predictor, one = instrument.lines, self._predictor, self.segments[segment]
+        measured, sigma = one.ticks.measured[along.ticks, own], self._sigma[segment][along.ticks, own]
+        r, J = whitened(along.values[:, own], along.jacobian[:, own], measured, sigma, use)
+        by_rate = J[:, RATE]
+        by_constants = J[:, RATE.stop :] + by_rate @ along.d_rate[:, RATE.stop :]
+        seen: BoolArray = np.asarray(by_constants.any(axis=0))
+        if not one.held:
+            seen[:10] = False
+        parts, columns = [], []
+        lines = np.repeat(along.lines[use], own.stop - own.start, axis=0)
+        begun = lines.any(axis=0)
+        for at, (bias_at, drift_at) in zip(self._of_lines, predictor.biases, strict=True):
+            seen[[bias_at - RATE.stop, drift_at - RATE.stop]] = False
+            if J[:, bias_at].any():
+                parts.append(J[:, bias_at, None] * lines[:, begun])
+                columns.append(at[begun])
+        if instrument.device in self._wander:
+            delay_at, ticks = self._wander[instrument.device]
+            stretch = np.repeat(np.flatnonzero(use) // ticks, own.stop - own.start)
+            apart = _apart(J[:, delay_at] * predictor.sigma[delay_at], stretch)
+        first = self._constants + 3 * segment
+        J = np.concatenate([by_constants[:, seen], by_rate @ along.d_rate[:, RATE], *parts], axis=1)
+        which = np.concatenate([np.flatnonzero(seen), np.arange(first, first + 3), *columns]).astype(np.intp)
+        if instrument.device in self._wander:
+            r, J = apart(r[:, None])[:, 0], apart(J)
+        return r, J, which
+
+
+def _instruments_of(predictor: ImuPredictor) -> list[Instrument]:
+    first = [Instrument(name, 0, slice(3 * k, 3 * k + 3)) for k, name in enumerate(INSTRUMENTS)]
+    further = zip(predictor.further, predictor.lines[1:], strict=True)
+    return [*first, *(Instrument(one.name, device, own) for device, (one, own) in enumerate(further, 1))]
+
+
+def _apart(effect: FloatArray, stretch: IndexArray) -> Callable[[FloatArray], FloatArray]:
+    """Multiplication of rows, (u, k), by ``(1 + d d')^(-1/2)``, d the effect, (u,), in each stretch of them."""
+    count = int(stretch[-1]) + 1
+    squares = np.bincount(stretch, effect**2, count)
+    share = np.where(squares > 0.0, (1.0 - (1.0 + squares) ** -0.5) / np.maximum(squares, 1e-300), 0.0)
+    starts = np.searchsorted(stretch, np.arange(count))
+
+    def apply(rows: FloatArray) -> FloatArray:
+        along = np.add.reduceat(np.vstack([effect[:, None] * rows, np.zeros((1, rows.shape[1]))]), starts)
+        along[np.bincount(stretch, minlength=count) == 0] = 0.0
+        return np.asarray(rows - effect[:, None] * (share[:, None] * along)[stretch], np.float64)
+
+    return apply
 
 
 def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
     """Normal equations of all blocks together."""
     information, gradient, squares = np.zeros((parameters, parameters)), np.zeros(parameters), 0.0
     for block in blocks:
-        information += block.normal.information
-        gradient += block.normal.gradient
+        information[np.ix_(block.columns, block.columns)] += block.normal.information
+        gradient[block.columns] += block.normal.gradient
         squares += block.normal.squares
     return Normal(information, gradient, squares)
 
@@ -322,7 +388,7 @@ def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
 def _by_instrument(blocks: Sequence[Block]) -> dict[str, float]:
     """Residual sum over the number of rows, of all rows or of the part in which it is largest beyond chance."""
     found = {}
-    for instrument in INSTRUMENTS:
+    for instrument in dict.fromkeys(block.instrument for block in blocks):
         own = [block for block in blocks if block.instrument == instrument]
         of_all = sum(block.normal.squares for block in own) / max(1, sum(block.rows for block in own))
         parts = [block.normal.squares / float(chdtri(block.rows, _CHANCE)) for block in own if block.rows]

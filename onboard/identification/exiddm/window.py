@@ -5,7 +5,7 @@ The maximum likelihood of :mod:`onboard.identification.exiddm.batch` on the stat
 unknowns as prior.
 
 A window that nothing explains takes hundreds of predictions, seconds of CPU time. A solve is therefore an object that
-does one prediction at a time and can be written to a checkpoint in between.
+predicts one piece of the window at a time and can be written to a checkpoint in between.
 """
 
 from collections.abc import Iterator
@@ -20,17 +20,16 @@ from scipy.special import chdtrc, chdtri
 from onboard.dynamics.payload import standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
-from onboard.estimation.maximum_likelihood import Descent, Fit, Normal
+from onboard.estimation.maximum_likelihood import Descent, Fit
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, guesses
-from onboard.identification.exiddm.imu_errors import whitened
 from onboard.identification.exiddm.imu_prediction import (
     FIRST_TICKS,
     PAYLOAD,
     RATE,
     ImuPredictor,
-    Prediction,
     first_rate,
 )
+from onboard.identification.exiddm.pieces import Pieces
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
@@ -102,25 +101,39 @@ class WindowSolve:
         self.found: Solved | None = None
         self._left = list(hypotheses)
         self._descent: Descent | None = None
+        self._pieces: Pieces | None = None  # of the prediction under way
         self._fit: Fit | None = None  # not yet checked for outliers
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
             self._begin()
 
     def advance(self) -> int:
-        """Does one prediction over the window, or two that end it; how many ticks were predicted."""
+        """Predicts a piece of the window, and goes on from there; how many ticks were predicted."""
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
-            if self._fit is not None:
-                self._check(self._fit)
-                return 2 * len(self._ticks.time_s)
-            assert self._descent is not None
-            try:
-                self._descent.take(Normal.of(*self._residuals(self._descent.at)))
-            except (ConvergenceError, SingularError, RowError) as error:
-                self._failed(nearly=isinstance(error, ConvergenceError))
+            assert self._pieces is not None
+            ticks = self._pieces.advance(self._predictor, self._ticks, self._sigma, self._use)
+            if self._pieces.over:
+                self._predicted(self._pieces)
+        return ticks
+
+    def _predicted(self, whole: Pieces) -> None:
+        """The window is predicted: at a fit that was found, or where the iteration wants it."""
+        if self._fit is not None:
+            self._check(self._fit, whole)
+            return
+        assert self._descent is not None
+        try:
+            self._descent.take(whole.normal)
+        except (ConvergenceError, SingularError, RowError) as error:
+            self._failed(nearly=isinstance(error, ConvergenceError))
+        else:
+            if self._descent.found is None:
+                self._predict(self._descent.at)
             else:
-                if self._descent.found is not None:
-                    self._fitted(self._descent.found)
-        return len(self._ticks.time_s)
+                self._fitted(self._descent.found)
+
+    def _predict(self, x: FloatArray) -> None:
+        """Begin to predict the window with these values of what is active."""
+        self._pieces = Pieces(self._problem.state(x), self._problem.active, *self._use.shape)
 
     # ------------------------------------------------------------------ a hypothesis
 
@@ -183,6 +196,7 @@ class WindowSolve:
         noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
         self._sigma = np.hypot(self._ticks.sigma, noise)
         self._descent = Descent(start[active], self._problem.mean[active], prior, _ITERATIONS, tolerance)
+        self._predict(self._descent.at)
 
     def _failed(self, *, nearly: bool) -> None:
         """The iteration that was under way has no result; ``nearly``: it was still descending."""
@@ -201,14 +215,14 @@ class WindowSolve:
             self._next_guess()
             return
         self._fit = fitted
+        self._predict(fitted.x)
 
-    def _check(self, fitted: Fit) -> None:
+    def _check(self, fitted: Fit, whole: Pieces) -> None:
         """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
         self._fit = None
         if self._glitches < _FEW * len(self._use):
-            squares, lines = np.zeros(self._use.shape), self._predictor.lines
-            squares[self._use] = self._residuals(fitted.x)[0] ** 2
-            each = [squares[:, own].sum(axis=1) / chdtri(own.stop - own.start, _GLITCH) for own in lines]
+            lines = self._predictor.lines
+            each = [whole.squares[:, own].sum(axis=1) / chdtri(own.stop - own.start, _GLITCH) for own in lines]
             worst = int(np.argmax([beyond.max() for beyond in each]))
             tick = int(each[worst].argmax())
             if each[worst][tick] >= 1.0:
@@ -216,35 +230,18 @@ class WindowSolve:
                 self._glitches += 1
                 self._settle(self._problem.state(fitted.x))
                 return
-        self._solved(fitted)
+        self._solved(fitted, whole)
 
-    def _solved(self, fitted: Fit) -> None:
+    def _solved(self, fitted: Fit, whole: Pieces) -> None:
         """A result under the hypothesis: the solution if that explains the window."""
         chance = float(chdtrc(float(self._use.sum()), fitted.residual_sum))
         if not chance > _EXPLAINED:
             self._begin()
             return
-        start = self._problem.state(fitted.x)
-        end = self._predict(len(self._ticks.time_s), start)
-        F = end.transition[:, self._problem.active]
+        start, F = self._problem.state(fitted.x), whole.transition
         used, glitches, covariance = int(self._use[:, 0].sum()), self._glitches, F @ fitted.covariance @ F.T
-        self.found = Solved(self._hypothesis, start, end.state, covariance, used, glitches)
+        self.found = Solved(self._hypothesis, start, whole.state, covariance, used, glitches)
         self.over, self._descent = True, None
-
-    # ------------------------------------------------------------------ predictions
-
-    def _residuals(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Whitened, predicted less measured, of the ticks to use, and their derivatives by what is active."""
-        n = len(self._use)
-        predicted = self._predict(n + 2, self._problem.state(x))
-        sigma = self._sigma[1 : n + 1]
-        measured, jacobian = self._ticks.measured[1 : n + 1], predicted.jacobian[:, :, self._problem.active]
-        return whitened(predicted.values, jacobian, measured, sigma, self._use)
-
-    def _predict(self, ticks: int, state: FloatArray) -> Prediction:
-        """Of the first ticks."""
-        first = self._ticks.part(slice(0, ticks))
-        return self._predictor.predict(first.q, first.dq, first.ddq, state, first.cyclic)
 
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""

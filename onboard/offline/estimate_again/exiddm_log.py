@@ -1,12 +1,13 @@
 """``heft identify --method exiddm``: a free-flyer's log by maximum likelihood, the whole flight in one fit.
 
 The flight is divided at the changes of the payload, into segments with nothing held and with the payload that was held
-the longest, and fitted by :mod:`onboard.identification.exiddm.whole_flight`. Changes and starting values are those of
-the onboard answer in the log. A log without one, or whose fit leaves more than noise from there, is run through the
-recursive estimator first, and the fit starts from its state.
+the longest, and fitted by :mod:`onboard.identification.exiddm.whole_flight`, with all instruments that the flight fused
+but one that was left out on board or contradicts the others (:mod:`onboard.identification.exiddm.witnesses`). Changes
+and starting values are those of the onboard answer in the log. A log without one, or whose fit fails a test from there,
+is run through the recursive estimator first, and the fit starts from its state.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -17,21 +18,22 @@ from onboard.dynamics.errors import ModelError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
-from onboard.flight.answers import change_of
+from onboard.flight.answers import change_of, instrument_of
 from onboard.flight.estimation import SUFFIX
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_exiddm
 from onboard.identification.change import Change
+from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.parts import differences, halves
+from onboard.identification.exiddm.parts import halves
 from onboard.identification.exiddm.recursive import BATCH_TICKS
-from onboard.identification.exiddm.stated import Kind, freely, kinds_of, leans_on
+from onboard.identification.exiddm.stated import freely, leans_on
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
-from onboard.identification.exiddm.whole_flight import FlightFit, Segment, WholeFlight
-from onboard.identification.quantities import Findings
-from onboard.identification.verdict import WORST_MISFIT, Evidence
+from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
+from onboard.identification.exiddm.witnesses import HARDLY, Tested, tested, without_each
+from onboard.identification.verdict import Evidence
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.likelihood_log import (
@@ -45,13 +47,10 @@ from onboard.offline.estimate_again.likelihood_log import (
     runs_of,
     told,
 )
-from onboard.offline.estimate_again.residuals import Residuals, by_axis
+from onboard.offline.estimate_again.residuals import by_axis
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
-_DOUBTED, _REFUSED = 1e-4, 1e-6  # chance of a difference between parts of the flight
-_NOT_AS_STATED = 1e-3  # chance of a correction, of a kind
-_SUSPECT = 1.3  # misfit of an instrument beyond which another start is tried
 _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
@@ -62,9 +61,9 @@ _EVENTS = "event" + SUFFIX  # of the estimator, in a log
 class _Recorder(TableRun):
     """Gates the ticks and keeps them."""
 
-    def __init__(self, payload: str, joints: int) -> None:
-        super().__init__(payload)
-        self.ticks: list[Ticks] = [Ticks.none(joints)]
+    def __init__(self, payload: str, joints: int, further: Sequence[Further]) -> None:
+        super().__init__(payload, further)
+        self.ticks: list[Ticks] = [Ticks.none(joints, len(self.row_names))]
         self.attached: list[BoolArray] = [np.zeros(0, np.bool_)]
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
@@ -80,6 +79,7 @@ class _Onboard(NamedTuple):
     changes: Sequence[Change]
     constants: FloatArray  # of the predictor's state without the rate; zeros where nothing is known
     stages_s: tuple[float, ...]  # lengths that are fitted first: it is far from the minimum
+    left_out: frozenset[str] = frozenset()  # instruments that it did without at the end
 
 
 def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
@@ -89,9 +89,9 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ConfigError: the estimation section does not fit the URDF or the devices.
         ChannelError: a log of another vehicle.
     """
-    online, model = build_exiddm(vehicle, fused=False)
+    online, model = build_exiddm(vehicle)
     payload = str(model.spec.payload_link)
-    recorder = _Recorder(payload, len(model.joints))
+    recorder = _Recorder(payload, len(model.joints), online.further)
     estimator = Estimator(vehicle, recorder)
     for _ in feed(estimator, log, _STEP_s):
         pass
@@ -118,37 +118,80 @@ class _Flight:
     ) -> Identified:
         """Estimates and verdict of the flight."""
         kept = Kept(log, payload, self._ticks, self._period_s, refused, {})
-        seen = 6 * int(np.isfinite(self._ticks.measured).all(axis=1).sum())
+        seen = int(np.isfinite(self._ticks.measured).sum())
         failure = ""
-        best: tuple[WholeFlight, FlightFit] | None = None
+        best: Tested | None = None
         for known in self._starts(log):
             segments = self._segments(known.changes)
             if not any(one.held for one in segments):
                 failure = ""
                 continue
-            flight = WholeFlight(self._online.exiddm.predictor, self._online.exiddm.payload_sigma, segments)
             try:
-                found = flight.fit(flight.start(known.constants), known.stages_s)
+                found, agrees = self._fitted(known, segments, phase_at)
             except (EstimationError, ModelError) as error:
                 failure = f"the fit failed: {error}"
                 continue
-            if best is None or found.misfit < best[1].misfit:
-                best = flight, found
-            if max(found.by_instrument.values()) < _SUSPECT:
+            if best is None or found.found.misfit < best.found.misfit:
+                best = found
+            if agrees:
                 break
         if best is None:
             idle = {} if failure else {"while nothing was held": seen}
             return no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
-        flight, found = best
-        corrections, kinds = _corrections(flight, found), kinds_of(flight, found)
         try:
-            found = freely(flight, found, kinds)
+            fit = freely(best.flight, best.found, best.kinds)
         except EstimationError as error:
-            return no_answer(kept, seen, f"the fit failed: {kinds[0].text}, and without that: {error}")
-        if found.glitches:
-            refused = {**refused, "residual": refused.get("residual", 0) + 6 * found.glitches}
-        left = by_axis(*flight.residuals(found.fit.x), self._period_s)
-        return told(kept._replace(refused=refused), _fitted(flight, found, phase_at, corrections, kinds, left))
+            return no_answer(kept, seen, f"the fit failed: {best.kinds[0].text}, and without that: {error}")
+        if fit.glitches:
+            refused = {**refused, "residual": refused.get("residual", 0) + fit.glitches}
+        return told(kept._replace(refused=refused), self._said(best._replace(found=fit)))
+
+    def _fitted(
+        self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
+    ) -> tuple[Tested, bool]:
+        """The fit with all instruments but those that contradict the others, its tests, and whether it passes them.
+
+        Raises:
+            EstimationError, ModelError: as :meth:`WholeFlight.fit`.
+        """
+        names = ["the first IMU", *(one.name for one in self._online.further)]
+        told = {at for at, name in enumerate(names) if name in known.left_out}
+        hardly = {at: share for at, share in self._shares().items() if share < HARDLY}
+        exiddm = self._online.exiddm
+
+        def without(*more: int) -> WholeFlight:
+            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, {*told, *hardly, *more})
+
+        flight = without()
+        start = flight.start(known.constants)
+        made, failure = None, None
+        try:
+            made = tested(flight, flight.fit(start, known.stages_s), phase_at)
+            start = made.found.fit.x
+        except (EstimationError, ModelError) as error:
+            failure = error
+        if (made is None or not made.passes) and len(flight.devices) > 1 and not told:
+            fits = without_each(without, flight.devices, start, phase_at)
+            passing = [(device, found) for device, found in fits if found.passes]
+            if len(passing) == 1:
+                told, made = {passing[0][0]}, passing[0][1]
+            elif passing and made is not None:
+                either = " or ".join(names[device] for device, _ in passing)
+                made = made.plus(against=[f"{either} contradicts the others"])
+        if made is None:
+            assert failure is not None
+            raise failure
+        doubts = [f"without {names[at]}, which contradicts the others" for at in sorted(told)]
+        doubts += [f"without {names[at]}, of which {share:.0%} can be used" for at, share in hardly.items()]
+        several = [f"{' and '.join(names[at] for at in sorted(told))} contradict the others"] if len(told) > 1 else []
+        return made.plus(several, doubts), made.passes
+
+    def _shares(self) -> dict[int, float]:
+        """Of the ticks with any instrument, those with each further one, by its number."""
+        seen = np.isfinite(self._ticks.measured)
+        ticks = max(1, int(seen.any(axis=1).sum()))
+        lines = self._online.exiddm.predictor.lines
+        return {at: float(seen[:, own].all(axis=1).sum() / ticks) for at, own in enumerate(lines) if at}
 
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
@@ -190,17 +233,22 @@ class _Flight:
     def _in_log(self, log: LogReader) -> _Onboard | None:
         """The onboard answer that the log has; None without one."""
         changes: list[Change] = []
-        mean = np.zeros(10)
+        mean, left_out = np.zeros(10), set[str]()
         for name, rows in log.batches([name for name in ("estimate", _EVENTS) if name in log.channels]):
             if name == _EVENTS:
-                changes += [change for change in map(change_of, rows) if change is not None]
+                for row in rows:
+                    if (change := change_of(row)) is not None:
+                        changes.append(change)
+                    elif (instrument := instrument_of(row)) is not None:
+                        (left_out.add if instrument.kind == "left_out" else left_out.discard)(instrument.what)
             elif rows["mean"].shape[1:] == (10,):
                 known = np.isfinite(rows["mean"]).all(axis=1) & (rows["mean"][:, 0] > 0.0)
                 mean = rows["mean"][known][-1] if known.any() else mean
         if not mean[0] > 0.0:
             return None
         rest = np.zeros(len(self._online.exiddm.predictor.names) - PAYLOAD.stop)
-        return _Onboard(sorted(changes, key=lambda change: change.time_s), np.concatenate([mean, rest]), ())
+        changes.sort(key=lambda change: change.time_s)
+        return _Onboard(changes, np.concatenate([mean, rest]), (), frozenset(left_out))
 
     def _again(self) -> _Onboard:
         """What the recursive estimator makes of the ticks."""
@@ -217,7 +265,31 @@ class _Flight:
         size = len(exiddm.predictor.names) - RATE.stop
         state = exiddm.state if exiddm.state is not None and exiddm.held else np.zeros(size + RATE.stop)
         known = state[RATE.stop] > 0.0
-        return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s)
+        left_out = frozenset(exiddm.fusion.contradicting)
+        return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s, left_out)
+
+    def _said(self, made: Tested) -> Fitted:
+        """A fit, its tests as they were within the stated sigmas, and the prediction of its halves."""
+        flight, found = made.flight, made.found
+        held_out, unchecked = None, Evidence._field_defaults["unchecked"]
+        try:
+            held_out = halves(flight, found)
+        except EstimationError as error:
+            unchecked = half_too_short(error)
+        return Fitted(
+            found.payload,
+            found.chi,
+            found.chi_covariance,
+            sum(block.rows for block in found.blocks),
+            found.misfit,
+            max(1.0, found.misfit, *found.by_instrument.values()),
+            made.corrections,
+            held_out,
+            unchecked,
+            by_axis(flight.time_s, found.residuals, self._period_s, self._online.row_names[6:]),
+            findings=made.findings,
+            leans=leans_on(flight, found),
+        )
 
 
 def _begin(run: Run) -> int:
@@ -226,59 +298,3 @@ def _begin(run: Run) -> int:
 
 def _end(run: Run) -> int:
     return int(run.ticks.stop) - 1
-
-
-def _corrections(flight: WholeFlight, found: FlightFit) -> dict[str, float]:
-    """What was fitted besides the payload, in the sigmas that are stated."""
-    return {
-        name: float(x / sigma)
-        for name, x, sigma in zip(found.names[10:], found.fit.x[10:], flight.sigma[10:], strict=True)
-        if np.isfinite(sigma)
-    }
-
-
-def _fitted(
-    flight: WholeFlight,
-    found: FlightFit,
-    phase_at: Callable[[float], int],
-    corrections: Mapping[str, float],
-    kinds: Sequence[Kind],
-    residuals: Residuals,
-) -> Fitted:
-    """The checks of a fit: halves, parts, instruments, corrections as they were within the stated sigmas."""
-    held_out, unchecked = None, ""
-    try:
-        held_out = halves(flight, found)
-    except EstimationError as error:
-        unchecked = half_too_short(error)
-    against, doubts = [], []
-    for difference in differences(found, phase_at):
-        said = f"{difference.part} tells another payload than the rest (chi-squared {difference.squares:.0f} of "
-        said += f"{difference.freedom})"
-        if difference.chance < _REFUSED:
-            against.append(said)
-        elif difference.chance < _DOUBTED:
-            doubts.append(said)
-    for instrument, misfit in found.by_instrument.items():
-        if misfit > WORST_MISFIT:
-            against.append(f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise")
-        elif misfit > _SUSPECT:
-            doubts.append(f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise")
-    rows = sum(block.rows for block in found.blocks)
-    wider = max(1.0, found.misfit, *found.by_instrument.values())
-    against += [kind.text for kind in kinds if kind.chance < _REFUSED]
-    doubts += [kind.text for kind in kinds if _REFUSED <= kind.chance < _NOT_AS_STATED]
-    return Fitted(
-        found.payload,
-        found.chi,
-        found.chi_covariance,
-        rows,
-        found.misfit,
-        wider,
-        corrections,
-        held_out,
-        unchecked or Evidence._field_defaults["unchecked"],
-        residuals,
-        findings=Findings(tuple(against), tuple(doubts)),
-        leans=leans_on(flight, found),
-    )

@@ -92,16 +92,7 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
 
 def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
     over = config.tree_of(config.read(settings, "a file of settings"), str(settings))
-    return config.parse_tree(_over(flown.tree, over), flown.path, config.Origin(str(settings)))
-
-
-def _over(tree: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
-    """``tree`` with what ``other`` says in its place, table by table."""
-    made = dict(tree)
-    for key, value in other.items():
-        both = isinstance(value, dict) and isinstance(tree.get(key), dict)
-        made[key] = _over(tree[key], value) if both else value
-    return made
+    return config.parse_tree(config.laid_over(flown.tree, over), flown.path, config.Origin(str(settings)))
 
 
 def _changes(flown: config.Vehicle, now: config.Vehicle) -> Iterator[Difference]:

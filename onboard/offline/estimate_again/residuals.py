@@ -62,19 +62,23 @@ def keep_rows(who: Identifier) -> KeptRows:
     return kept
 
 
-def by_axis(time_s: FloatArray, left: FloatArray, period_s: float) -> Residuals:
-    """Series of the base IMU's six axes.
+def by_axis(time_s: FloatArray, left: FloatArray, period_s: float, further: Sequence[str] = ()) -> Residuals:
+    """Series of the base IMU's six axes, and of the lines of further instruments; none of what is not used at all.
 
     Args:
         time_s: of the ticks, (n,).
-        left: their whitened residuals, (n, 6), gyro and accelerometer; NaN where none was used.
+        left: their whitened residuals, (n, lines), gyro and accelerometer first; NaN where none was used.
         period_s: between ticks.
+        further: names of the lines after the sixth.
     """
     tick = np.round((time_s - time_s[0]) / period_s).astype(np.int64)
     found: Residuals = {}
-    for column, name in enumerate(f"{one} {axis}" for one in ("gyro", "accelerometer") for axis in "xyz"):
+    names = [*(f"{one} {axis}" for one in ("gyro", "accelerometer") for axis in "xyz"), *further]
+    for name, values in zip(names, left.T, strict=True):
+        if np.isnan(values).all():
+            continue
         series = np.full(int(tick[-1]) + 1, np.nan)
-        series[tick] = left[:, column]
+        series[tick] = values
         found[name] = series
     return found
 

@@ -3,10 +3,10 @@
 The flight's own predictor gives the IMU's readings, their derivatives by all unknowns and how these are carried; sigmas
 of instruments, links and joints are the vehicle file's. No reading is made: the covariance of an extended Kalman filter
 whose estimate is the truth depends on none, and is the Cramer-Rao bound of that truth with the prior (van Trees).
-
-It is that of the first IMU alone, with cyclic errors of encoders as noise: a flight that fuses more knows more.
+All that the flight fuses takes part: further IMUs, load cells, and cyclic errors of encoders as unknowns.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,14 +18,15 @@ from onboard.dynamics.payload import body_jacobian, standard_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import correlation_inflation
-from onboard.flight.identification import build_exiddm, samples_per_tick
+from onboard.flight.identification import build_exiddm, channels_of
 from onboard.flight.roles import roles_of
-from onboard.flight.signals import kernel_of
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
+from onboard.flight.signals import CYCLIC_LEFT, kernel_of
+from onboard.identification.exiddm.further import Further
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.offline.foresee.plan import Foreseen, JointNoise, Plan, axes_words, body_values, expected
 
-_BATCH_TICKS = 50
+_BATCH_TICKS, _PART_TICKS = 50, 10  # of a prediction; of a gain, whose work grows with the cube of its readings
 _ANY_RATE_rad_s = 10.0  # sigma of the base's rate where nothing is known
 _NOTHING = standard_of(RigidBody(1e-9, np.zeros(3), 1e-9 * np.eye(3)))
 
@@ -77,12 +78,11 @@ def fly(vehicle: config.Vehicle, plan: Plan) -> Flown | None:
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    identifier, model = build_exiddm(vehicle, fused=False)
+    identifier, model = build_exiddm(vehicle)
     predictor, payload = identifier.exiddm.predictor, plan.payload
     if payload is None or not plan.held.any():
         return None
-    noise = Noise(vehicle, model)
-    used, sigma = plan.used(vehicle), (noise.of_imu, noise.of_joints(plan.dq))
+    noise, used = Noise(vehicle, model, predictor.further), plan.used(vehicle)
     state, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
     state[RATE] = plan.rate_rad_s
     rate = np.zeros((len(plan.q), 3))
@@ -95,7 +95,7 @@ def fly(vehicle: config.Vehicle, plan: Plan) -> Flown | None:
             covariance[block, block] = np.diag(width**2)
         state[PAYLOAD] = standard_of(payload) if held else _NOTHING
         part = slice(first, last)
-        state, covariance, rate[part] = _fly(predictor, plan, sigma, used, part, state, covariance)
+        state, covariance, rate[part] = _fly(predictor, plan, noise, used, part, state, covariance)
         if held:
             last_held = state.copy(), covariance.copy()
     return Flown(identifier, model, payload, *last_held, rate)
@@ -110,55 +110,53 @@ def body_covariance(payload: RigidBody, covariance: FloatArray) -> FloatArray:
 def _fly(
     predictor: ImuPredictor,
     plan: Plan,
-    sigma: tuple[FloatArray, FloatArray],
+    noise: "Noise",
     used: BoolArray,
     part: slice,
     state: FloatArray,
     covariance: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """State and covariance after a part of the motion in which one payload is held, or none; gyro's rates (n, 3)."""
-    of_imu, of_joints = sigma
     q, dq, ddq = (signal[part] for signal in (plan.q, plan.dq, plan.ddq))
-    here, joints = used[part], of_joints[part]
+    here, joints, cyclic = used[part], noise.of_joints(dq), noise.cyclic(q, dq)
     rate = np.zeros((len(q), 3))
-    drifts = np.array([at for _, at in predictor.biases], np.intp)
     for first in range(0, len(q) - 3, _BATCH_TICKS):
         ticks = slice(first, min(first + _BATCH_TICKS + 2, len(q)))
-        now = predictor.predict(q[ticks], dq[ticks], ddq[ticks], state)
-        noise = np.hypot(of_imu, predictor.joint_noise(q[ticks], joints[ticks], state))[1:-1]
+        now = predictor.predict(q[ticks], dq[ticks], ddq[ticks], state, cyclic[ticks])
+        sigma = np.hypot(noise.of_lines, predictor.joint_noise(q[ticks], joints[ticks], state))[1:-1]
         inside = slice(first + 1, first + 1 + len(now.values))
         rate[inside] = now.values[:, :3]
-        whitened = (now.jacobian / noise[..., None])[here[inside]].reshape(-1, len(state))
-        if len(whitened):
-            HP = whitened @ covariance
-            gained = HP.T @ np.linalg.solve(HP @ whitened.T + np.eye(len(HP)), HP)
-            covariance = covariance - gained
-        covariance = now.transition @ covariance @ now.transition.T
-        aged_s = len(now.values) * predictor.period_s
-        covariance[drifts, drifts] += 2.0 * aged_s / DRIFT_MEMORY_s * predictor.sigma[drifts] ** 2
-        covariance = 0.5 * (covariance + covariance.T)
-        state = now.state
+        whitened = (now.jacobian / sigma[..., None])[here[inside]]
+        for at in range(0, len(whitened), _PART_TICKS):
+            H = whitened[at : at + _PART_TICKS].reshape(-1, len(state))
+            HP = H @ covariance
+            covariance = covariance - HP.T @ np.linalg.solve(HP @ H.T + np.eye(len(HP)), HP)
+        state, covariance = predictor.carried(now, state, state, 0.5 * (covariance + covariance.T))
     rate[0] = rate[min(1, len(rate) - 1)]
     return state, covariance, rate
 
 
 class Noise:
-    """White noise of what the filter takes in.
+    """White noise of what the filter takes in, and its functions of the joints' cyclic errors.
 
     Args:
         vehicle: its file.
         model: of it.
+        further: instruments besides the first IMU.
 
     Attributes:
-        of_imu: means over a tick, (6,).
+        of_lines: means over a tick of all instruments, (lines,).
     """
 
-    def __init__(self, vehicle: config.Vehicle, model: VehicleModel) -> None:
+    def __init__(self, vehicle: config.Vehicle, model: VehicleModel, further: Sequence[Further]) -> None:
         settings, roles = vehicle.file.estimation, roles_of(vehicle)
-        samples = samples_per_tick(vehicle)
-        means = [np.array(roles.signals[channel].noise) / np.sqrt(samples) for channel in roles.imu.channels]
-        self.of_imu: FloatArray = np.concatenate(means)
-        self._joints = JointNoise(vehicle, model)
+        names = [name for own in (roles.imu.channels, *channels_of(roles, further)) for name in own]
+        signals = [roles.signals[name] for name in names]
+        per_tick = [max(1.0, np.rint(1.0 / (one.period_s * settings.row_rate_hz))) for one in signals]
+        means = [np.array(one.noise) / np.sqrt(count) for one, count in zip(signals, per_tick, strict=True)]
+        self.of_lines: FloatArray = np.concatenate(means)
+        self._joints = JointNoise(vehicle, model, CYCLIC_LEFT)
+        self.cyclic = self._joints.cyclic
         width_s, period_s = settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz
         self._inflation = correlation_inflation(width_s, period_s, kernel_of(vehicle))
 

@@ -153,18 +153,20 @@ def steady_noise(vehicle: config.Vehicle, channel: str, derivatives: int) -> Flo
 
 
 class JointNoise:
-    """Noise of smoothed angles, rates and accelerations of the joints, cyclic errors included.
+    """Noise of smoothed angles, rates and accelerations of the joints, and what their cyclic errors do.
 
     Args:
         vehicle: its file.
         model: of it.
+        left: part of the cyclic errors that is noise: all of them, or what an estimator that fits them leaves.
     """
 
-    def __init__(self, vehicle: config.Vehicle, model: VehicleModel) -> None:
+    def __init__(self, vehicle: config.Vehicle, model: VehicleModel, left: float = 1.0) -> None:
         roles = roles_of(vehicle)
         self._response = Response(vehicle.file.estimation.smoothing_ms * 1e-3, kernel_of(vehicle))
         by_name = {joint.joint: joint for joint in roles.joints}
         self._steady = np.zeros((3, len(model.joints)))
+        self._left = left
         self._ripple: list[tuple[int, int, float, float]] = []  # column, lowest order, periods per rad, rms
         for column, joint in enumerate(model.joints):
             role = by_name[joint.name]
@@ -177,8 +179,24 @@ class JointNoise:
         out = np.repeat(self._steady[:, None, :], len(dq), axis=1)
         for column, lowest, periods, rms in self._ripple:
             for order in range(lowest, 3):
-                passed = rms * self._response.gain(periods * dq[:, column], order - lowest)
+                passed = self._left * rms * self._response.gain(periods * dq[:, column], order - lowest)
                 out[order, :, column] = np.hypot(out[order, :, column], passed)
+        return out
+
+    def cyclic(self, q: FloatArray, dq: FloatArray) -> FloatArray:
+        """Cosine and sine of each cyclic error and two derivatives as smoothed at a steady rate, (n, 3, 2 x errors).
+
+        Args:
+            q: joint positions, (n, joints).
+            dq: joint rates.
+        """
+        out = np.zeros((len(q), 3, 2 * len(self._ripple)))
+        for k, (column, _, periods, _) in enumerate(self._ripple):
+            turn, rate = periods * q[:, column], periods * dq[:, column]
+            for order in range(3):
+                passed = self._response.gain(rate, order) * np.sign(rate) ** order
+                ahead = turn + 0.5 * np.pi * order  # a derivative leads by a quarter turn
+                out[:, order, 2 * k], out[:, order, 2 * k + 1] = passed * np.cos(ahead), passed * np.sin(ahead)
         return out
 
 

@@ -75,7 +75,7 @@ class FreeBound(Bound):
         self._before, self._model, self._payload = before, before.model, plan.payload
         self._predictor = before.identifier.exiddm.predictor
         self._prior = np.linalg.inv(before.covariance)
-        self._noise = Noise(vehicle, before.model)
+        self._noise = Noise(vehicle, before.model, self._predictor.further)
         self._chi = self._model.chi.copy()
         self._chi[self._model.payload_columns()] = standard_of(plan.payload)
         self.names = tuple(f"{kind}_{self._model.spec.payload_link}" for kind in BODY)
@@ -100,11 +100,11 @@ class FreeBound(Bound):
         return _floating(self._model, moved, period_s, self._chi, self._before.state[RATE])
 
     def _rows(self, moved: FloatArray) -> FloatArray:
-        """Whitened derivatives of the readings, (n - 2, 6, p)."""
+        """Whitened derivatives of the readings, (n - 2, lines, p)."""
         q, dq, ddq = moved
-        now = self._predictor.predict(q, dq, ddq, self._before.state)
+        now = self._predictor.predict(q, dq, ddq, self._before.state, self._noise.cyclic(q, dq))
         joints = self._predictor.joint_noise(q, self._noise.of_joints(dq), self._before.state)
-        return np.asarray(now.jacobian / np.hypot(self._noise.of_imu, joints)[1:-1, :, None], np.float64)
+        return np.asarray(now.jacobian / np.hypot(self._noise.of_lines, joints)[1:-1, :, None], np.float64)
 
     def _body(self, information: FloatArray) -> FloatArray:
         covariance: FloatArray = np.asarray(np.linalg.inv(information)[PAYLOAD, PAYLOAD], np.float64)

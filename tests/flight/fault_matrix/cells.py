@@ -265,7 +265,7 @@ def _mixed() -> list[Cell]:
         Cell(joint, "slow", 0.02, 0.6, ("pdo_extra", "gap no_pdo")),
         Cell(joint, "saturated", 1.0, shares=False),
         Cell(load_cell, "off", 0.0, 0.6, unanswered, 0.4),
-        Cell(load_cell, "reset", 0.0, 0.6, unanswered, 0.4),
+        Cell(load_cell, "reset", 0.0, 0.6, ("gap no_answer",), 0.4),
         Cell(load_cell, "silent", 0.0, 0.6, unanswered),
         Cell(load_cell, "intermittent", 0.1, 0.6, ("gap no_answer",)),
         Cell(load_cell, "stuck", 0.0, 0.6, ("estimation stuck", "rows refused: stuck"), shares=False),

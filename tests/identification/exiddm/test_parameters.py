@@ -35,14 +35,14 @@ def test_a_reading_is_late_by_a_slow_clock_scaled_turned_biased():
     by_its_clock = np.asarray((time_s - delay_s) / (1.0 + rate_error))  # when what it shows now was
     errors = np.zeros(SIZE)
     errors[-2:] = delay_s, rate_error
-    found = imu_reading(true, np.zeros((401, 6, 1)), change, time_s, errors).values
+    found = imu_reading(true, change, time_s, errors).values
     second_order = 2e-6
     np.testing.assert_allclose(found[:, 2], np.cos(by_its_clock) / (1.0 + rate_error), atol=second_order)
     np.testing.assert_allclose(found[:, 3], -np.sin(by_its_clock) / (1.0 + rate_error) ** 2, atol=second_order)
     assert np.abs(found[:, 2] - np.cos(time_s)).max() > 100 * second_order
     errors[:12] = [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.01, 0.0]  # bias, drift, scale, misalignment
     errors[-2:] = 0.0
-    found = imu_reading(true, np.zeros((401, 6, 1)), change, time_s, errors).values
+    found = imu_reading(true, change, time_s, errors).values
     wz = np.cos(time_s)
     expected = np.stack([0.1 + time_s - 0.01 * wz, np.full(401, 0.2), 0.3 + 1.5 * wz], axis=1)  # u - m x u
     np.testing.assert_allclose(found[:, :3], expected, atol=1e-12)

@@ -15,7 +15,7 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
 from onboard.identification.exiddm.parts import differences, halves
 from onboard.identification.exiddm.stated import KINDS, UNLIKELY, freely, kinds_of, leans_on
-from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight, total_of
+from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight, _apart, total_of
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.test_recursive import BIASED, WIDE, recorded, ticks_of
@@ -102,7 +102,7 @@ def test_outliers_are_left_out_and_counted(ticks, predictor, fitted):
     spoilt[1] = spoilt[1]._replace(ticks=spoilt[1].ticks._replace(measured=measured))
     again = WholeFlight(predictor, WIDE, spoilt)
     found = again.fit(whole.fit.x)
-    assert found.glitches == 2
+    assert found.glitches == 12  # two ticks of six lines
     assert np.abs(found.chi - whole.chi).max() < 0.2 * np.sqrt(np.diag(whole.chi_covariance)).max()
 
 
@@ -197,3 +197,15 @@ def test_an_answer_leans_on_a_sigma_as_its_variance_grows_with_it(ticks, predict
     wider = inverse_of(rows + flight.prior_information)[0, 0]
     effect = np.sqrt((wider - stated) / 0.02) / found.chi[0]
     assert float(told) / 100.0 == pytest.approx(effect, rel=0.05)
+
+
+def test_rows_with_a_common_error_in_each_stretch_are_whitened(rng):
+    """Against the inverse square root of their covariance; a stretch without rows lies between."""
+    stretch, effect = np.array([0, 0, 0, 2, 2]), rng.standard_normal(5)
+    common = np.where(stretch[:, None] == stretch, np.outer(effect, effect), 0.0)
+    values, vectors = np.linalg.eigh(np.eye(5) + common)
+    assert values.max() > 1.5
+    rows = rng.standard_normal((5, 3))
+    np.testing.assert_allclose(
+        _apart(effect, stretch)(rows), (vectors / np.sqrt(values)) @ vectors.T @ rows, atol=1e-12
+    )

@@ -5,19 +5,28 @@ import json
 import numpy as np
 import pytest
 
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants.planned import default_plan
+from onboard import config
 from onboard.cli import main
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
+from onboard.estimation.smoothing import SmoothingWindow
 from onboard.flight.identification import build_exiddm, exiddm_prior
+from onboard.flight.roles import roles_of
+from onboard.flight.signals import cyclic_functions, kernel_of
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.verdict import Level
 from onboard.offline.foresee.contingency import foresee_without
+from onboard.offline.foresee.foresee import foresee
+from onboard.offline.foresee.plan import JointNoise, plan_of
 from tests.offline.foresee.test_foresee import EXACT, made
 
 FREE = ("--base", "free", "--joints", "2")
+EXACT_GEAR = {"eccentricity_rad": 0.0, "transmission_error_rad": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +67,26 @@ def test_nothing_is_known_better_without(free, lost):
     assert (ratios.max() > 1.05) == lost.startswith("joint")
 
 
+def test_a_free_flyer_knows_less_without_what_its_filter_fuses():
+    """DYMAFLEX: a wrist cell, a second IMU, and cyclic errors of the gears as unknowns."""
+    vehicle = config.load(config.packaged("dymaflex"))
+    plan = plan_of(vehicle, default_plan(scenario_of(vehicle.path), 1.0 / vehicle.file.estimation.row_rate_hz))
+    plan = plan.part(slice(0, round(plan.held.argmax() + 4.0 * vehicle.file.estimation.row_rate_hz)))
+    of_cell, of_imu = (foresee_without(vehicle, plan, [lost]).pairs() for lost in ("load_cell", "imu_2"))
+    wider = np.array([[left.sigma / whole.sigma for whole, left in pairs] for pairs in (of_cell, of_imu)])
+    assert wider.min() > 1.0
+    assert wider[0, 0] > 1.3
+    assert wider[1].max() > 1.03
+    exact = {
+        name: device.model_copy(update=EXACT_GEAR) for name, device in vehicle.file.device.items() if "joint" in name
+    }
+    other = vehicle.model_copy(
+        update={"file": vehicle.file.model_copy(update={"device": {**vehicle.file.device, **exact}})}
+    )
+    known = [one.sigma for one in foresee(other, plan).quantities]
+    assert np.max([whole.sigma / own for (whole, _), own in zip(of_cell, known, strict=True)]) > 1.02
+
+
 def test_without_any_joint_only_the_spin_is_left_and_nothing_is_good(free):
     found = foresee_without(*free, ["joint_1", "joint_2"])
     assert found.words[1].startswith("joint_2 is parked at")
@@ -83,3 +112,23 @@ def test_the_command_says_what_is_left_and_fails_where_nothing_is(tmp_path, caps
     assert read["XX_arm_R"]["sigma"] is None
     assert main(["checkout", "rocksat", "--without", "joint_9"]) == 2
     assert "name one of joint_1, imu_base" in capsys.readouterr().err
+
+
+def test_cyclic_errors_of_a_plan_are_smoothed_as_in_flight():
+    """Of a joint at a steady rate: the flight's kernel over its samples against its frequency response."""
+    vehicle = config.load(config.packaged("dymaflex"))
+    _, model = build_exiddm(vehicle)
+    role = next(joint for joint in roles_of(vehicle).joints if joint.joint == "joint_2")
+    signal = roles_of(vehicle).signals[role.channel]
+    width_s, rate_rad_s = vehicle.file.estimation.smoothing_ms * 1e-3, -0.13
+    times_s = np.arange(-200, 201) * signal.period_s
+    window = SmoothingWindow(times_s, [0.0], width_s, 3.5 * signal.period_s, kernel_of(vehicle))
+    functions = cyclic_functions(0.4 + rate_rad_s * times_s, signal.ripple)
+    wanted = np.stack([window.apply(functions, order).values[0] for order in range(3)])
+    at = [joint.name for joint in model.joints].index("joint_2")
+    q, dq = np.zeros((2, 1, len(model.joints)))
+    q[0, at], dq[0, at] = 0.4, rate_rad_s
+    width = wanted.shape[1]
+    found = JointNoise(vehicle, model).cyclic(q, dq)[0, :, width * at : width * at + width]
+    assert np.abs(wanted).max(axis=1).min() > 0.05
+    assert (np.abs(found - wanted).max(axis=1) < 0.01 * np.abs(wanted).max(axis=1)).all()

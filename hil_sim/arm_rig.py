@@ -1,0 +1,159 @@
+"""An arm whose joints are CiA 402 servo drives on one CAN bus with a SYNC producer: a world that set points move.
+
+Nothing else of a vehicle is there. What a flight computer does to it, and what breaks, shows in how far each axis went.
+"""
+
+import tempfile
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from hil_sim.buses.in_process import in_process
+from hil_sim.buses.media import CanBus, PulseLine
+from hil_sim.devices.servo402 import ServoDrive402
+from hil_sim.devices.sync_box import SyncBox
+from hil_sim.faults import NEVER, Fault, FaultPlan
+from hil_sim.plants.servo_axis import ServoAxis
+from hil_sim.scenario.bus_tables import CanBusTable
+from hil_sim.sensing.sensors import DriftingClock
+
+BUS = "can_0"
+START_NS = 100_000_000_000
+_RATE_ERROR = 3e-5  # of the SYNC producer
+
+
+class Motor(NamedTuple):
+    """One joint of the rig.
+
+    Attributes:
+        name: Of the drive, for its faults.
+        node: Its node number.
+        angle_rad: Where it stands at first.
+        counts: Increments in a revolution of the joint.
+        zero: Increments at angle zero.
+        reversed_count: It counts against the joint.
+        torque_n_m: Of the motor, at the joint.
+        inertia_kg_m2: Of what it moves.
+    """
+
+    name: str
+    node: int
+    angle_rad: float = 0.0
+    counts: int = 500_000
+    zero: int = 0
+    reversed_count: bool = False
+    torque_n_m: float = 30.0
+    inertia_kg_m2: float = 1.0
+
+
+class Arm:
+    """The arm, to be put on a bus.
+
+    Args:
+        motors: Its joints.
+        faults: By the names of the motors, and ``sync_box``.
+        start_ns: ``CLOCK_MONOTONIC`` ns of power-up.
+        period_ns: SYNC period.
+        end_ns: Until when it is there.
+
+    Attributes:
+        axes: Where the joints truly are, by name.
+        drives: Their drives, by name.
+        box: The SYNC producer.
+
+    Raises:
+        FaultError: a fault that its device cannot have.
+    """
+
+    def __init__(
+        self, motors: Sequence[Motor], plan: FaultPlan, start_ns: int, period_ns: int, end_ns: int = NEVER
+    ) -> None:
+        self.start_ns, self.now_ns, self.end_ns = start_ns, start_ns, end_ns
+        self.axes: dict[str, ServoAxis] = {}
+        self.drives: dict[str, ServoDrive402] = {}
+        for motor in motors:
+            torque, inertia = motor.torque_n_m, motor.inertia_kg_m2
+            axis = ServoAxis(motor.angle_rad, inertia_kg_m2=inertia, torque_n_m=torque, brake_n_m=torque)
+            self.axes[motor.name] = axis
+            self.drives[motor.name] = ServoDrive402(
+                motor.node,
+                axis,
+                start_ns,
+                increments_per_revolution=motor.counts,
+                zero_increments=motor.zero,
+                reversed_count=motor.reversed_count,
+                faults=plan.of(motor.name),
+            )
+        clock = DriftingClock(start_ns, _RATE_ERROR, 0.0)
+        self.box = SyncBox(clock, start_ns, period_ns=period_ns, faults=plan.of("sync_box"))
+        self._buses: list[CanBus | PulseLine] = []
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has been advanced to its end."""
+        return self.now_ns >= self.end_ns
+
+    def plug(self, bus: CanBus, line: PulseLine | None = None) -> None:
+        """Connect SYNC producer and drives to a bus, and the sync pulse to a line."""
+        bus.add(self.box)
+        for drive in self.drives.values():
+            bus.add(drive)
+        self._buses = [bus]
+        if line is not None:
+            self.box.connect_pin(line.edge)
+            self._buses.append(line)
+
+    def advance(self, now_ns: int) -> None:
+        """Everything that happens up to ``now_ns``."""
+        self.now_ns = now_ns
+        for bus in self._buses:
+            bus.advance(now_ns)
+        for axis in self.axes.values():
+            axis.advance(1e-9 * (now_ns - self.start_ns))
+
+
+class ArmRig(Arm):
+    """The arm on a bus in this process, in virtual time. A context manager.
+
+    Args:
+        motors: Its joints.
+        faults: By the names of the motors, ``sync_box`` and the bus, ``can_0``.
+        period_ns: SYNC period.
+        seed: Of the stamps' jitter.
+
+    Attributes:
+        now_ns: Up to when it was advanced; the flight computer's clock.
+        url: Of its bus.
+
+    Raises:
+        FaultError: a fault that its device cannot have.
+    """
+
+    def __init__(
+        self,
+        motors: Sequence[Motor],
+        faults: Iterable[Fault] = (),
+        *,
+        period_ns: int = 5_000_000,
+        seed: int = 0,
+    ) -> None:
+        plan = FaultPlan(faults, START_NS)
+        super().__init__(motors, plan, START_NS, period_ns)
+        with ExitStack() as stack:
+            directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
+            table = {BUS: CanBusTable(kind="can", bit_rate=1_000_000)}
+            ports = stack.enter_context(in_process(table, Path(directory), lambda: self.now_ns, name="arm", seed=seed))
+            self.url = ports.urls[BUS]
+            bus = ports.buses[BUS]
+            assert isinstance(bus, CanBus)
+            self.plug(bus)
+            bus.inject(plan.of(BUS))
+            plan.check_all_taken()
+            self._resources = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._resources.close()

@@ -1,0 +1,78 @@
+"""The servo of a drive: what it wants of the axis, and the torque that brings it there; radians of the joint.
+
+A position gain over a rate controller with an integral, and the rate of the demand fed forward. The demand is a line
+from target to target (cyclic), a trapezoid of rate (profile), a ramp to standstill, or stands.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from hil_sim.plants.servo_axis import STEP_S, ServoAxis
+
+_POSITION_GAIN, _RATE_GAIN, _RATE_INTEGRAL = 30.0, 200.0, 40.0  # 1/s
+_STANDSTILL: Final = 2e-3  # rad/s
+
+
+class ServoLoop:
+    """The loop of one axis.
+
+    Args:
+        axis: What it moves.
+        measured: What the encoder says at a time [s], rad.
+
+    Attributes:
+        demand: Where the axis is wanted, rad; ``rate``: how fast the demand moves, rad/s.
+        target: Of a profile that is under way; None without.
+    """
+
+    def __init__(self, axis: ServoAxis, measured: Callable[[float], float]) -> None:
+        self.demand = self.rate = 0.0
+        self.target: float | None = None
+        self._axis, self._measured, self._integral = axis, measured, 0.0
+        self._line = (0.0, 0.0, 0.0)  # time, from, to
+
+    @property
+    def stands(self) -> bool:
+        """Whether the demand does not move."""
+        return abs(self.rate) < _STANDSTILL
+
+    def stand(self) -> None:
+        """The demand is where the axis is."""
+        time_s = self._axis.newest_s
+        self.demand, self.rate, self._integral = self._measured(time_s), 0.0, 0.0
+        self._line, self.target = (time_s, self.demand, self.demand), None
+
+    def go_to(self, time_s: float, target: float) -> None:
+        """The demand is to be at ``target`` one interpolation period after ``time_s``."""
+        self._line = time_s, self.demand, target
+
+    def follow_line(self, time_s: float, period_s: float) -> None:
+        """A step of the cyclic mode."""
+        at_s, start, end = self._line
+        before = self.demand
+        self.demand = start + min(max((time_s - at_s) / period_s, 0.0), 1.0) * (end - start)
+        self.rate = (self.demand - before) / STEP_S
+
+    def follow_profile(self, fastest: float, acceleration: float, deceleration: float) -> None:
+        """A step of the profile mode; rad/s, rad/s2."""
+        left = 0.0 if self.target is None else self.target - self.demand
+        wanted = math.copysign(min(fastest, math.sqrt(2.0 * deceleration * abs(left))), left)
+        most = STEP_S * (acceleration if abs(wanted) > abs(self.rate) else deceleration)
+        self.rate += min(max(wanted - self.rate, -most), most)
+        self.demand += self.rate * STEP_S
+        if self.target is not None and abs(self.target - self.demand) <= abs(self.rate) * STEP_S + 1e-9:
+            self.demand, self.rate, self.target = self.target, 0.0, None
+
+    def slow_down(self, deceleration: float) -> None:
+        """A step of a ramp to standstill; rad/s2."""
+        self.rate = math.copysign(max(abs(self.rate) - deceleration * STEP_S, 0.0), self.rate)
+        self.demand += self.rate * STEP_S
+
+    def torque(self, time_s: float, rate_rad_s: float) -> float:
+        """Torque on the joint, N m, for the rate that is measured."""
+        wanted = self.rate + _POSITION_GAIN * (self.demand - self._measured(time_s))
+        error = wanted - rate_rad_s
+        most = self._axis.largest_n_m / (self._axis.inertia_kg_m2 * _RATE_GAIN)
+        self._integral = min(max(self._integral + _RATE_INTEGRAL * error * STEP_S, -most), most)
+        return self._axis.inertia_kg_m2 * _RATE_GAIN * (error + self._integral)

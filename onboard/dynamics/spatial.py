@@ -1,0 +1,119 @@
+"""Spatial algebra over many ticks: twists (linear, angular), wrenches (force, moment), about the base frame's origin.
+
+A link's momentum and wrench are linear in its ten standard parameters. In its own axes and about its own origin they
+are constant maps of its twist and of that twist's rate of change, so that the columns of many links at many ticks are a
+few products of small matrices (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 2).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+
+
+def _maps() -> tuple[FloatArray, ...]:
+    """Constant maps of a vector's elements to its matrices, and of a twist's to a link's momentum columns."""
+    hats = np.cross(np.eye(3), np.eye(3)[:, None])  # (3, 3, 3)
+    crm, coad, momentum = np.zeros((6, 6, 6)), np.zeros((6, 6, 6)), np.zeros((6, 6, 10))
+    crm[:3, :3, 3:] = crm[3:, :3, :3] = crm[3:, 3:, 3:] = hats
+    coad[:3, :3, 3:] = coad[:3, 3:, :3] = coad[3:, 3:, 3:] = -hats
+    momentum[[0, 1, 2], [0, 1, 2], 0] = 1.0  # l = m v + w x h, k = I w - v x h
+    momentum[3:, :3, 1:4], momentum[:3, 3:, 1:4] = hats, -hats
+    of, to = np.repeat([3, 4, 5], 3), np.tile([3, 4, 5], 3)
+    momentum[of, to, [4, 5, 7, 5, 6, 8, 7, 8, 9]] = 1.0  # XX XY YY XZ YZ ZZ
+    return hats.reshape(3, 9), crm.reshape(6, 36), -crm.swapaxes(1, 2).reshape(6, 36), coad.reshape(6, 36), momentum
+
+
+_HAT, _CRM, _CRF, _COAD, _MOMENTUM = _maps()
+
+
+def hat(a: FloatArray) -> FloatArray:
+    """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
+    out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)
+    return out
+
+
+def crm(V: FloatArray) -> FloatArray:
+    """``crm(V) U = V x U`` of motion vectors, (..., 6, 6)."""
+    out: FloatArray = (V @ _CRM).reshape(*V.shape, 6)
+    return out
+
+
+def crf(V: FloatArray) -> FloatArray:
+    """``crf(V) F = V x* F`` of force vectors, (..., 6, 6): ``-crm(V)'``."""
+    out: FloatArray = (V @ _CRF).reshape(*V.shape, 6)
+    return out
+
+
+def coad(L: FloatArray) -> FloatArray:
+    """``coad(L) S = S x* L``, (..., 6, 6)."""
+    out: FloatArray = (L @ _COAD).reshape(*L.shape, 6)
+    return out
+
+
+def times(M: FloatArray, a: FloatArray) -> FloatArray:
+    """``b = M a`` for every tick: matrices (..., i, j), vectors (..., j)."""
+    out: FloatArray = np.matmul(M, a[..., None])[..., 0]
+    return out
+
+
+def force_transforms(R: FloatArray, p: FloatArray) -> FloatArray:
+    """Wrenches in a frame's axes about its origin to base axes about the base's, (..., 6, 6); transposed: twists back.
+
+    Args:
+        R: the frame's axes in base axes, (..., 3, 3).
+        p: its origin, (..., 3).
+    """
+    X = np.zeros((*p.shape, 2, 6)).reshape(*p.shape[:-1], 6, 6)
+    X[..., :3, :3] = X[..., 3:, 3:] = R
+    X[..., 3:, :3] = hat(p) @ R
+    return X
+
+
+def own_inertias(chi: FloatArray) -> FloatArray:
+    """Spatial inertias of links in their own axes about their own origins, (links, 6, 6), from (10 x links,)."""
+    return np.asarray(np.einsum("aij,kj->kia", _MOMENTUM, chi.reshape(-1, 10)), np.float64)
+
+
+class Columns:
+    """Columns of links whose parameters are unknown.
+
+    Args:
+        links: their indices.
+        bases: ten directions of each link's parameters, (10, 10); None: the parameters themselves.
+    """
+
+    def __init__(self, links: tuple[int, ...], bases: Sequence[FloatArray] | None = None) -> None:
+        self.links = links
+        each = [np.eye(10)] * len(links) if bases is None else bases
+        self._of_twist = np.array([_MOMENTUM @ basis for basis in each]).reshape(len(links), 6, 60)
+
+    def into(self, out: FloatArray, X: FloatArray, V: FloatArray, A: FloatArray | None = None) -> None:
+        """Momentum, or with the rates of change ``A`` the wrench, of all links, base axes.
+
+        Args:
+            out: where the columns are put, (n, 6, 10 x unknown links).
+            X: :func:`force_transforms` of all links, (n, links, 6, 6).
+            V: their twists, (n, links, 6).
+            A: rate of change of these.
+        """
+        if not self.links:
+            return
+        if self.links != tuple(range(X.shape[1])):
+            which = list(self.links)
+            X, V, A = X[:, which], V[:, which], A if A is None else A[:, which]
+        back = X.swapaxes(-1, -2)
+        own = times(back, V)
+        columns = self._of(own)
+        if A is not None:
+            columns = crf(own) @ columns
+            columns += self._of(times(back, A))
+        n, k = X.shape[:2]
+        out.reshape(n, 6, k, 10)[:] = (X @ columns).swapaxes(1, 2)
+
+    def _of(self, own: FloatArray) -> FloatArray:
+        """Momentum columns in each link's axes, (n, k, 6, 10)."""
+        n, k = own.shape[:2]
+        columns: FloatArray = np.matmul(own[:, :, None], self._of_twist).reshape(n, k, 6, 10)
+        return columns

@@ -1,0 +1,77 @@
+"""Arms the drives of a flight: by the operator at its start, or by the phase that ``[drive]`` names.
+
+Once a flight: an acquisition process that was started again, or a flight that goes on after a loss of power, does not
+move the arm again.
+"""
+
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from drivers.canopen_pdo.player import Player
+from drivers.device import Device
+from drivers.records import Batch, SampleStatus, Severity, event
+from onboard import config
+
+MARK = "drive_armed"
+
+
+@runtime_checkable
+class Drives(Protocol):
+    """A device that may have a player."""
+
+    @property
+    def player(self) -> Player | None:
+        """What it plays; None: nothing."""
+
+
+class Arming:
+    """Of one acquisition process.
+
+    Args:
+        vehicle: what flies.
+        directory: of the flight, where it is marked that it was armed; None: it cannot be started again.
+    """
+
+    def __init__(self, vehicle: config.Vehicle, directory: Path | None = None) -> None:
+        drive, phases = vehicle.file.drive, vehicle.file.estimation.phases
+        self._at_once = vehicle.arm
+        self._phase = None if drive is None else drive.phase
+        self._channel = None if phases is None else phases.channel
+        self._mark = None if directory is None else directory / MARK
+        self._spent = self._mark is not None and self._mark.exists()
+        self._players: list[Player] = []
+        self._lock = threading.Lock()
+
+    def started(self, device: Device, now_ns: int) -> list[Batch]:
+        """A device was started: its player is armed where the operator has armed; an event where it is not any more."""
+        player = device.player if isinstance(device, Drives) else None
+        if player is None:
+            return []
+        if self._spent:
+            text = "the arm was driven in this flight before acquisition was started again: it is not driven again"
+            return [event(now_ns, Severity.ERROR, "drive_not_rearmed", device.name, text)]
+        with self._lock:
+            self._players.append(player)
+        if self._at_once:
+            self._arm()
+        return []
+
+    def see(self, batches: Iterable[Batch]) -> None:
+        """Rows were read: the phase that arms may be among them."""
+        if self._phase is None or self._channel is None or not self._players:
+            return
+        for channel, rows in batches:
+            if channel == self._channel and len(rows):
+                valid = ~(rows["status"] & SampleStatus.NOT_VALID).astype(bool)
+                if (rows["value_raw"][valid] == self._phase).any():
+                    self._arm()
+
+    def _arm(self) -> None:
+        with self._lock:
+            players, self._players = self._players, []
+        if players and self._mark is not None:
+            self._mark.touch()
+        for player in players:
+            player.arm()

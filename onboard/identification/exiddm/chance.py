@@ -1,0 +1,34 @@
+"""Chi-squared tests of what a fit found against what was said of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc
+
+from onboard.estimation.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Chance:
+    """A sum of squares that is chi-squared if what was said is so."""
+
+    squares: float
+    freedom: int
+
+    @property
+    def chance(self) -> float:
+        """Probability of so large a sum; 1 where nothing was told."""
+        return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
+
+
+def squares_of(gap: FloatArray, covariance: FloatArray, least: float) -> tuple[float, int]:
+    """``g' S^-1 g`` over the principal directions of S with a variance above ``least``, and their number.
+
+    Args:
+        gap: g, (k,).
+        covariance: S of g, (k, k), scaled so that its largest variances are about one.
+        least: variance.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    told = values > least
+    return float(((vectors[:, told].T @ gap) ** 2 / values[told]).sum()), int(np.count_nonzero(told))

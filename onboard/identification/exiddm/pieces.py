@@ -1,0 +1,69 @@
+"""One prediction over a window of ticks in pieces of bounded size, summed to the window's normal equations.
+
+A piece is predicted from the state at its first tick, which is the end of the piece before, so that a prediction over
+seconds can be interrupted, and nothing as long as the window is ever held. With T the derivative of that state by the
+unknowns at the window's first tick, the normal equations of a piece about its own first state, N and g, are those of
+the window's unknowns as ``T' N T`` and ``T' g``.
+"""
+
+import numpy as np
+
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.maximum_likelihood import Normal
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.ticks import Ticks
+
+PIECE = 100  # ticks predicted at once, about
+
+
+class Pieces:
+    """A prediction over the ticks 1 .. n of n + 2.
+
+    Args:
+        state: (p,) at the first of them.
+        active: the unknowns, (a,), by their place in the state; the others stay as they are.
+        ticks: n.
+
+    Attributes:
+        normal: of what has been predicted, by the unknowns at the first tick.
+        squares: of the whitened residuals, (n, lines); zero for lines that are not used.
+        state: (p,) at the last tick predicted.
+        transition: (p, a) derivative of that by the unknowns at the first tick.
+        over: all ticks are predicted.
+    """
+
+    def __init__(self, state: FloatArray, active: IndexArray, ticks: int, lines: int) -> None:
+        self.state, self.transition = state, np.eye(len(state))[:, active]
+        self.normal = Normal(np.zeros((len(active), len(active))), np.zeros(len(active)), 0.0)
+        self.squares = np.zeros((ticks, lines))
+        self._done, self._left = 0, -(-ticks // PIECE)  # pieces
+
+    @property
+    def over(self) -> bool:
+        """All ticks are predicted."""
+        return not self._left
+
+    def advance(self, predictor: ImuPredictor, ticks: Ticks, sigma: FloatArray, use: BoolArray) -> int:
+        """Predict the next piece; how many ticks that were.
+
+        Args:
+            predictor: of the instruments.
+            ticks: the window, (n + 2,).
+            sigma: of what was measured, (n + 2, lines).
+            use: which lines count, (n, lines).
+        """
+        first = self._done
+        self._done += -(-(len(use) - first) // self._left)
+        self._left -= 1
+        own, inner = ticks.part(slice(first, self._done + 2)), slice(first + 1, self._done + 1)
+        predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic)
+        used = use[first : self._done]
+        weight = np.divide(1.0, sigma[inner], out=np.zeros(used.shape), where=used)
+        residual = np.where(used, predicted.values - ticks.measured[inner], 0.0) * weight
+        jacobian = np.multiply(predicted.jacobian, weight[..., None], out=predicted.jacobian)  # megabytes: not copied
+        T, piece = self.transition, Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
+        seen = Normal(T.T @ piece.information @ T, piece.gradient @ T, piece.squares)
+        self.normal = self.normal.plus(seen)
+        self.squares[first : self._done] = residual**2
+        self.state, self.transition = predicted.state, predicted.transition @ T
+        return self._done - first

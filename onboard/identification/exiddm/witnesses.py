@@ -1,0 +1,103 @@
+"""Do a flight's instruments agree: the tests of its fit, and which single instrument contradicts the others.
+
+Where the fit of all instruments fails a test, it is made once more without each of them, the first IMU too. If exactly
+one of these fits passes every test, the instrument that it is without is the one that is wrong, and the answer is made
+from the rest. If several do, two instruments contradict each other and nothing tells which of them is wrong; if none
+does, the joints or the model may be. Both answers are refused.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.errors import ModelError
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.identification.corrections import too_large
+from onboard.identification.exiddm.parts import differences
+from onboard.identification.exiddm.stated import Kind, kinds_of
+from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
+from onboard.identification.quantities import Findings
+from onboard.identification.verdict import WORST_MISFIT
+
+SUSPECT = 1.3  # misfit of an instrument beyond which it is doubted
+_DOUBTED, _REFUSED = 1e-4, 1e-6  # chance of a difference between parts of the flight
+HARDLY = 0.5  # share of the ticks in which an instrument has to be there to take part
+_NOT_AS_STATED = 1e-3, 1e-4  # chance of a correction, of a kind: of the first IMU, of further instruments
+
+
+class Tested(NamedTuple):
+    """A fit and what its tests say."""
+
+    flight: WholeFlight
+    found: FlightFit
+    kinds: tuple[Kind, ...]  # of corrections, the least likely first
+    corrections: Mapping[str, float]  # of the first IMU, links and joints, in the sigmas that are stated
+    findings: Findings
+
+    def plus(self, against: Iterable[str] = (), doubts: Iterable[str] = ()) -> "Tested":
+        """The same with more findings."""
+        return self._replace(findings=self.findings.plus(against, doubts))
+
+    @property
+    def passes(self) -> bool:
+        """Whether no test fails."""
+        return not (self.findings.against or self.findings.doubts)
+
+
+def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], int]) -> Tested:
+    """The tests of a fit: its parts, the residuals of each instrument, the corrections of each kind.
+
+    Args:
+        flight: that was fitted.
+        found: its fit.
+        phase_at: code of the phase at a time, s.
+    """
+    against, doubts = [], []
+    for difference in differences(found, phase_at):
+        if difference.chance < _REFUSED:
+            against.append(difference.text)
+        elif difference.chance < _DOUBTED:
+            doubts.append(difference.text)
+    for instrument, misfit in found.by_instrument.items():
+        if misfit > SUSPECT:
+            said = f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise"
+            (against if misfit > WORST_MISFIT else doubts).append(said)
+    kinds = tuple(kinds_of(flight, found))
+    against += [kind.text for kind in kinds if kind.chance < _REFUSED]
+    doubts += [kind.text for kind in kinds if _REFUSED <= kind.chance < _NOT_AS_STATED[kind.device > 0]]
+    corrections = _corrections(flight, found)
+    against += too_large(corrections)
+    ends = tuple(f"_{one.name}" for one in flight.further)  # theirs are tested kind by kind
+    own = {name: sigmas for name, sigmas in corrections.items() if not name.endswith(ends)}
+    return Tested(flight, found, kinds, own, Findings(tuple(against), tuple(doubts)))
+
+
+def without_each(
+    made: Callable[[int], WholeFlight], devices: tuple[int, ...], start: FloatArray, phase_at: Callable[[float], int]
+) -> Iterator[tuple[int, Tested]]:
+    """The tests of the flight without each instrument, as far as there is a fit.
+
+    Args:
+        made: the flight without one.
+        devices: numbers of those that are left out, one at a time.
+        start: (p,) from where it is fitted.
+        phase_at: code of the phase at a time, s.
+    """
+    for device in devices:
+        try:
+            flight = made(device)
+            yield device, tested(flight, flight.fit(start), phase_at)
+        except (EstimationError, ModelError):
+            continue
+
+
+def _corrections(flight: WholeFlight, found: FlightFit) -> dict[str, float]:
+    """Of all that the flight tells something of."""
+    sigma, known = flight.sigma, np.sqrt(np.diag(found.fit.covariance))
+    return {
+        name: float(x / stated)
+        for name, x, stated, left in zip(found.names[10:], found.fit.x[10:], sigma[10:], known[10:], strict=True)
+        if np.isfinite(stated) and left < stated
+    }

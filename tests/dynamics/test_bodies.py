@@ -1,0 +1,66 @@
+"""Bodies in spatial algebra against the links' own columns, of random trees with revolute and prismatic joints."""
+
+import numpy as np
+import pytest
+
+from onboard.dynamics.bodies import Bodies
+from onboard.dynamics.kinematics import chain_motion, frames_of, link_motions, momentum_columns, wrench_columns
+from onboard.dynamics.spatial import Columns, coad, crf, crm
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
+
+KINDS = ["revolute", "fixed", "prismatic", "revolute", "fixed", "revolute"]
+PARENTS = [0, 1, 2, 0, 4, 3]
+TICKS = 4
+
+
+@pytest.fixture
+def flown(rng):
+    vehicle = VehicleModel(to_urdf(random_vehicle(rng, KINDS, PARENTS)), VehicleSpec(BaseKind.FREE, "base"))
+    motion = rng.normal(size=(3, TICKS, len(vehicle.joints)))
+    twist, thrust = rng.normal(size=(2, TICKS, 6))
+    bodies = Bodies(chain_motion(vehicle, *motion).links, vehicle.chi)
+    found = bodies.moved(twist)
+    bodies.pushed(thrust)
+    return vehicle, link_motions(vehicle, *motion), bodies, twist, thrust, found
+
+
+def close(found, truth):
+    np.testing.assert_allclose(found, truth, rtol=1e-9, atol=1e-9 * np.abs(truth).max())
+
+
+def test_products_of_spatial_vectors_are_dual(rng):
+    V, U, F = rng.normal(size=(3, TICKS, 6, 1))
+    power = F.swapaxes(1, 2) @ crm(V[..., 0]) @ U  # of a wrench that moves with the frame
+    np.testing.assert_allclose(power, -(crf(V[..., 0]) @ F).swapaxes(1, 2) @ U)
+    np.testing.assert_allclose(coad(F[..., 0]) @ V, crf(V[..., 0]) @ F)
+    assert np.abs(power).min() > 0.0
+
+
+def test_columns_and_sums_are_those_of_the_links(flown):
+    vehicle, links, bodies, twist, thrust, _ = flown
+    v, w, f, dw = twist[:, :3], twist[:, 3:], thrust[:, :3], thrust[:, 3:]
+    which = (len(links) - 1, 0)
+    H, W = np.empty((2, TICKS, 6, 20))
+    Columns(which).into(H, bodies.X, bodies.V)
+    Columns(which).into(W, bodies.X, bodies.V, bodies.A)
+    close(H, np.concatenate([momentum_columns(links[k], v, w) for k in which], axis=2))
+    close(W, np.concatenate([wrench_columns(links[k], w, f, dw) for k in which], axis=2))
+    halves = np.random.default_rng(2).normal(size=(2, 10, 10))
+    mixed = np.empty_like(W)
+    Columns(which, list(halves)).into(mixed, bodies.X, bodies.V, bodies.A)
+    close(mixed, np.concatenate([W[..., :10] @ halves[0], W[..., 10:] @ halves[1]], axis=2))
+    groups = np.eye(len(links))[[0, 1]] + np.eye(len(links))[[2, 3]]
+    found, own = bodies.sums(groups), vehicle.chi.reshape(-1, 10)
+    for group, members in enumerate([(0, 2), (1, 3)]):
+        close(found.momentum[:, group], sum(momentum_columns(links[k], v, w) @ own[k] for k in members))
+        close(found.wrench[:, group], sum(wrench_columns(links[k], w, f, dw) @ own[k] for k in members))
+
+
+def test_the_slope_of_the_wrench_is_a_finite_difference(flown):
+    vehicle, links, _, twist, _, (wrench, slope) = flown
+    for axis in range(3):
+        step = np.zeros(6)
+        step[3 + axis] = 1e-6
+        up, down = (Bodies(frames_of(links), vehicle.chi).moved(twist + sign * step)[0] for sign in (1.0, -1.0))
+        np.testing.assert_allclose(slope[..., axis], (up - down) / 2e-6, atol=1e-6 * np.abs(wrench).max())

@@ -1,0 +1,112 @@
+"""A driven arm on the real clock, in its own process: acquisition is killed, or the flight ended, in mid-motion."""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from onboard.recording.reader import LogReader
+from tests.flight.test_driving import csv_of, swing, written
+from tests.flight.test_kill import pids
+
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
+
+SECONDS = 24.0  # of the motion: the shoulder goes to its far end in half of it
+ROWS = "torque_sigma_N_m = 0.1\ntorque_still_rad_s = 0.02\ngain = -1.0\ntorque = true"
+PRIOR = """
+[estimation.prior.relative]
+base = 0.0
+link_1 = 0.1
+link_2 = 0.1
+[estimation.prior.absolute]
+bias_elbow_torque = 0.1
+Ia_j2 = 1.0
+Fv_j2 = 1.0
+Fc_j2 = 1.0
+"""
+
+
+@contextlib.contextmanager
+def served(vehicle, directory):
+    """The arm; gives its bus's URL, and where its axes have been once it has ended."""
+    command = [sys.executable, "-m", "hil_sim.serve_arm", str(vehicle), "--directory", str(directory), "--at=j2=0.2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as devices:
+        found = {}
+        try:
+            yield json.loads(devices.stdout.readline())["can_0"], found
+            time.sleep(0.7)
+        finally:
+            devices.terminate()
+        found |= json.loads(devices.stdout.readline())
+
+
+@contextlib.contextmanager
+def ended(flight):
+    """A flight that does not outlive a test that fails."""
+    try:
+        yield
+    finally:
+        flight.terminate()
+
+
+def until(flight, word, seconds=60.0):
+    """Read what a flight says until a line has ``word``."""
+    deadline, said = time.monotonic() + seconds, b""
+    while word not in said:
+        waited_s = deadline - time.monotonic()
+        assert waited_s > 0.0, said.decode()
+        if select.select([flight.stdout], [], [], waited_s)[0]:
+            more = os.read(flight.stdout.fileno(), 1 << 16)
+            assert more, said.decode()
+            said += more
+
+
+@pytest.mark.parametrize("how", ["kill", "term"])
+def test_the_arm_stops_in_mid_motion(tmp_path, how):
+    vehicle = written(tmp_path, PRIOR, ROWS, csv=csv_of(*swing(SECONDS)))
+    log = tmp_path / "driven.mcap"
+    with served(vehicle, tmp_path / "served") as (url, found):
+        command = [
+            sys.executable,
+            "-m",
+            "onboard.cli",
+            "fly",
+            str(vehicle),
+            "--arm",
+            "--log",
+            str(log),
+            f"--url=can_0={url}",
+        ]
+        with (
+            subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+            ) as flight,
+            ended(flight),
+        ):
+            until(flight, b"drive_armed")
+            time.sleep(6.0)
+            if how == "kill":
+                os.kill(pids(flight.pid)["heft-acquire"], signal.SIGKILL)
+                until(flight, b"drive_not_rearmed")
+                time.sleep(1.0)
+            flight.send_signal(signal.SIGTERM)
+            flight.communicate(timeout=60)
+            assert flight.returncode == 0
+    for name, size in (("shoulder", 0.5), ("elbow", 0.4)):
+        axis = found[name]
+        went = axis["highest_rad"] - axis["lowest_rad"]
+        assert 0.1 * size < went < 0.9 * size, "it was in mid-motion"
+        assert (axis["rate_rad_s"], axis["state"]) == (0.0, "40h")
+        assert axis["fastest_rad_s"] < 0.2
+    events = LogReader(log).read("event")
+    codes = set(events["code"].tolist())
+    assert ({b"drive_not_rearmed"} if how == "kill" else {b"drive_stopped", b"drive_at_rest"}) <= codes
+    sent = LogReader(log).read("shoulder_sent")
+    assert np.isin([0x201, 0x301, 0x601, 0x77F], sent["cob_id"]).all()

@@ -1,0 +1,59 @@
+"""Test beds: every one is a rehearsal of a packaged vehicle, and `heft hil` knows it by its name."""
+
+from pathlib import Path
+
+import pytest
+
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.scenario import bed
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import VehicleScenario
+from onboard import config
+from onboard.cli import main
+
+BASES = {"air_bearing": "planar", "capture": "free", "fixed_arm": "fixed"}
+
+
+@pytest.mark.parametrize("name", bed.names())
+def test_a_bed_is_the_rehearsal_of_a_packaged_vehicle(name: str) -> None:
+    found = bed.find(name)
+    assert found is not None
+    assert found.vehicle.samefile(config.packaged(name))
+    scenario = scenario_of(name)
+    assert isinstance(scenario, VehicleScenario)
+    assert scenario.vehicle.base == BASES[name]
+    assert not scenario.scenario.description.startswith("the rehearsal of")
+    assert scenario.payload is not None
+    assert scenario.payload.mass_kg[0] < scenario.payload.mass_kg[1]
+
+
+def test_a_payload_that_is_captured_tumbles() -> None:
+    scenario = scenario_of("capture")
+    assert isinstance(scenario, VehicleScenario)
+    assert scenario.capture is not None
+    assert scenario.capture.rate_sigma_rad_s == 0.1
+    assert scenario.capture.earliest_s < scenario.capture.latest_s
+
+
+def test_other_names_are_no_beds() -> None:
+    assert bed.find("rocksat") is None
+    assert bed.find("../packaged/rocksat") is None
+
+
+def test_a_scenario_file_lies_over_a_bed(tmp_path: Path) -> None:
+    over = tmp_path / "over.toml"
+    over.write_text("payload.mass_kg = [2.5, 2.5]\n")
+    scenario = scenario_of("fixed_arm", over)
+    assert isinstance(scenario, VehicleScenario)
+    assert scenario.payload is not None
+    assert scenario.payload.mass_kg == (2.5, 2.5)
+    over.write_text("[vehicle]\nbase = 'free'\n")
+    with pytest.raises(ScenarioError, match=r"over.toml: \[vehicle\] is the vehicle file's"):
+        scenario_of("fixed_arm", over)
+
+
+def test_hil_flies_beds_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hil", "fixed_arm", "--faults"]) == 0
+    assert "a6" in capsys.readouterr().out
+    assert main(["hil", "air_baering"]) == 2
+    assert "did you mean 'air_bearing'" in capsys.readouterr().err
