@@ -4,7 +4,7 @@ Nothing else of a vehicle is there. What a flight computer does to it, and what 
 """
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -14,7 +14,7 @@ from hil_sim.buses.media import CanBus, PulseLine
 from hil_sim.devices.servo402 import ServoDrive402
 from hil_sim.devices.sync_box import SyncBox
 from hil_sim.faults import NEVER, Fault, FaultPlan
-from hil_sim.plants.servo_axis import ServoAxis
+from hil_sim.plants.servo_axis import Axis, ServoAxis
 from hil_sim.scenario.bus_tables import CanBusTable
 from hil_sim.sensing.sensors import DriftingClock
 
@@ -56,6 +56,7 @@ class Arm:
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up.
         period_ns: SYNC period.
         end_ns: Until when it is there.
+        axes: The joints, by name, where they are those of a vehicle; else each is a rigid body of its own.
 
     Attributes:
         axes: Where the joints truly are, by name.
@@ -67,14 +68,24 @@ class Arm:
     """
 
     def __init__(
-        self, motors: Sequence[Motor], plan: FaultPlan, start_ns: int, period_ns: int, end_ns: int = NEVER
+        self,
+        motors: Sequence[Motor],
+        plan: FaultPlan,
+        start_ns: int,
+        period_ns: int,
+        end_ns: int = NEVER,
+        axes: Mapping[str, Axis] | None = None,
     ) -> None:
         self.start_ns, self.now_ns, self.end_ns = start_ns, start_ns, end_ns
-        self.axes: dict[str, ServoAxis] = {}
+        self.axes: dict[str, Axis] = {}
         self.drives: dict[str, ServoDrive402] = {}
         for motor in motors:
             torque, inertia = motor.torque_n_m, motor.inertia_kg_m2
-            axis = ServoAxis(motor.angle_rad, inertia_kg_m2=inertia, torque_n_m=torque, brake_n_m=torque)
+            axis: Axis = (
+                ServoAxis(motor.angle_rad, inertia_kg_m2=inertia, torque_n_m=torque, brake_n_m=torque)
+                if axes is None
+                else axes[motor.name]
+            )
             self.axes[motor.name] = axis
             self.drives[motor.name] = ServoDrive402(
                 motor.node,
@@ -121,6 +132,7 @@ class ArmRig(Arm):
         faults: By the names of the motors, ``sync_box`` and the bus, ``can_0``.
         period_ns: SYNC period.
         seed: Of the stamps' jitter.
+        axes: See :class:`Arm`.
 
     Attributes:
         now_ns: Up to when it was advanced; the flight computer's clock.
@@ -137,9 +149,10 @@ class ArmRig(Arm):
         *,
         period_ns: int = 5_000_000,
         seed: int = 0,
+        axes: Mapping[str, Axis] | None = None,
     ) -> None:
         plan = FaultPlan(faults, START_NS)
-        super().__init__(motors, plan, START_NS, period_ns)
+        super().__init__(motors, plan, START_NS, period_ns, axes=axes)
         with ExitStack() as stack:
             directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
             table = {BUS: CanBusTable(kind="can", bit_rate=1_000_000)}

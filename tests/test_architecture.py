@@ -109,7 +109,7 @@ def estimation_is_pure(path: str, source: str) -> list[str]:
 
 LAYERS = {  # each room may import those before it, and itself
     "onboard": (
-        *("estimation", "dynamics", "regressor", "identification"),
+        *("estimation", "dynamics", "regressor", "identification", "control"),
         *("section", "timebase", "devices", "config", "flight", "offline", "cli"),
     ),
     "hil_sim": (
@@ -117,7 +117,7 @@ LAYERS = {  # each room may import those before it, and itself
         *("twins", "mission", "serve", "kernel"),
     ),
 }
-MATHEMATICS = ("estimation", "dynamics", "regressor", "identification")  # import nothing else of onboard
+MATHEMATICS = ("estimation", "dynamics", "regressor", "identification", "control")  # import nothing else of onboard
 
 
 def rooms_stand_on_those_before_them(path: str, source: str) -> list[str]:

@@ -16,6 +16,7 @@ from drivers.canopen_pdo.player import Player
 from drivers.canopen_pdo.player_config import PlayerConfig
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
 from drivers.canopen_pdo.sync_channel import SyncChannel
+from drivers.canopen_pdo.torque_master import TorqueConfig, TorqueMaster
 from drivers.errors import ConfigurationError, FrameError
 from drivers.ports import CanFrame, CanPort
 from drivers.records import CAN_SYNC, Batch, Severity
@@ -41,7 +42,7 @@ class CanopenBus:
         sync: The SYNC producer.
         name: Source of the events of the bus itself.
         guards: How nodes without heartbeat are watched.
-        play: What its drives are driven by, if they are.
+        play: What its drives are driven by, if they are: a motion, or a law of torques.
 
     Attributes:
         unclaimed: Frames with a COB-ID of no configured node or channel.
@@ -59,7 +60,7 @@ class CanopenBus:
         sync: SyncConfig,
         name: str = "canopen",
         guards: Sequence[GuardConfig] = (),
-        play: PlayerConfig | None = None,
+        play: PlayerConfig | TorqueConfig | None = None,
     ) -> None:
         self.name = name
         self.unclaimed = 0
@@ -97,7 +98,11 @@ class CanopenBus:
             self._channels.append(channel)
             by_node.setdefault(data.node, []).append(channel)
         guarding = self._guards(guards, by_node)
-        self.player = None if play is None else Player(play, self._sync, self._port.send, self._report)
+        self.player: Player | TorqueMaster | None = None
+        if isinstance(play, PlayerConfig):
+            self.player = Player(play, self._sync, self._port.send, self._report)
+        elif play is not None:
+            self.player = TorqueMaster(play, self._sync, self._port.send, self._report)
         self._nodes = []
         for number, channels in by_node.items():
             axis = None if self.player is None else self.player.axis_of(number)

@@ -5,7 +5,8 @@ Set-up writes and reads back: software position limits 607Dh, following error wi
 6081h, 6083h, 6084h, the interpolation period 60C2h and the mode 6060h. An object of these that the drive does not have,
 or that keeps another value, refuses it: it is not driven. A drive that is found enabled is stopped first. The
 controlword goes in RPDO1, which acts at once; the target in RPDO2, in mode 8 on the next SYNC, in mode 1 at once, with
-the controlword that says that it is new: two frames would be put in order by their identifiers, the target last.
+the controlword that says that it is new: two frames would be put in order by their identifiers, the target last. In
+mode 10 the target is a torque, in thousandths of the rated one (6076h), on the next SYNC.
 """
 
 import struct
@@ -16,19 +17,27 @@ from typing import Final
 import numpy as np
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.cia402 import MODE, POSITION, STATUS, Cia402Config, Place
+from drivers.canopen_pdo.cia402 import MODE, POSITION, RATED_TORQUE, STATUS, Cia402Config, Place
 from drivers.canopen_pdo.sdo import SdoData, SdoRead, SdoWrite, Setup, confirm, ensure_rpdo, read_unsigned
 from drivers.errors import ConfigurationError, SdoAbortError
 from drivers.records import CAN_FRAME
 from drivers.reporter import Reporter
 
-PROFILE, CYCLIC = 1, 8  # modes of operation
-CONTROLWORD, TARGET = 0x6040_0010, 0x607A_0020
+PROFILE, CYCLIC, CYCLIC_TORQUE = 1, 8, 10  # modes of operation
+CONTROLWORD, TARGET, TARGET_TORQUE = 0x6040_0010, 0x607A_0020, 0x6071_0010
 SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, DISABLE_VOLTAGE = 0x06, 0x07, 0x0F, 0x02, 0x00
 NEW_SET_POINT, AT_ONCE = 0x10, 0x20  # of the controlword in mode 1
 SWITCH_ON_DISABLED, READY, SWITCHED_ON, ENABLED = 0x40, 0x21, 0x23, 0x27
+FAULTS: Final = (0x0F, 0x08)  # states: fault reaction active, fault
+ENABLING: Final = {  # the controlword that leads on from a state
+    SWITCH_ON_DISABLED: SHUTDOWN,
+    READY: SWITCH_ON,
+    SWITCHED_ON: ENABLE,
+    ENABLED: ENABLE,
+}
 FOLLOWING_ERROR, ACKNOWLEDGE, REACHED = 1 << 13, 1 << 12, 1 << 10  # of the statusword
 FOLLOWING_MS: Final = 10
+LARGEST_TORQUE: Final = 32_767  # thousandths of the rated torque, in an I16
 _WRAP, _HALF = 1 << 32, 1 << 31
 _FRAME = struct.Struct("<i")
 
@@ -80,7 +89,7 @@ class DriveAxis:
 
     Args:
         config: The drive.
-        mode: ``CYCLIC`` or ``PROFILE``.
+        mode: ``CYCLIC``, ``PROFILE`` or ``CYCLIC_TORQUE``.
         period_ns: SYNC period.
         master: Our node number and, in ms, how long the drive does without our heartbeat.
         send: Sends a frame (COB-ID, data).
@@ -92,6 +101,7 @@ class DriveAxis:
         mode_shown: Mode of operation that is in force.
         position: Counts, within 32 bits.
         failed: Error code of its last EMCY since it was started; 0 for none.
+        rated_torque_mNm: Of its motor, as it says itself (6076h); 0 before it is set up in mode 10.
         resets: How often it had to be set up again.
     """
 
@@ -107,6 +117,7 @@ class DriveAxis:
         self.config, self.mode = config, mode
         self.node, self.name = config.drive.node, config.drive.name
         self.is_ready, self.failed, self.resets = False, 0, 0
+        self.rated_torque_mNm = 0
         self.status: int | None = None
         self.mode_shown: int | None = None
         self.position: int | None = None
@@ -137,7 +148,7 @@ class DriveAxis:
         if self.status is None:
             return None
         low = self.status & 0x4F
-        return low if low in (SWITCH_ON_DISABLED, 0x0F, 0x08) else self.status & 0x6F
+        return low if low in (SWITCH_ON_DISABLED, *FAULTS) else self.status & 0x6F
 
     @property
     def is_enabled(self) -> bool:
@@ -181,6 +192,21 @@ class DriveAxis:
         assert self.position is not None
         return (self.position - counts + _HALF) % _WRAP - _HALF
 
+    def unwell(self, now_ns: int, limit_ns: int) -> str:
+        """Why it must not go on, whatever it is sent; empty while all is well."""
+        slack = self.config.following_error
+        if self.failed:
+            return f"reports {self.failed:04X}h (EMCY)"
+        if not self.is_ready:
+            return "was set up again: it had rebooted, or its heartbeat had stopped"
+        if self.state in FAULTS:
+            return f"is in fault, statusword {self.status or 0:04X}h"
+        if (silent_ns := now_ns - self.heard_ns) > limit_ns:
+            return f"has not answered SYNC for {silent_ns // 1_000_000} ms"
+        if self.position is None or not self.config.low - slack <= self.position <= self.config.high + slack:
+            return "is outside its limits"
+        return ""
+
     # What it is told
 
     def send(self, cob_id: int, data: bytes) -> None:
@@ -198,6 +224,11 @@ class DriveAxis:
         """Send a target position, in mode 1 with its controlword; outside the limits it is cut to them."""
         held = _FRAME.pack(min(max(counts, self.config.low), self.config.high))
         self.send(0x300 + self.node, held if word is None else held + word.to_bytes(2, "little"))
+
+    def torque(self, per_mille: int) -> None:
+        """Send a target torque, in thousandths of the rated one, positive towards larger counts."""
+        held = min(max(per_mille, -LARGEST_TORQUE), LARGEST_TORQUE)
+        self.send(0x300 + self.node, held.to_bytes(2, "little", signed=True))
 
     def hand_over(self) -> None:
         """Pass the frames sent to the reporter."""
@@ -227,7 +258,10 @@ class DriveAxis:
             except (SdoAbortError, ConfigurationError) as error:
                 raise ConfigurationError(f"{self.name} cannot be driven safely: {error}") from error
         yield from ensure_rpdo(1, 0x200 + self.node, 255, (CONTROLWORD,))
-        if self.mode == CYCLIC:
+        if self.mode == CYCLIC_TORQUE:
+            self.rated_torque_mNm = yield from read_unsigned(RATED_TORQUE)
+            yield from ensure_rpdo(2, 0x300 + self.node, 1, (TARGET_TORQUE,))
+        elif self.mode == CYCLIC:
             yield from ensure_rpdo(2, 0x300 + self.node, 1, (TARGET,))
         else:
             yield from ensure_rpdo(2, 0x300 + self.node, 255, (TARGET, CONTROLWORD))

@@ -33,7 +33,6 @@ ACKNOWLEDGE_NS: Final = 500_000_000
 BEATS: Final = 4  # heartbeats in the time that a drive does without
 RATE_SLACK: Final = 1.25  # of the rate limit, for the drive's own control
 RATE_WINDOW_NS: Final = 25_000_000
-FAULTS: Final = (0x0F, 0x08)  # states: fault reaction active, fault
 LATENCY: Final = 3  # SYNCs from a target being sent to its being reached
 
 
@@ -166,7 +165,7 @@ class Player:
         self._report.event(self._now_ns, Severity.WARNING, "drive_armed", text)
 
     def _not_to_be_armed(self, axis: DriveAxis, start: int) -> str:
-        if axis.state in FAULTS:
+        if axis.state in drive_axis.FAULTS:
             return f"is in fault, statusword {axis.status or 0:04X}h: clear it with its tool"
         if axis.failed:
             return f"reports {axis.failed:04X}h (EMCY): clear it with its tool"
@@ -176,12 +175,6 @@ class Player:
         return ""
 
     def _enable(self) -> None:
-        words = {
-            drive_axis.SWITCH_ON_DISABLED: drive_axis.SHUTDOWN,
-            drive_axis.READY: drive_axis.SWITCH_ON,
-            drive_axis.SWITCHED_ON: drive_axis.ENABLE,
-            drive_axis.ENABLED: drive_axis.ENABLE,
-        }
         if all(axis.is_enabled for axis in self.axes):
             self.state, self._first_tick, self._row = State.PLAYING, (self._sync.tick or 0) + 1, 0
             self._report.event(self._now_ns, Severity.INFO, "drive_started", f"{self.config.name} is played")
@@ -193,7 +186,7 @@ class Player:
         if self._now_ns - self._told_ns >= self._sync.period_ns:
             self._told_ns = self._now_ns
             for axis in self.axes:
-                axis.control(words.get(axis.state or 0, drive_axis.DISABLE_VOLTAGE))
+                axis.control(drive_axis.ENABLING.get(axis.state or 0, drive_axis.DISABLE_VOLTAGE))
 
     # Playing
 
@@ -279,25 +272,11 @@ class Player:
             if missed_ns > self._limit_ns:
                 return f"no target was sent for {missed_ns // 1_000_000} ms: lost SYNCs, or this computer was late"
         for place, axis in enumerate(self.axes):
-            for wrong in self._unwell(axis):
+            if wrong := axis.unwell(self._now_ns, self._limit_ns):
                 return f"{axis.name} {wrong}"
             for wrong in self._astray(place, axis) if self.state is not State.ENABLING else ():
                 return f"{axis.name} {wrong}"
         return self._too_fast()
-
-    def _unwell(self, axis: DriveAxis) -> Iterator[str]:
-        status = axis.status or 0
-        if axis.failed:
-            yield f"reports {axis.failed:04X}h (EMCY)"
-        if not axis.is_ready:
-            yield "was set up again: it had rebooted, or its heartbeat had stopped"
-        if axis.state in FAULTS:
-            yield f"is in fault, statusword {status:04X}h"
-        if (silent_ns := self._now_ns - axis.heard_ns) > self._limit_ns:
-            yield f"has not answered SYNC for {silent_ns // 1_000_000} ms"
-        slack = axis.config.following_error
-        if axis.position is None or not axis.config.low - slack <= axis.position <= axis.config.high + slack:
-            yield "is outside its limits"
 
     def _astray(self, place: int, axis: DriveAxis) -> Iterator[str]:
         status = axis.status or 0

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from hil_sim.plants.servo_axis import STEP_S, ServoAxis
+from hil_sim.plants.servo_axis import STEP_S, Axis
 
 _POSITION_GAIN, _RATE_GAIN, _RATE_INTEGRAL = 30.0, 200.0, 40.0  # 1/s
 _STANDSTILL: Final = 2e-3  # rad/s
@@ -26,7 +26,7 @@ class ServoLoop:
         target: Of a profile that is under way; None without.
     """
 
-    def __init__(self, axis: ServoAxis, measured: Callable[[float], float]) -> None:
+    def __init__(self, axis: Axis, measured: Callable[[float], float]) -> None:
         self.demand = self.rate = 0.0
         self.target: float | None = None
         self._axis, self._measured, self._integral = axis, measured, 0.0

@@ -17,10 +17,15 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants import free_flyer, world
 from hil_sim.plants.arm_swings import ArmSwings
 from hil_sim.plants.body import Body, built
+from hil_sim.plants.driven_vehicle import Drivable
+from hil_sim.plants.servo_axis import STEP_S
+from hil_sim.plants.vehicle_plant import drawn_drives
 from hil_sim.scenario.free_flyer_tables import JOINTS, Built, FreeFlyerScenario, Payload
 from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import JointFriction
 
 JOINT_NAMES = tuple(f"joint_{number}" for number in range(1, JOINTS + 1))
+EFFORT_N_M = 20.0  # of a joint's drive: our choice, as in the vehicle's URDF
 WRIST = "wrist"  # the flange of the last joint
 
 
@@ -58,7 +63,7 @@ class FreeFlyerPlant(world.Plant):
         self._scenario = scenario
         self.base, self.arm = as_built(scenario, rng)
         self.payload = _box(scenario.payload)
-        [places] = rng.spawn(1)
+        places, self._drawn_last = rng.spawn(2)
         self.joint_offsets_m = 1e-3 * scenario.as_built.joint_place_mm * places.standard_normal((JOINTS, 3))
         off_m = 1e-3 * scenario.as_built.imu_place_mm
         self.imu_offsets_m = {name: off_m * places.standard_normal(3) for name in scenario.site}
@@ -126,6 +131,16 @@ class FreeFlyerPlant(world.Plant):
     def servo_torque_n_m(self, at: str) -> FloatArray:
         """See ``world.Plant``."""
         raise ScenarioError(f"no torque is known at {at!r}: the joints are moved as told; leave motor torques out")
+
+    def driven(self) -> Drivable:
+        """What was drawn, to be moved by its drives, whose friction the mission does not have: the default, drawn."""
+        own = self.base, self.arm, STEP_S, self.joint_offsets_m
+        velocity = np.concatenate([np.zeros(3), self.release_rate_rad_s])
+        efforts = dict.fromkeys(JOINT_NAMES, EFFORT_N_M)
+        bodies = dict(zip(JOINT_NAMES, self.arm, strict=True)) | {"base": self.base}
+        drives = drawn_drives(JointFriction(), efforts, bodies, self._drawn_last)
+        models = free_flyer.world(None, *own), free_flyer.world(self.payload, *own)
+        return Drivable(*models, JOINT_NAMES, drives, efforts, self.program.posture_rad, velocity)
 
     def truth(self) -> dict[str, Any]:
         """See ``world.Plant``; the payload in its own frame, which is the grasp."""

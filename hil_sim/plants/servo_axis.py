@@ -8,7 +8,7 @@ What hangs on the joint does not act back: its inertia is that of a motor behind
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 STEP_S: Final = 1e-3
 _KEPT: Final = 512  # steps that can be asked for
@@ -16,6 +16,32 @@ _ROUNDING_RAD_S: Final = 1e-3  # of Coulomb friction
 
 Controller = Callable[[float, float], float | None]
 """Torque [N m] on the joint at a time [s] and a rate of the joint [rad/s]; None: no current."""
+
+
+class Axis(Protocol):
+    """What a drive has of the joint that it moves; :class:`ServoAxis` says what each is."""
+
+    controller: Controller | None
+    inertia_kg_m2: float
+    largest_n_m: float
+    torque_n_m: float
+    lowest_rad: float
+    highest_rad: float
+    fastest_rad_s: float
+
+    @property
+    def rate_rad_s(self) -> float:
+        """Rate at the newest step."""
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest step."""
+
+    def advance(self, time_s: float) -> None:
+        """Compute up to ``time_s``, and the step after it."""
+
+    def angle_rad(self, time_s: float) -> float:
+        """Angle at ``time_s``, up to half a second ago."""
 
 
 class ServoAxis:
@@ -112,7 +138,7 @@ class ServoAxis:
 class AxisAngle:
     """Angle of an axis, as an input of a device."""
 
-    def __init__(self, axis: ServoAxis) -> None:
+    def __init__(self, axis: Axis) -> None:
         self._axis = axis
 
     def value(self, time_s: float) -> float:
@@ -123,7 +149,7 @@ class AxisAngle:
 class AxisTorque:
     """Torque of an axis's motor, at the joint, as an input of a device."""
 
-    def __init__(self, axis: ServoAxis) -> None:
+    def __init__(self, axis: Axis) -> None:
         self._axis = axis
 
     def value(self, time_s: float) -> float:

@@ -5,9 +5,11 @@ The sensors' finer grid is interpolated by splines, separately between captures 
 that grid, as its mean. Rows are released in chunks as time advances, so no sensor reads future rows.
 """
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+import copy
+from collections.abc import Iterator, Mapping
+from typing import Any
 
+import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -15,6 +17,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants import urdf_drawing, world
 from hil_sim.plants.base_sway import sway
 from hil_sim.plants.body import Body, built
+from hil_sim.plants.driven_vehicle import Drivable, Drive
 from hil_sim.plants.joint_swings import JointSwings
 from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
 from hil_sim.plants.vehicle_flight import Jolt, Puck, Released, Rows, VehicleFlight
@@ -24,14 +27,6 @@ from hil_sim.scenario.vehicle_tables import JointFriction, LetGo, PayloadTable, 
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 _DRAWS = 1000  # of a part until it is one that can exist
 _SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
-
-
-class Drive(NamedTuple):
-    """What a joint's drive adds to the torque that its motor makes."""
-
-    coulomb_n_m: float
-    viscous_n_m_s: float
-    rotor_kg_m2: float
 
 
 class VehiclePlant(world.Plant):
@@ -73,7 +68,7 @@ class VehiclePlant(world.Plant):
         self.payload = None if scenario.payload is None else _payload(scenario.payload, drawn, rng)
         self._velocity = _let_go(scenario.release, said.base, rng)
         self.program: JointSwings = JointSwings(scenario, self.joints, rng)
-        self.drives = _drives(scenario.friction, self, rng)
+        self.drives = drawn_drives(scenario.friction, self.efforts_n_m, self.bodies, rng)
         self._pucks = _pucks(scenario, self._model, rng)
         self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
@@ -156,6 +151,29 @@ class VehiclePlant(world.Plant):
         own = drive.coulomb_n_m * np.tanh(rate / _SLOW) + drive.viscous_n_m_s * rate
         own = own + drive.rotor_kg_m2 * np.gradient(rate, self.step_s)
         return self.rows_true.torques[:, column] + own
+
+    @property
+    def efforts_n_m(self) -> dict[str, float]:
+        """Largest torque of each joint, N m or N; ``effort_N_m`` of ``[friction]`` where the URDF gives none."""
+        own = self._scenario.friction.effort_N_m
+        return {joint.name: joint.effort if np.isfinite(joint.effort) else own for joint in self.joints}
+
+    def driven(self) -> Drivable:
+        """What was drawn, to be moved by its drives.
+
+        Raises:
+            ScenarioError: a base that is moved as told.
+        """
+        scenario = self._scenario
+        if scenario.vehicle.base == "prescribed":
+            raise ScenarioError('a base = "prescribed" moves as it is told, whatever its arm does: nothing to control')
+        models: list[mujoco.MjModel] = []
+        for held in (None, self.payload):
+            if scenario.vehicle.payload_link is not None:
+                self._model.hold(scenario.vehicle.payload_link, held)
+            models.append(copy.copy(self._model.model))
+        made = self._model.joints, self.drives, self.efforts_n_m, self.program.posture, self._velocity, self._pucks
+        return Drivable(models[0], models[1], *made)
 
     def truth(self) -> dict[str, Any]:
         """See ``world.Plant``: of the payload in its link's frame, and of every link in its own."""
@@ -261,15 +279,16 @@ def _let_go(table: LetGo, base: str, rng: np.random.Generator) -> FloatArray:
     )
 
 
-def _drives(table: JointFriction, plant: VehiclePlant, rng: np.random.Generator) -> dict[str, Drive]:
-    """Friction and rotor of every joint."""
+def drawn_drives(
+    table: JointFriction, efforts_n_m: Mapping[str, float], bodies: Mapping[str, Body], rng: np.random.Generator
+) -> dict[str, Drive]:
+    """Friction and rotor of every joint, by its largest torque; ``bodies`` are what the joints turn."""
     found = {}
-    for joint in plant.joints:
-        effort = joint.effort if np.isfinite(joint.effort) else table.effort_N_m
+    for joint, effort in efforts_n_m.items():
         factor = 2.0 ** rng.uniform(-1.0, 1.0, 3)
-        turned = sum(float(body.principal_kg_m2[-1]) for body in plant.bodies.values()) / len(plant.joints)
+        turned = sum(float(body.principal_kg_m2[-1]) for body in bodies.values()) / len(efforts_n_m)
         sizes = effort * table.coulomb, effort * table.viscous_s_rad, turned * table.rotor
-        found[joint.name] = Drive(*(float(size * by) for size, by in zip(sizes, factor, strict=True)))
+        found[joint] = Drive(*(float(size * by) for size, by in zip(sizes, factor, strict=True)))
     return found
 
 

@@ -62,7 +62,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--version", action="version", version=f"heft {_version()}")
     commands = made.add_subparsers(required=True, metavar="COMMAND")
     for found in sorted(module.name for module in pkgutil.iter_modules(__path__)):
-        if found not in ("__main__", "common", "messages"):
+        if found not in ("__main__", "common", "controller", "messages"):
             importlib.import_module(f"{__name__}.{found}").add(commands)
     return made
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from onboard.cli import controller
 from onboard.cli.common import (
     FAILED,
     OK,
@@ -44,6 +45,7 @@ def add(commands: Commands) -> None:
     )
     hil.add_argument("--faults", action="store_true", help="say which faults the scenario's devices can have, and end")
     add_live(hil)
+    controller.add(hil)
     hil.set_defaults(command=_hil)
 
 
@@ -67,6 +69,8 @@ def _hil(arguments: argparse.Namespace) -> int:
     vehicle = config.named(arguments.scenario)
     name = vehicle.file.vehicle.name if arguments.scenario.endswith(".toml") else arguments.scenario
     scenario = scenario_of(arguments.scenario, arguments.over)
+    if arguments.controller:
+        return controller.fly(arguments, vehicle, scenario, faults)
     own = scenario.scenario.plant == "vehicle"
     expected: list[dict[str, Any]] = []
     if own or faults or arguments.faults or not arguments.realtime:  # what cannot be is refused here, with the reason

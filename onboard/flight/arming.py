@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from drivers.canopen_pdo.player import Player
+from drivers.canopen_pdo.torque_master import TorqueMaster
 from drivers.device import Device
 from drivers.records import Batch, SampleStatus, Severity, event
 from onboard import config
@@ -22,7 +23,7 @@ class Drives(Protocol):
     """A device that may have a player."""
 
     @property
-    def player(self) -> Player | None:
+    def player(self) -> Player | TorqueMaster | None:
         """What it plays; None: nothing."""
 
 
@@ -41,7 +42,7 @@ class Arming:
         self._channel = None if phases is None else phases.channel
         self._mark = None if directory is None else directory / MARK
         self._spent = self._mark is not None and self._mark.exists()
-        self._players: list[Player] = []
+        self._players: list[Player | TorqueMaster] = []
         self._lock = threading.Lock()
 
     def started(self, device: Device, now_ns: int) -> list[Batch]:

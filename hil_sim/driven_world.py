@@ -1,0 +1,94 @@
+"""The vehicle of a scenario with CiA 402 servo drives in its joints, on one CAN bus in this process, in virtual time.
+
+Base, arm, payload, release and posture are those that the same scenario and seed fly; its other devices are not here.
+At first the gripper is empty.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from hil_sim.arm_rig import ArmRig, Motor
+from hil_sim.faults import Fault
+from hil_sim.mission import Mission
+from hil_sim.plants.driven_vehicle import DrivenVehicle
+from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
+from hil_sim.plants.vehicle_plant import VehiclePlant
+from hil_sim.scenario.load import Scenario
+from hil_sim.scenario.tables import ScenarioError
+
+
+class Wired(NamedTuple):
+    """A drive and the joint that it moves."""
+
+    name: str
+    joint: str
+    node: int
+    counts: int
+    zero: int = 0
+    reversed_count: bool = False
+
+
+class DrivenWorld(ArmRig):
+    """The vehicle. A context manager.
+
+    Args:
+        scenario: Whose it is.
+        seed: Of everything drawn.
+        wired: Its drives, one for each joint.
+        faults: By the names of the drives, ``sync_box`` and the bus.
+        period_ns: SYNC period.
+        noise_rad: White noise of every drive's encoder, 1 sigma.
+
+    Attributes:
+        vehicle: The plant.
+
+    Raises:
+        ScenarioError: a scenario without an arm that drives could move, or a joint without a drive.
+        FaultError: a fault that its device cannot have.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        wired: Sequence[Wired],
+        faults: Iterable[Fault] = (),
+        *,
+        period_ns: int = 4_000_000,
+        noise_rad: float = 0.0,
+    ) -> None:
+        plant = Mission(scenario, seed).plant
+        if not isinstance(plant, VehiclePlant | FreeFlyerPlant):
+            raise ScenarioError(
+                f"{scenario.scenario.name} has no arm that drives move; give a vehicle.toml that has one"
+            )
+        self._truth = plant.truth()
+        built = plant.driven()
+        missing = sorted(set(built.joints) ^ {drive.joint for drive in wired})
+        if missing:
+            raise ScenarioError(f"{', '.join(missing)}: every joint of the URDF needs one drive, and no other has one")
+        self.vehicle = DrivenVehicle(built, noise_rad, seed)
+        posture = dict(zip(built.joints, built.posture_rad.tolist(), strict=True))
+        motors = [
+            Motor(
+                drive.name,
+                drive.node,
+                posture[drive.joint],
+                drive.counts,
+                drive.zero,
+                drive.reversed_count,
+                built.efforts_n_m[drive.joint],
+            )
+            for drive in wired
+        ]
+        axes = {drive.name: self.vehicle.axes[drive.joint] for drive in wired}
+        super().__init__(motors, faults, period_ns=period_ns, seed=seed, axes=axes)
+
+    def capture(self) -> None:
+        """The gripper closes about the payload."""
+        self.vehicle.capture()
+
+    def truth(self) -> dict[str, Any]:
+        """Of the scenario's payload and vehicle, and of the drives."""
+        built = self.vehicle.built
+        return self._truth | {"drives": {name: drive._asdict() for name, drive in built.drives.items()}}

@@ -1,0 +1,106 @@
+"""``heft hil VEHICLE --controller``: its options, and what they run."""
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from onboard.cli.common import FAILED, OK, progress, show
+
+if TYPE_CHECKING:
+    from onboard import config
+    from onboard.offline.control.run import Run
+
+NAMES = ("learning_pd", "learning_pi", "learning_forgetting", "computed_torque")
+_FEWEST, _MOST = 1, 1000
+
+
+def add(hil: argparse.ArgumentParser) -> None:
+    """Make the options known."""
+    group = hil.add_argument_group("controllers", "trials of a controller on simulated drives: docs/learning.md")
+    group.add_argument("--controller", choices=NAMES, help="repeat a motion with it, after the payload was captured")
+    group.add_argument("--trials", type=int, default=10, metavar="N", help="of the controller (default 10)")
+    group.add_argument(
+        "--identified", type=Path, metavar="FILE", help="payload to adopt: the log of a flight, or a URDF of identify"
+    )
+    group.add_argument(
+        "--model-error", type=float, default=0.0, metavar="PERCENT", help="make the controller's model so wrong"
+    )
+    group.add_argument("--noise", type=float, default=0.0, metavar="MRAD", help="white noise of the encoders, 1 sigma")
+    group.add_argument("--gain", type=float, default=1.0, metavar="FACTOR", help="of all learning gains (default 1)")
+    group.add_argument("--figure", type=Path, metavar="FILE", help="also draw the convergence, as SVG or PNG")
+
+
+def fly(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any]) -> int:
+    """Run the trials that were asked for; the exit status."""
+    from onboard.offline.control import view
+
+    _check(arguments)
+    made = _run(arguments, vehicle, scenario, faults)
+    show(view.render(made))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(made.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if arguments.figure:
+        view.draw(made, arguments.figure)
+        print(arguments.figure)
+    return FAILED if made.stopped else OK
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse what cannot be.
+
+    Raises:
+        ValueError: an option that makes no sense.
+    """
+    if not _FEWEST <= arguments.trials <= _MOST:
+        raise ValueError(f"--trials {arguments.trials}: give {_FEWEST} to {_MOST}")
+    if not -90.0 <= arguments.model_error <= 900.0:
+        raise ValueError(f"--model-error {arguments.model_error:g}: give a percentage from -90 to 900")
+    if not 0.0 <= arguments.noise <= 100.0:
+        raise ValueError(f"--noise {arguments.noise:g}: give mrad from 0 to 100")
+    if not (math.isfinite(arguments.gain) and arguments.gain > 0.0):
+        raise ValueError(f"--gain {arguments.gain:g}: give a positive number")
+    if arguments.figure and arguments.figure.suffix not in (".svg", ".png"):
+        raise ValueError(f"--figure {arguments.figure}: name a .svg or a .png file")
+    if arguments.realtime:
+        raise ValueError("--controller runs in virtual time: leave --realtime out")
+    if arguments.controller == "computed_torque" and arguments.identified is None:
+        raise ValueError(
+            "computed_torque adopts an identified payload: fly the mission first (heft hil with --log FILE), then give "
+            "--identified FILE, or the URDF that heft identify --urdf writes"
+        )
+
+
+def _run(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any]) -> "Run":
+    from hil_sim.driven_world import DrivenWorld, Wired
+    from onboard.dynamics.errors import ModelError
+    from onboard.flight.identification import build_model
+    from onboard.flight.trials import PERIOD_MS
+    from onboard.offline.control import run
+    from onboard.offline.control.adopted import adopted_urdf
+
+    adopted = None if arguments.identified is None else adopted_urdf(vehicle, arguments.identified, arguments.seed)
+    asked = run.Asked(
+        arguments.controller,
+        arguments.trials,
+        adopted,
+        1e-2 * arguments.model_error,
+        1e-3 * arguments.noise,
+        arguments.gain,
+    )
+    try:
+        joints = tuple(joint.name for joint in build_model(vehicle).joints)
+        wired = [Wired(*wire[:6]) for wire in run.wires(vehicle, joints)]
+        period_ns = round(1e6 * PERIOD_MS)
+        with (
+            DrivenWorld(
+                scenario, arguments.seed, wired, faults, period_ns=period_ns, noise_rad=asked.noise_rad
+            ) as world,
+            progress() as bar,
+        ):
+            task = bar.add_task(f"{asked.controller}, seed {arguments.seed}", total=asked.trials + 3)
+            return run.run(vehicle, world, asked, lambda _: bar.advance(task))
+    except (ModelError, RuntimeError) as error:
+        raise ValueError(str(error)) from error

@@ -1,0 +1,1 @@
+"""``heft hil VEHICLE --controller``: learning and computed torque on simulated drives."""

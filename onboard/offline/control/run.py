@@ -1,0 +1,328 @@
+"""All trials of one run: the drives identified with an empty gripper, the capture, and what the controller makes of it.
+
+What the controller knows is the URDF, or the URDF with the payload that was identified (``adopted``). ``model_error``
+makes it wrong on purpose: all masses and inertias of its model are ``1 + model_error`` times what they are.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.config.driving import Range, joint_ranges
+from onboard.control import watch
+from onboard.control.drives import Drives, identified
+from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, Reference, feed_forward
+from onboard.control.learning import Kind, Learning, contraction
+from onboard.control.motion import CYCLES, Limits, Motion, fitted
+from onboard.devices.base import JointDevice
+from onboard.devices.cia402 import Cia402Device
+from onboard.dynamics.mechanics.floating_arm import FloatingArm
+from onboard.dynamics.mechanics.joint_space import JointSpace
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.arrays import FloatArray
+from onboard.flight.identification import build_model
+from onboard.flight.trials import PERIOD_MS, Bench, Flown, Trials, Wire, rigid_inertia
+
+PERIOD_S: Final = 1e-3 * PERIOD_MS
+_COUNTS: Final = 500_000  # in a revolution of a joint that no device of the file measures
+_FRICTION: Final = 0.02  # of the effort: Coulomb, and viscous at 1 rad/s, as long as nothing better is known
+_LEAST_INERTIA: Final = 1e-3  # kg m^2 for each N m of effort: gains of the first trial, when rotors are not known
+_PILOTS: Final = 2  # trials with an empty gripper; a joint may stick in the first, on friction that is guessed
+_FREQUENCIES: Final = 60  # at which the convergence is computed
+COMPUTED: Final = "computed_torque"
+CONTROLLERS: Final = (*(kind.value for kind in Kind), COMPUTED)
+
+
+class Stage(StrEnum):
+    """What a trial is flown with."""
+
+    EMPTY = "gripper empty, model as drawn"
+    BEFORE = "payload held, model without it"
+    AFTER = "payload held, model with it"
+    LEARNING = "learning"
+
+
+class Trial(NamedTuple):
+    """One trial: its number within its stage, from 1, what was flown, and how far the tip was off."""
+
+    stage: Stage
+    number: int
+    flown: Flown
+    tip_m: FloatArray  # (m,) distance of the tip from where it should be, the base's own motion left out
+
+    @property
+    def tip_rms_m(self) -> float:
+        """Over the trial."""
+        return float(np.sqrt(np.mean(self.tip_m**2))) if len(self.tip_m) else float("nan")
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        error, none = self.flown.error, not len(self.flown.error)
+        return {
+            "stage": self.stage.name.lower(),
+            "trial": self.number,
+            "joint_rms_rad": None if none else self.flown.rms_rad,
+            "joint_largest_rad": None if none else float(np.abs(error).max()),
+            "joints_rms_rad": None if none else np.sqrt((error**2).mean(axis=0)).tolist(),
+            "tip_rms_m": None if none else self.tip_rms_m,
+            "tip_largest_m": None if none else float(self.tip_m.max()),
+            "saturated": self.flown.saturated,
+            "missed_syncs": self.flown.missed,
+            "stopped": self.flown.stopped,
+        }
+
+
+@dataclass
+class Run:
+    """A run."""
+
+    vehicle: str
+    controller: str
+    joints: tuple[str, ...]
+    model_error: float
+    noise_rad: float
+    factor: float
+    drives: Drives
+    trials: list[Trial] = field(default_factory=list)
+    predicted: FloatArray | None = None  # (f, 2): frequency, Hz, and what a trial leaves of the error there
+    stopped: str = ""
+
+    def of(self, stage: Stage) -> list[Trial]:
+        """The trials of a stage."""
+        return [trial for trial in self.trials if trial.stage is stage]
+
+    @property
+    def errors(self) -> list[float]:
+        """Rms of the joints' errors of the controller's trials, rad."""
+        last = Stage.AFTER if self.controller == COMPUTED else Stage.LEARNING
+        return [trial.flown.rms_rad for trial in self.of(last)]
+
+    @property
+    def gain(self) -> float | None:
+        """How many times smaller the error of the tip is once the payload is adopted; None where it was not."""
+        before, after = self.of(Stage.BEFORE), self.of(Stage.AFTER)
+        return before[0].tip_rms_m / after[0].tip_rms_m if before and after else None
+
+    @property
+    def rate(self) -> float | None:
+        """What a trial leaves of the error, geometric mean until it no longer falls by a tenth; None of one trial."""
+        errors = self.errors if self.controller != COMPUTED else []
+        falls = next((k for k, (a, b) in enumerate(pairwise(errors)) if b > 0.9 * a), len(errors) - 1)
+        return float((errors[falls] / errors[0]) ** (1.0 / falls)) if falls > 0 else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values, SI units."""
+        return {
+            "vehicle": self.vehicle,
+            "controller": self.controller,
+            "joints": list(self.joints),
+            "model_error": self.model_error,
+            "noise_rad": self.noise_rad,
+            "gain_factor": self.factor,
+            "drives": {name: values.tolist() for name, values in self.drives._asdict().items()},
+            "trials": [trial.as_json() for trial in self.trials],
+            "rate": self.rate,
+            "predicted": None if self.predicted is None else self.predicted.tolist(),
+            "tip_error_before_over_after": self.gain,
+            "stopped": self.stopped,
+        }
+
+
+class Asked(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+        controller: one of ``CONTROLLERS``.
+        trials: of the controller.
+        adopted: URDF with the payload identified; None where there is none.
+        model_error: relative.
+        noise_rad: that the bench's encoders have; for the record.
+        factor: of all learning gains.
+        duration_s: of the motion of a trial.
+        rest_s: after it.
+    """
+
+    controller: str
+    trials: int
+    adopted: str | None = None
+    model_error: float = 0.0
+    noise_rad: float = 0.0
+    factor: float = 1.0
+    duration_s: float = 4.0
+    rest_s: float = 1.0
+
+
+def wires(vehicle: config.Vehicle, joints: tuple[str, ...]) -> list[Wire]:
+    """The drives of all joints: those that the file has, and a drive at each other joint, counting as its encoder does.
+
+    Raises:
+        ValueError: a joint that slides.
+    """
+    devices = vehicle.file.device.items()
+    measured = {device.joint: (name, device) for name, device in devices if isinstance(device, JointDevice)}
+    nodes = {device.node for _, device in devices if isinstance(device, Cia402Device)}
+    free = iter(sorted(set(range(1, 127)) - nodes))
+    found = []
+    for joint in joints:
+        name, device = measured.get(joint, (joint, None))
+        if isinstance(device, Cia402Device):
+            gear = device.gear_ratio if device.rated_torque_N_m is not None else 1.0
+            found.append(_wire(name, joint, device.node, device)._replace(gear_ratio=gear))
+        else:
+            found.append(_wire(name, joint, next(free), device))
+    return found
+
+
+def _wire(name: str, joint: str, node: int, device: JointDevice | None) -> Wire:
+    if device is None:
+        return Wire(name, joint, node, _COUNTS)
+    return Wire(name, joint, node, device.counts_per_revolution, device.zero_count, device.gain < 0.0)
+
+
+def run(vehicle: config.Vehicle, bench: Bench, asked: Asked, told: Callable[[Trial], None] = lambda _: None) -> Run:
+    """Fly all trials.
+
+    Args:
+        vehicle: whose arm it is.
+        bench: the arm on its bus, its gripper empty.
+        asked: for what.
+        told: of each trial, when it was flown.
+
+    Raises:
+        ValueError: a vehicle whose arm cannot be controlled.
+        RuntimeError: the drives cannot be enabled.
+    """
+    model = build_model(vehicle)
+    space = joint_space(model, asked.model_error)
+    names = tuple(joint.name for joint in model.joints)
+    wired, limits = wires(vehicle, names), joint_limits(vehicle, model)
+    effort = limits.effort
+    guessed = Drives(_LEAST_INERTIA * effort, _FRICTION * effort, _FRICTION * effort)
+    own = rigid_inertia(space)
+    made = Run(
+        vehicle.file.vehicle.name, asked.controller, names, asked.model_error, asked.noise_rad, asked.factor, guessed
+    )
+    with Trials(bench, wired, limits, lambda q: own(q) + guessed.rotor_kg_m2) as trials:
+        pilot = _Pilot(made, trials, told)
+        at_start = space.inertia(trials.posture) + np.diag(guessed.rotor_kg_m2)
+        motion = fitted(trials.posture, limits, at_start, asked.duration_s, asked.rest_s)
+        reference = Reference.of(motion, PERIOD_S)
+        assert trials.gains is not None
+        inertia = np.array(np.diag(at_start))
+        for _ in range(_PILOTS):
+            law = FeedForward(feed_forward(space, made.drives, reference), trials.gains)
+            if not pilot.fly(Stage.EMPTY, law, space, reference):
+                return made
+            made.drives = identified(space, *_together(made.trials[-1].flown), PERIOD_S)
+            inertia = np.array(np.diag(space.inertia(trials.posture))) + made.drives.rotor_kg_m2
+            trials.gains = Gains.of(inertia)
+        bench.capture()
+        _controlled(model, asked, pilot, space, reference, motion, inertia)
+    return made
+
+
+def _together(flown: Flown) -> tuple[FloatArray, FloatArray]:
+    """Positions and the torques in force at the same SYNCs: half of them from each of the two sent before."""
+    in_force = 0.5 * (flown.torques[1:-1] + flown.torques[:-2])  # from SYNC i - 1 to i, and from i to i + 1
+    return flown.measured[2:], in_force
+
+
+class _Pilot:
+    """Flies a trial and keeps it."""
+
+    def __init__(self, made: Run, trials: Trials, told: Callable[[Trial], None]) -> None:
+        self.made, self.trials, self._told = made, trials, told
+
+    def fly(self, stage: Stage, law: Law, space: JointSpace, reference: Reference) -> bool:
+        """Whether it was flown to its end."""
+        flown = self.trials.fly(law, reference)
+        wanted = reference.q[: len(flown.error)]
+        pairs = zip(wanted, flown.measured, strict=True)
+        tip = np.array([np.linalg.norm(space.arm.tip_pose(a)[1] - space.arm.tip_pose(b)[1]) for a, b in pairs])
+        self.made.trials.append(Trial(stage, len(self.made.of(stage)) + 1, flown, tip))
+        self._told(self.made.trials[-1])
+        self.made.stopped = flown.stopped
+        return not flown.stopped
+
+
+def _controlled(
+    model: VehicleModel,
+    asked: Asked,
+    pilot: _Pilot,
+    space: JointSpace,
+    reference: Reference,
+    motion: Motion,
+    inertia: FloatArray,
+) -> None:
+    """The trials after the capture."""
+    made, drives = pilot.made, pilot.made.drives
+    compares = asked.controller == COMPUTED or asked.adopted is not None
+    if compares and not pilot.fly(Stage.BEFORE, ComputedTorque(space, drives, reference), space, reference):
+        return
+    if asked.adopted is not None:
+        adopted = joint_space(VehicleModel(asked.adopted, model.spec), asked.model_error)
+        for _ in range(asked.trials if asked.controller == COMPUTED else 1):
+            if not pilot.fly(Stage.AFTER, ComputedTorque(adopted, drives, reference), space, reference):
+                return
+    if asked.controller == COMPUTED:
+        return
+    assert pilot.trials.gains is not None
+    gains = pilot.trials.gains
+    learning = Learning.of(Kind(asked.controller), gains, inertia, asked.factor)
+    fastest = (2.0 * max(CYCLES[: len(made.joints)]) + 2.0) / (2.0 * motion.duration_s)
+    band = np.geomspace(0.5 / motion.duration_s, max(4.0 * fastest, learning.low_pass_hz), _FREQUENCIES)
+    whole = space.inertia(motion.start_rad) + np.diag(drives.rotor_kg_m2)
+    left = contraction(learning, gains, whole, drives.viscous_n_m_s, band)
+    made.predicted = np.stack([band, left], 1)
+    torques = first = feed_forward(space, drives, reference)
+    for _ in range(asked.trials):
+        if not pilot.fly(Stage.LEARNING, FeedForward(torques, gains), space, reference):
+            return
+        why = watch.diverges(made.errors)
+        if why:
+            made.stopped = why
+            return
+        torques = learning.next(torques, first, made.trials[-1].flown.error, PERIOD_S)
+
+
+def joint_space(model: VehicleModel, model_error: float = 0.0) -> JointSpace:
+    """Dynamics of a model whose masses and inertias are ``1 + model_error`` times what it says.
+
+    Raises:
+        ValueError: a base that moves as it is told.
+    """
+    spec: VehicleSpec = model.spec
+    if spec.base is BaseKind.PRESCRIBED:
+        raise ValueError("the base moves as it is told, whatever the arm does: computed torque does not know how")
+    tip = spec.payload_link if spec.payload_link is not None else model.links[-1]
+    return JointSpace(FloatingArm(model, tip, (1.0 + model_error) * model.chi))
+
+
+def joint_limits(vehicle: config.Vehicle, model: VehicleModel) -> Limits:
+    """Of all joints, by the URDF.
+
+    Raises:
+        ValueError: a joint that slides, or has no range, speed or effort.
+    """
+    ranges: dict[str, Range] = joint_ranges(vehicle.urdf_text)
+    rows = []
+    for joint in model.joints:
+        at = joint.v_index
+        found = ranges.get(joint.name)
+        effort = float(model.model.effortLimit[at])
+        if (
+            found is None
+            or not joint.revolute
+            or not np.isfinite([*found, effort]).all()
+            or min(found.rate, effort) <= 0
+        ):
+            raise ValueError(
+                f"joint {joint.name!r}: it has to be revolute, with lower, upper, velocity and effort in <limit>"
+            )
+        rows.append((*found, effort))
+    return Limits(*(np.array(column) for column in zip(*rows, strict=True)))
