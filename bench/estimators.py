@@ -8,6 +8,7 @@ Every number is the median of batches of calls, in the thread's own CPU time: ot
 
 import argparse
 import ctypes
+import importlib.util
 import os
 import platform
 import resource
@@ -17,11 +18,11 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import padasip
 from filterpy.kalman import FadingKalmanFilter, KalmanFilter, SquareRootKalmanFilter
 from numpy.typing import NDArray
 
@@ -234,13 +235,12 @@ def peers(model: VehicleModel, ticks: Ticks) -> None:
     fading = FadingKalmanFilter(1.001, dim_x=P, dim_z=M)
     fading.F, fading.R, fading.Q = np.eye(P), np.eye(M), np.zeros((P, P))
     filters["FadingKalmanFilter"] = fading
-    adaptive = padasip.filters.FilterRLS(n=P, mu=0.999)
 
     def kalman(one: KalmanFilter, H: Floats, z: Floats) -> None:
         one.H = H
         one.update(z[:, None])
 
-    def by_rows() -> None:
+    def by_rows(adaptive: Any) -> None:
         with np.errstate(all="ignore"):  # it winds up and overflows, at the same pace
             for row, value in zip(Y, y, strict=True):
                 adaptive.adapt(value, row)
@@ -252,7 +252,11 @@ def peers(model: VehicleModel, ticks: Ticks) -> None:
     print("update of 10 parameters by 6 rows alone")
     for name, one in filters.items():
         line(f"filterpy {name}, update", median_us(partial(kalman, one, Y, y)))
-    line("padasip FilterRLS, six single rows", median_us(by_rows))
+    if importlib.util.find_spec("padasip") is None:
+        print("  padasip is not installed: pip install 'heft-flight[bench]'")
+    else:
+        adaptive = importlib.import_module("padasip").filters.FilterRLS(n=P, mu=0.999)
+        line("padasip FilterRLS, six single rows", median_us(partial(by_rows, adaptive)))
     many = np.tile(Y, (1000, 1)), np.tile(y, 1000)
     line("numpy lstsq of all rows of 10 s so far", median_us(lambda: np.linalg.lstsq(*many), 3))
     line("C: Givens, estimate, no covariance; by ctypes", c_reference(Y, y))

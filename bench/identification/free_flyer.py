@@ -187,12 +187,12 @@ def fly(body: free_flyer.Body, real: bool, seed: int) -> Outcome:
     plain_body = body_of(plain) if plain[0] > 0.0 else RigidBody(np.nan, np.full(3, np.nan), np.full((3, 3), np.nan))
     found = exiddm.fit()
     misfit = found.misfit
-    return judged(body, found.payload, bound(exiddm, recorded, body), misfit, plain_body)
+    return judged(body, found.payload, bound(exiddm, model, recorded, body), misfit, plain_body)
 
 
-def bound(exiddm: Exiddm, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:
+def bound(exiddm: Exiddm, model: VehicleModel, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:
     """Cramer and Rao's, at the drawn values of all nuisances, which changes it by their own few per cent."""
-    model, signals, flight = exiddm.vehicle, recorded.signals, recorded.flight
+    signals, flight = recorded.signals, recorded.flight
     chi = model.chi.copy()
     chi[model.payload_columns()] = standard_of(_rigid(body))
     first = round((DURATION_s - len(signals.q) * signals.period_s) / 2.0 / (flight.time_s[1] - flight.time_s[0]))
@@ -227,11 +227,13 @@ def print_table(title: str, flown: Sequence[Outcome], limits: Sequence[float] | 
         rms, least = np.sqrt(np.mean(error[:, k] ** 2)), np.sqrt(np.mean(bound[:, k] ** 2))
         ratio = np.sqrt(np.mean((error[:, k] / bound[:, k]) ** 2))
         bar = "" if limits is None else f"{limits[k]:g}"
+        squares = plain[:, k][np.isfinite(plain[:, k])] ** 2
+        rough = f"{factor * np.sqrt(squares.mean()):.3f}" if squares.size else "-"
         print(
             f"{name + ', ' + unit:22}{factor * rms:9.4f}{factor * least:9.4f}{ratio:7.2f}{'1.25':>6}"
             f"{factor * np.percentile(error[:, k], 95):9.4f}{bar:>7}"
             f"{100 * inside[:, groups[k]].mean():8.1f}%{'92-98':>9}"
-            f"{factor * np.sqrt(np.nanmean(plain[:, k] ** 2)):10.3f}"
+            f"{rough:>10}"
         )
 
 

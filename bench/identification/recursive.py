@@ -96,7 +96,7 @@ def fly(body: free_flyer.Body, real: bool, seed: int) -> Flown:
     known = case.priors(model, real)
     exiddm = free_exiddm(model, "imu_base", recorded.signals, case.PAYLOAD_SIGMA, *known)
     found = exiddm.fit()
-    least = case.bound(exiddm, recorded, body)
+    least = case.bound(exiddm, model, recorded, body)
     none = RigidBody(np.nan, np.full(3, np.nan), np.full((3, 3), np.nan))
     misfit = found.misfit
     online = estimator(model, recorded.signals, *known, held=True)

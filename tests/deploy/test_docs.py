@@ -13,7 +13,9 @@ import pytest
 from onboard.cli import parser
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([ROOT / "README.md", ROOT / "deploy" / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted(
+    [*(ROOT / page for page in ("README.md", "bench/README.md", "deploy/README.md")), *(ROOT / "docs").glob("*.md")]
+)
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 _LINE = re.compile(r"^(?: {4}|\$ )?((?:\.venv/bin/)?heft [a-z].*)$", re.MULTILINE)
 _SPAN = re.compile(r"`((?:\.venv/bin/)?heft [^`]+)`")
@@ -39,7 +41,7 @@ def _unknown(snippet: str, commands: dict[str, argparse.ArgumentParser]) -> str:
     return next((option for option in asked if option not in known), "")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_every_command_shown_exists_with_its_options(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     commands = _commands()

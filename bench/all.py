@@ -1,0 +1,153 @@
+"""The benches behind the numbers of README.md, one after another: what each printed, its time, its exit code.
+
+::
+
+    python -m bench.all --quick [--only NAME ...] [--out DIR]
+
+``--quick`` takes few seeds and short flights of each, ten minutes in all on a machine that is otherwise idle; without
+it each runs as ``bench/README.md`` names it, for hours. Benches that need recordings look for them in
+``$HEFT_DATASETS`` or ``../shared/datasets`` and are left out where they are not. Exit code 1 where one failed or missed
+a bar that it judges.
+"""
+
+import argparse
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, NamedTuple
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+DATASETS: Final = Path(os.environ.get("HEFT_DATASETS", ROOT.parent / "shared/datasets"))
+
+
+class Bench(NamedTuple):
+    """A command, and its arguments for a short run and for the whole one."""
+
+    module: str
+    quick: str
+    whole: str = ""
+    recordings: str = ""  # directory of the recordings that it needs
+    label: str = ""  # where one module is run twice
+
+    @property
+    def name(self) -> str:
+        """By which ``--only`` knows it."""
+        return self.label or self.module
+
+
+BENCHES: Final = (
+    Bench("acquisition", "--rounds 7", "--rounds 21"),
+    Bench("recording", "--records 100000"),
+    Bench("reading", "--records 100000 --minutes 1"),
+    Bench("kill_recorder", "--kills 10", "--kills 200"),
+    Bench("timebase", "--seeds 4 --hour 120 --field 1"),
+    Bench("mechanics", "--calls 100 --block-seconds 1", "--calls 2000"),
+    Bench("estimators", "--quick"),
+    Bench("speed", "rocksat --rounds 1"),
+    Bench("flight", "--quick", "--minutes 1"),
+    Bench("restarts", "--kills 1", "--kills 50 --load 4 --nice -10"),
+    Bench("mission_accuracy", "rocksat --first 501 --seeds 2", "rocksat --first 501 --seeds 6", label="rocksat"),
+    Bench("mission_accuracy", "dymaflex --first 1101 --seeds 2", "dymaflex --first 1101 --seeds 8", label="dymaflex"),
+    Bench("identification", "noise --seeds 2", "noise", label="noise"),
+    Bench("identification", "recursive --seeds 1", "recursive", label="recursive"),
+    Bench("identification", "capture --seeds 2", "capture", label="capture"),
+    Bench(
+        "identification",
+        "tools --seeds 1 --first 101",
+        "tools --seeds 3 --first 101",
+        recordings="workshop_tools",
+        label="tools",
+    ),
+    Bench("identification", "planar --seeds 1", "planar", label="planar"),
+    Bench("resync", "--seeds 2", "--seeds 100"),
+    Bench("tudelft_accuracy", "{recordings} --offsets 1", "{recordings}", "tudelft_tumbling"),
+    Bench("arms", "", "", "staubli_tx40"),
+)
+
+
+class Outcome(NamedTuple):
+    """Of one bench."""
+
+    name: str
+    command: str
+    said: str  # "ok", "1: failed, or missed a bar", or why it was not run
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+
+
+def run(bench: Bench, quick: bool, out: Path) -> Outcome:
+    """Run one; what it prints goes to the terminal and into a file."""
+    recordings = DATASETS / bench.recordings
+    arguments = (bench.quick if quick else bench.whole).format(recordings=recordings)
+    command = f"python -m bench.{bench.module} {arguments}".strip()
+    if bench.recordings and not recordings.is_dir():
+        return Outcome(bench.name, command, f"not run: no {recordings}")
+    print(f"\n== {command}", flush=True)
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "HEFT_DATASETS": str(DATASETS)}
+    before, began = _children_cpu_s(), time.monotonic()
+    call = [sys.executable, "-m", f"bench.{bench.module}", *arguments.split()]
+    with (
+        (out / f"{bench.name}.txt").open("w", encoding="utf-8") as kept,
+        subprocess.Popen(
+            call, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as process,
+    ):
+        assert process.stdout is not None
+        for line in process.stdout:
+            kept.write(line)
+            print(line, end="", flush=True)
+    code = process.returncode
+    said = "ok" if code == 0 else f"{code}: failed, or missed a bar"
+    return Outcome(bench.name, command, said, time.monotonic() - began, _children_cpu_s() - before)
+
+
+def _children_cpu_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def machine() -> str:
+    """Processor, cores, Python and load at the moment, for the head of a table."""
+    model = next(
+        (line.split(":", 1)[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")),
+        platform.machine(),
+    )
+    now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return f"{now}, {model}, {os.cpu_count()} cores, Python {platform.python_version()}, load {os.getloadavg()[0]:.1f}"
+
+
+def _lines(path: str) -> list[str]:
+    try:
+        return Path(path).read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+
+
+def main() -> int:
+    """Run them, and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="ten minutes instead of hours")
+    parser.add_argument("--only", nargs="+", choices=[bench.name for bench in BENCHES], metavar="NAME")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keep what each printed (default: a new one in /tmp)")
+    options = parser.parse_args()
+    out: Path = options.out or Path(tempfile.mkdtemp(prefix="heft-benches-"))
+    out.mkdir(parents=True, exist_ok=True)
+    about, began = machine(), time.monotonic()
+    print(about)
+    done = [run(bench, options.quick, out) for bench in BENCHES if not options.only or bench.name in options.only]
+    table = ["| bench | s | CPU s | exit |", "|---|---|---|---|"]
+    table += [f"| `{one.command}` | {one.wall_s:.0f} | {one.cpu_s:.0f} | {one.said} |" for one in done]
+    text = "\n".join([about, "", *table, "", f"{time.monotonic() - began:.0f} s in all; load {os.getloadavg()[0]:.1f}"])
+    (out / "summary.md").write_text(text + "\n", encoding="utf-8")
+    print(f"\n{text}\nwhat each printed: {out}")
+    return 0 if all(one.said == "ok" or one.said.startswith("not run") for one in done) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,31 @@
+"""The benches run one after another: what each printed is kept, and one that fails is told."""
+
+from pathlib import Path
+
+import pytest
+
+from bench import all as benches
+from bench.all import BENCHES, ROOT, Bench, Outcome, run
+
+
+def test_every_bench_is_there_under_a_name_of_its_own() -> None:
+    assert len({bench.name for bench in BENCHES}) == len(BENCHES)
+    for bench in BENCHES:
+        path = ROOT / "bench" / bench.module
+        assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), bench.module
+
+
+def test_what_a_bench_printed_is_kept_and_one_that_fails_is_told(tmp_path: Path) -> None:
+    done = run(Bench("acquisition", "--no-such-option"), True, tmp_path)
+    assert done[:3] == ("acquisition", "python -m bench.acquisition --no-such-option", "2: failed, or missed a bar")
+    assert "unrecognized arguments: --no-such-option" in (tmp_path / "acquisition.txt").read_text(encoding="utf-8")
+    assert done.cpu_s > 0.0
+    assert run(Bench("acquisition", "--help", label="help"), True, tmp_path).said == "ok"
+
+
+def test_one_without_its_recordings_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(benches, "DATASETS", tmp_path)
+    assert run(Bench("arms", "", "", "no_arm"), True, tmp_path) == Outcome(
+        "arms", "python -m bench.arms", f"not run: no {tmp_path / 'no_arm'}"
+    )
+    assert list(tmp_path.iterdir()) == []
