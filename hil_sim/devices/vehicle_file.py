@@ -16,7 +16,7 @@ from hil_sim.devices import registry
 from hil_sim.plants import urdf_drawing
 from hil_sim.plants.urdf_drawing import Drawing
 from hil_sim.scenario import bed
-from hil_sim.scenario.load import load, merged, parse
+from hil_sim.scenario.load import load, merged, names, parse
 from hil_sim.scenario.sheets import Sheets, sheet
 from hil_sim.scenario.tables import Scenario, ScenarioError
 
@@ -43,6 +43,12 @@ def scenario_of(name: str | Path, over: str | Path | None = None) -> Scenario:
     flown = bed.find(str(name))
     if flown is not None:
         return rehearsal(flown.vehicle, flown.scenario, over)
+    if not str(name).endswith(".toml") and name not in names():
+        flies = ", ".join(sorted((*names(), *bed.names())))
+        raise ScenarioError(
+            f"nothing simulates {str(name)!r}: by name fly {flies}; others by the path of their vehicle.toml, if their "
+            "devices are on buses and not columns of a recording"
+        )
     own = {} if over is None else _read(Path(over))
     return load(name, {key: value for key, value in own.items() if key != "scenario"})
 

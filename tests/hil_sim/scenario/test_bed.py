@@ -57,3 +57,6 @@ def test_hil_flies_beds_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert "a6" in capsys.readouterr().out
     assert main(["hil", "air_baering"]) == 2
     assert "did you mean 'air_bearing'" in capsys.readouterr().err
+    assert main(["hil", "workshop"]) == 2
+    said = capsys.readouterr().err
+    assert all(name in said for name in (*bed.names(), "rocksat", "columns of a recording"))
