@@ -20,6 +20,7 @@ from hil_sim.sensing.sensors import DriftingClock
 
 BUS = "can_0"
 START_NS = 100_000_000_000
+_RATED_N_M = 10.0  # of a motor, at the joint
 _RATE_ERROR = 3e-5  # of the SYNC producer
 
 
@@ -35,6 +36,7 @@ class Motor(NamedTuple):
         reversed_count: It counts against the joint.
         torque_n_m: Of the motor, at the joint.
         inertia_kg_m2: Of what it moves.
+        gear_ratio: Revolutions of the motor in one of the joint.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Motor(NamedTuple):
     reversed_count: bool = False
     torque_n_m: float = 30.0
     inertia_kg_m2: float = 1.0
+    gear_ratio: float = 1.0
 
 
 class Arm:
@@ -94,6 +97,8 @@ class Arm:
                 increments_per_revolution=motor.counts,
                 zero_increments=motor.zero,
                 reversed_count=motor.reversed_count,
+                rated_torque_nm=_RATED_N_M / abs(motor.gear_ratio),
+                gear_ratio=motor.gear_ratio,
                 faults=plan.of(motor.name),
             )
         clock = DriftingClock(start_ns, _RATE_ERROR, 0.0)

@@ -26,6 +26,7 @@ class Wired(NamedTuple):
     counts: int
     zero: int = 0
     reversed_count: bool = False
+    gear_ratio: float = 1.0
 
 
 class DrivenWorld(ArmRig):
@@ -78,6 +79,7 @@ class DrivenWorld(ArmRig):
                 drive.zero,
                 drive.reversed_count,
                 built.efforts_n_m[drive.joint],
+                gear_ratio=drive.gear_ratio,
             )
             for drive in wired
         ]

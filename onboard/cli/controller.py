@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import FAILED, OK, progress, show
+from onboard.cli.common import FAILED, OK, next_log, progress, show
 
 if TYPE_CHECKING:
     from onboard import config
@@ -38,6 +38,10 @@ def fly(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any,
     from onboard.offline.control import view
 
     _check(arguments)
+    if arguments.controller == "computed_torque" and arguments.identified is None:
+        code = _identify_in_flight(arguments, vehicle)
+        if code != OK:
+            return code
     made = _run(arguments, vehicle, scenario, faults)
     show(view.render(made))
     if arguments.json:
@@ -66,11 +70,21 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ValueError(f"--figure {arguments.figure}: name a .svg or a .png file")
     if arguments.realtime:
         raise ValueError("--controller runs in virtual time: leave --realtime out")
-    if arguments.controller == "computed_torque" and arguments.identified is None:
+    if arguments.controller == "computed_torque" and arguments.identified is None and arguments.fault:
         raise ValueError(
-            "computed_torque adopts an identified payload: fly the mission first (heft hil with --log FILE), then give "
-            "--identified FILE, or the URDF that heft identify --urdf writes"
+            "a --fault is of the mission or of the drives: fly the mission first, then add --identified LOG"
         )
+
+
+def _identify_in_flight(arguments: argparse.Namespace, vehicle: "config.Vehicle") -> int:
+    """Fly the mission of the same seed, whose answers are adopted; its exit status."""
+    from onboard.cli import main
+
+    name = arguments.scenario if not arguments.scenario.endswith(".toml") else vehicle.file.vehicle.name
+    arguments.identified = arguments.log or next_log(vehicle.file.recording.directory, name)
+    over = ["--scenario", str(arguments.over)] if arguments.over else []
+    mission = [arguments.scenario, "--seed", str(arguments.seed), "--log", str(arguments.identified), *over]
+    return main(["hil", *mission])
 
 
 def _run(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any]) -> "Run":
@@ -92,7 +106,7 @@ def _run(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any
     )
     try:
         joints = tuple(joint.name for joint in build_model(vehicle).joints)
-        wired = [Wired(*wire[:6]) for wire in run.wires(vehicle, joints)]
+        wired = [Wired(*wire) for wire in run.wires(vehicle, joints)]
         period_ns = round(1e6 * PERIOD_MS)
         with (
             DrivenWorld(

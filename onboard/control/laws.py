@@ -14,9 +14,10 @@ from onboard.control.motion import Motion
 from onboard.dynamics.mechanics.joint_space import JointSpace
 from onboard.estimation.arrays import FloatArray
 
-WINDOW: Final = 3
+WINDOW: Final = 1
 AHEAD: Final = 1.5  # SYNC periods from a sample to the middle of the interval in which its torque is in force
 BANDWIDTH_RAD_S, DAMPING = 20.0, 1.25  # of the loops, with nothing in the gripper
+_FASTEST: Final = 62.0  # 1/s, of the rate loops all together: half a radian in the 8 ms from a sample to its torque
 SLOW_RAD_S = 8.0  # while the drives' own inertia is guessed
 
 
@@ -28,8 +29,23 @@ class Gains(NamedTuple):
 
     @staticmethod
     def of(inertia: FloatArray, bandwidth_rad_s: float = BANDWIDTH_RAD_S) -> "Gains":
-        """Gains of independent joints of so much inertia, (n,) kg m^2."""
-        return Gains(bandwidth_rad_s**2 * inertia, 2.0 * DAMPING * bandwidth_rad_s * inertia)
+        """Gains of joints that are controlled one by one, each for its inertia while the others are free.
+
+        Joints that turn each other make a loop faster than each has by itself; the bandwidth is then less.
+
+        Args:
+            inertia: of the arm, (n, n) kg m^2.
+            bandwidth_rad_s: at most.
+        """
+        own = free_inertia(inertia)
+        fastest = np.abs(np.linalg.eigvals(np.linalg.solve(inertia, np.diag(2.0 * DAMPING * own)))).max()
+        w = min(bandwidth_rad_s, _FASTEST / float(fastest))
+        return Gains(w**2 * own, 2.0 * DAMPING * w * own)
+
+
+def free_inertia(inertia: FloatArray) -> FloatArray:
+    """Inertia of each joint while nothing holds the others, (n,), of the arm's (n, n)."""
+    return np.asarray(1.0 / np.diag(np.linalg.inv(inertia)), np.float64)
 
 
 class Law(Protocol):

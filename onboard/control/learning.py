@@ -61,7 +61,7 @@ class Learning(NamedTuple):
         Args:
             kind: of the law.
             gains: of the feedback.
-            inertia: of each joint by the model, (n,) kg m^2.
+            inertia: of each joint by the model, the others free, (n,) kg m^2.
             factor: of all learning gains.
         """
         none = np.zeros(len(inertia))

@@ -10,7 +10,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 
-FARTHEST_RAD = 0.5  # from the reference
+FARTHEST_RAD = 0.7  # from the reference
 GROWN, RISES = 2.0, 3  # times the best error, after so many rises in succession
 
 

@@ -21,7 +21,6 @@ from drivers.transports import open_can
 from onboard.control.laws import SLOW_RAD_S, WINDOW, Gains, Law, Reference
 from onboard.control.motion import Limits
 from onboard.control.watch import astray
-from onboard.dynamics.mechanics.joint_space import JointSpace
 from onboard.estimation.arrays import FloatArray
 
 PERIOD_MS: Final = 4.0
@@ -123,16 +122,23 @@ class Trials:
         bench: the arm.
         wires: its drives, in the order of the model's joints.
         limits: of the joints.
-        inertia: gives the inertia of each joint, (n,), for a posture, (n,); of the hold between trials.
+        inertia: gives that of the arm with its drives, (n, n) kg m^2, for a posture, (n,).
+        at_rest: gives the torques, (n,) N m, that hold a posture.
 
     Raises:
         RuntimeError: the drives cannot be enabled.
     """
 
     def __init__(
-        self, bench: Bench, wires: Sequence[Wire], limits: Limits, inertia: Callable[[FloatArray], FloatArray]
+        self,
+        bench: Bench,
+        wires: Sequence[Wire],
+        limits: Limits,
+        inertia: Callable[[FloatArray], FloatArray],
+        at_rest: Callable[[FloatArray], FloatArray],
     ) -> None:
-        self._bench, self._wires, self._limits, self._inertia = bench, tuple(wires), limits, inertia
+        self._bench, self._wires, self._limits = bench, tuple(wires), limits
+        self._inertia, self._at_rest = inertia, at_rest
         self._per_rad = np.array([wire.per_rad for wire in wires])
         self._zero = np.array([wire.zero for wire in wires], np.float64)
         self.gains: Gains | None = None
@@ -240,7 +246,7 @@ class Trials:
         if why := astray(error, [wire.joint for wire in self._wires]):
             return why
         if trial is None:
-            torque = self.gains.position * error + self.gains.rate * rate
+            torque = self._at_rest(q) + self.gains.position * error + self.gains.rate * rate
         else:
             torque = trial.law.torque(step, error, rate)
         if not np.isfinite(torque).all():
@@ -275,8 +281,3 @@ class Trials:
             trial.torques.append(sent)
         trial.missed += lost
         trial.saturated += int((np.abs(wanted) > self._limits.effort).sum())
-
-
-def rigid_inertia(space: JointSpace) -> Callable[[FloatArray], FloatArray]:
-    """Inertia of each joint without the others, (n,) kg m^2, by posture."""
-    return lambda q: np.array(np.diag(space.inertia(q)))

@@ -55,11 +55,11 @@ def respond(torques, M, damping, stiffness):
 @pytest.mark.parametrize("heavier", [1.0, 4.0])
 def test_a_trial_leaves_what_theory_says(kind, hertz, heavier):
     inertia, viscous = np.array([0.3]), np.array([0.4])
-    gains, M = Gains.of(inertia), heavier * inertia[0]
+    gains, M = Gains.of(np.diag(inertia)), heavier * inertia[0]
     law = Learning.of(kind, gains, inertia)
     time_s = PERIOD_S * np.arange(5000)
     wanted = np.sin(2.0 * np.pi * hertz * time_s) * np.sin(np.pi * time_s / time_s[-1]) ** 2
-    torques = first = np.zeros((len(time_s), 1))
+    torques = first = 0.5 * gains.position[0] * wanted[:, None]
     errors = []
     for _ in range(3):
         q = respond(torques[:, 0], M, gains.rate[0] + viscous[0], gains.position[0])
@@ -76,6 +76,9 @@ def test_a_trial_leaves_what_theory_says(kind, hertz, heavier):
     if kind is Kind.FORGETTING:  # e_(k+1) = (1 - alpha - L G) e_k + alpha e_0: differences shrink by it
         steps = [np.linalg.norm(a - b) for a, b in pairwise(errors)]
         measured = steps[1] / steps[0]
+        remembering = law._replace(forgetting=0.0)  # what was first is not forgotten in the first step
+        [once] = contraction(remembering, gains, np.array([[M]]), viscous, np.array([hertz]))
+        assert np.linalg.norm(errors[1]) / np.linalg.norm(errors[0]) == pytest.approx(once, abs=0.02)
     else:
         measured = np.linalg.norm(errors[2]) / np.linalg.norm(errors[1])
     assert measured == pytest.approx(left, abs=0.02)
@@ -84,7 +87,7 @@ def test_a_trial_leaves_what_theory_says(kind, hertz, heavier):
 
 def test_independent_joints_learn_as_one_each():
     inertia = np.array([0.2, 0.5])
-    gains, frequency = Gains.of(inertia), np.array([0.3, 1.0, 3.0])
+    gains, frequency = Gains.of(np.diag(inertia)), np.array([0.3, 1.0, 3.0])
     law = Learning.of(Kind.PI, gains, inertia)
     both = contraction(law, gains, np.diag([0.8, 0.5]), np.array([0.1, 0.0]), frequency)
     each = []
@@ -97,7 +100,7 @@ def test_independent_joints_learn_as_one_each():
 
 
 def test_what_is_above_the_low_pass_is_not_learned():
-    law = Learning.of(Kind.PD, Gains.of(np.ones(1)), np.ones(1))
+    law = Learning.of(Kind.PD, Gains.of(np.eye(1)), np.ones(1))
     time_s = PERIOD_S * np.arange(2000)
     none = np.zeros((len(time_s), 1))
     slow, fast = (

@@ -26,7 +26,7 @@ def test_rates_are_derivatives_and_trials_follow_each_other():
     "tight", [WIDE._replace(low=np.array([-0.1, -3.0, -3.0])), WIDE._replace(speed=np.full(3, 0.2)), WIDE]
 )
 def test_it_stays_within_the_limits(tight):
-    inertia = np.diag([8.0, 2.0, 0.1])
+    inertia = np.diag([30.0, 2.0, 0.1])
     made = fitted(np.zeros(3), tight, inertia, 4.0, 1.0)
     q, dq, ddq = made.at(np.linspace(0.0, 5.0, 1001))
     assert ((q > tight.low) & (q < tight.high)).all()
@@ -56,6 +56,6 @@ def test_growing_errors_end_the_trials(errors, stops):
 
 
 def test_a_joint_astray_is_named():
-    assert astray(np.array([0.1, -0.6]), ["a", "b"]) == "b is 34 deg from where it should be"
+    assert astray(np.array([0.1, -0.8]), ["a", "b"]) == "b is 46 deg from where it should be"
     assert astray(np.array([0.4, -0.4]), ["a", "b"]) == ""
     assert "no number" in astray(np.array([np.nan, 0.0]), ["a", "b"])

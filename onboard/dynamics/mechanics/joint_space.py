@@ -39,6 +39,11 @@ class JointSpace:
         across = H[self._free, b:]
         return np.asarray(H[b:, b:] - across.T @ np.linalg.solve(H[np.ix_(self._free, self._free)], across), np.float64)
 
+    def at_rest(self, q: FloatArray) -> FloatArray:
+        """Joint torques, (n,) N m, that hold the arm at ``q``, (n,): against gravity, where there is some."""
+        nothing = np.zeros(len(q))
+        return self.torque(q, nothing, nothing)
+
     def torque(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:
         """Joint torques, (n,) N m, that accelerate the arm by ``ddq``, (n,)."""
         H, b, free = self.arm.mass_matrix(q), FREE_FLYER_NV, self._free

@@ -16,7 +16,7 @@ from onboard import config
 from onboard.config.driving import Range, joint_ranges
 from onboard.control import watch
 from onboard.control.drives import Drives, identified
-from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, Reference, feed_forward
+from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, Reference, feed_forward, free_inertia
 from onboard.control.learning import Kind, Learning, contraction
 from onboard.control.motion import CYCLES, Limits, Motion, fitted
 from onboard.devices.base import JointDevice
@@ -26,7 +26,7 @@ from onboard.dynamics.mechanics.joint_space import JointSpace
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.identification import build_model
-from onboard.flight.trials import PERIOD_MS, Bench, Flown, Trials, Wire, rigid_inertia
+from onboard.flight.trials import PERIOD_MS, Bench, Flown, Trials, Wire
 
 PERIOD_S: Final = 1e-3 * PERIOD_MS
 _COUNTS: Final = 500_000  # in a revolution of a joint that no device of the file measures
@@ -100,12 +100,12 @@ class Run:
     def errors(self) -> list[float]:
         """Rms of the joints' errors of the controller's trials, rad."""
         last = Stage.AFTER if self.controller == COMPUTED else Stage.LEARNING
-        return [trial.flown.rms_rad for trial in self.of(last)]
+        return [trial.flown.rms_rad for trial in self.of(last) if not trial.flown.stopped]
 
     @property
     def gain(self) -> float | None:
         """How many times smaller the error of the tip is once the payload is adopted; None where it was not."""
-        before, after = self.of(Stage.BEFORE), self.of(Stage.AFTER)
+        before, after = self.of(Stage.BEFORE), [trial for trial in self.of(Stage.AFTER) if not trial.flown.stopped]
         return before[0].tip_rms_m / after[0].tip_rms_m if before and after else None
 
     @property
@@ -171,8 +171,7 @@ def wires(vehicle: config.Vehicle, joints: tuple[str, ...]) -> list[Wire]:
     for joint in joints:
         name, device = measured.get(joint, (joint, None))
         if isinstance(device, Cia402Device):
-            gear = device.gear_ratio if device.rated_torque_N_m is not None else 1.0
-            found.append(_wire(name, joint, device.node, device)._replace(gear_ratio=gear))
+            found.append(_wire(name, joint, device.node, device)._replace(gear_ratio=device.gear_ratio))
         else:
             found.append(_wire(name, joint, next(free), device))
     return found
@@ -203,23 +202,23 @@ def run(vehicle: config.Vehicle, bench: Bench, asked: Asked, told: Callable[[Tri
     wired, limits = wires(vehicle, names), joint_limits(vehicle, model)
     effort = limits.effort
     guessed = Drives(_LEAST_INERTIA * effort, _FRICTION * effort, _FRICTION * effort)
-    own = rigid_inertia(space)
     made = Run(
         vehicle.file.vehicle.name, asked.controller, names, asked.model_error, asked.noise_rad, asked.factor, guessed
     )
-    with Trials(bench, wired, limits, lambda q: own(q) + guessed.rotor_kg_m2) as trials:
+    with Trials(
+        bench, wired, limits, lambda q: space.inertia(q) + np.diag(guessed.rotor_kg_m2), space.at_rest
+    ) as trials:
         pilot = _Pilot(made, trials, told)
-        at_start = space.inertia(trials.posture) + np.diag(guessed.rotor_kg_m2)
-        motion = fitted(trials.posture, limits, at_start, asked.duration_s, asked.rest_s)
+        inertia = space.inertia(trials.posture) + np.diag(guessed.rotor_kg_m2)
+        motion = fitted(trials.posture, limits, inertia, asked.duration_s, asked.rest_s)
         reference = Reference.of(motion, PERIOD_S)
         assert trials.gains is not None
-        inertia = np.array(np.diag(at_start))
         for _ in range(_PILOTS):
             law = FeedForward(feed_forward(space, made.drives, reference), trials.gains)
             if not pilot.fly(Stage.EMPTY, law, space, reference):
                 return made
             made.drives = identified(space, *_together(made.trials[-1].flown), PERIOD_S)
-            inertia = np.array(np.diag(space.inertia(trials.posture))) + made.drives.rotor_kg_m2
+            inertia = space.inertia(trials.posture) + np.diag(made.drives.rotor_kg_m2)
             trials.gains = Gains.of(inertia)
         bench.capture()
         _controlled(model, asked, pilot, space, reference, motion, inertia)
@@ -264,8 +263,9 @@ def _controlled(
     compares = asked.controller == COMPUTED or asked.adopted is not None
     if compares and not pilot.fly(Stage.BEFORE, ComputedTorque(space, drives, reference), space, reference):
         return
+    best = space
     if asked.adopted is not None:
-        adopted = joint_space(VehicleModel(asked.adopted, model.spec), asked.model_error)
+        best = adopted = joint_space(VehicleModel(asked.adopted, model.spec), asked.model_error)
         for _ in range(asked.trials if asked.controller == COMPUTED else 1):
             if not pilot.fly(Stage.AFTER, ComputedTorque(adopted, drives, reference), space, reference):
                 return
@@ -273,10 +273,10 @@ def _controlled(
         return
     assert pilot.trials.gains is not None
     gains = pilot.trials.gains
-    learning = Learning.of(Kind(asked.controller), gains, inertia, asked.factor)
+    learning = Learning.of(Kind(asked.controller), gains, free_inertia(inertia), asked.factor)
     fastest = (2.0 * max(CYCLES[: len(made.joints)]) + 2.0) / (2.0 * motion.duration_s)
     band = np.geomspace(0.5 / motion.duration_s, max(4.0 * fastest, learning.low_pass_hz), _FREQUENCIES)
-    whole = space.inertia(motion.start_rad) + np.diag(drives.rotor_kg_m2)
+    whole = best.inertia(motion.start_rad) + np.diag(drives.rotor_kg_m2)
     left = contraction(learning, gains, whole, drives.viscous_n_m_s, band)
     made.predicted = np.stack([band, left], 1)
     torques = first = feed_forward(space, drives, reference)

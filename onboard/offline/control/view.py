@@ -57,7 +57,8 @@ def told(made: Run) -> list[str]:
     if made.predicted is not None:
         slow = made.predicted[made.predicted[:, 1].argmax()]
         within = made.predicted[made.predicted[:, 0] <= 1.0, 1]
-        lines.append(f"by the model without a payload a trial leaves at most {within.max():.2f} up to 1 Hz")
+        known = "identified" if made.of(Stage.AFTER) else "no"
+        lines.append(f"by the model with {known} payload a trial leaves at most {within.max():.2f} up to 1 Hz")
         if slow[1] >= 1.0:
             lines.append(f"! at {slow[0]:.1f} Hz the error would grow {slow[1]:.2f} times a trial")
     after = made.of(Stage.AFTER)

@@ -49,6 +49,7 @@ node = {node}
 joint = "j{k}"
 counts_per_revolution = {counts}
 zero_count = {zero}
+gear_ratio = {gear}
 noise_rad = 1e-5
 driven = true
 {gain}
@@ -93,8 +94,8 @@ rate_rad_s = 0.02
 def directory(tmp_path_factory):
     made = tmp_path_factory.mktemp("planar")
     (made / "arm.urdf").write_text(URDF)
-    drives = DRIVE.format(k=1, node=4, counts=COUNTS[0], zero=1000, gain="")
-    drives += DRIVE.format(k=2, node=9, counts=COUNTS[1], zero=-77, gain="gain = -1.0")
+    drives = DRIVE.format(k=1, node=4, counts=COUNTS[0], zero=1000, gear=100, gain="")
+    drives += DRIVE.format(k=2, node=9, counts=COUNTS[1], zero=-77, gear=-50, gain="gain = -1.0")
     for base in ("free", "fixed", "prescribed"):
         (made / f"{base}.toml").write_text(FILE.format(base=base) + drives)
     (made / "over.toml").write_text(OVER)
@@ -105,7 +106,7 @@ def fly(directory, asked, base="free", seed=5, faults=(), noise_rad=0.0):
     """The run, the world, and the true positions at the end of each trial."""
     vehicle = config.load(directory / f"{base}.toml")
     scenario = scenario_of(str(directory / f"{base}.toml"), directory / "over.toml")
-    wired = [Wired(*wire[:6]) for wire in run.wires(vehicle, ("j1", "j2"))]
+    wired = [Wired(*wire) for wire in run.wires(vehicle, ("j1", "j2"))]
     ends = []
     with DrivenWorld(scenario, seed, wired, faults, noise_rad=noise_rad) as world:
         made = run.run(vehicle, world, asked, lambda _: ends.append(world.vehicle.angles_rad))
@@ -125,16 +126,16 @@ def identified(directory):
 
 @pytest.fixture(scope="module")
 def learned(directory, identified):
-    return fly(directory, Asked("learning_pi", 5, identified, **SHORT))
+    return fly(directory, Asked("learning_pi", 3, identified, **SHORT))
 
 
 def test_identification_pays_and_learning_gets_there_trial_by_trial(learned):
     made, _, _ = learned
     assert not made.stopped
-    assert [len(made.of(stage)) for stage in Stage] == [2, 1, 1, 5]
+    assert [len(made.of(stage)) for stage in Stage] == [2, 1, 1, 3]
     assert made.gain > 5.0
     tips = [trial.tip_rms_m for trial in made.of(Stage.LEARNING)]
-    assert tips[3] < 0.3 * tips[0]
+    assert tips[2] < 0.5 * tips[0]
     assert made.rate < 0.8
     assert all(trial.flown.missed == 0 for trial in made.trials)
 
@@ -158,7 +159,7 @@ def test_drives_are_identified_before_the_capture(learned):
 def test_table_and_json_have_every_trial(learned, tmp_path):
     made, _, _ = learned
     told = made.as_json()
-    assert len(json.loads(json.dumps(told, allow_nan=False))["trials"]) == 9
+    assert len(json.loads(json.dumps(told, allow_nan=False))["trials"]) == 7
     assert told["tip_error_before_over_after"] == made.gain
     assert "times smaller than without" in " ".join(view.told(made))
     view.draw(made, tmp_path / "learned.svg")
@@ -166,8 +167,8 @@ def test_table_and_json_have_every_trial(learned, tmp_path):
 
 
 def test_gains_that_are_too_large_are_stopped_with_the_reason(directory):
-    made, world, _ = fly(directory, Asked("learning_pd", 8, factor=4.0, **SHORT))
-    assert "where it should be" in made.stopped or "grows" in made.stopped
+    made, world, _ = fly(directory, Asked("learning_pd", 8, factor=8.0, **SHORT))
+    assert any(why in made.stopped for why in ("where it should be", "grows", "faster than its limit"))
     assert made.predicted[:, 1].max() > 1.0
     assert len(made.of(Stage.LEARNING)) < 8
     assert max(abs(rate) for rate in world.vehicle.rates_rad_s) < 1e-3
@@ -189,7 +190,7 @@ def test_a_vehicle_whose_base_is_moved_is_refused(directory):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--controller", "computed_torque"], "--identified FILE"),
+        (["--controller", "computed_torque", "--fault", "trip:drive_1:3:"], "add --identified LOG"),
         (["--controller", "learning_pi", "--trials", "0"], "give 1 to 1000"),
         (["--controller", "learning_pi", "--gain", "nan"], "give a positive number"),
         (["--controller", "learning_pi", "--noise", "-1"], "mrad from 0 to 100"),
