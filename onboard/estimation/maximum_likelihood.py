@@ -14,6 +14,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 
 _LIGHT = 1e-4  # damping that hardly shortens a step
+_MILD = 0.1  # damping that shortens steps along well determined directions by a tenth at most
 
 
 class Normal(NamedTuple):
@@ -88,7 +89,9 @@ class Descent:
 
     Attributes:
         at: (p,) where the next prediction is wanted.
+        best: (p,) where the sum of squares was least so far.
         found: the minimum; None before it is reached.
+        iteration: of those that have lowered the sum of squares, the start included.
     """
 
     def __init__(
@@ -104,8 +107,17 @@ class Descent:
         self.found: Fit | None = None
         self._mean, self._prior = prior_mean, prior_information
         self._iterations, self._tolerance = iterations, tolerance
-        self._x, self._now = self.at, Normal(prior_information, np.zeros_like(self.at), np.inf)
-        self._iteration, self._damping, self._promised = 0, damping, np.inf
+        self.best, self._now = self.at, Normal(prior_information, np.zeros_like(self.at), np.inf)
+        self.iteration, self._damping, self._promised = 0, damping, np.inf
+
+    @property
+    def prospect(self) -> float:
+        """The sum of squares that it would reach if each iteration left lowered it as the next one is to.
+
+        Minus infinity where the damping is so large that the next step says little about those after it.
+        """
+        left = self._iterations - self.iteration
+        return self._now.squares - left * self._promised if self._damping <= _MILD else -np.inf
 
     def take(self, predicted: Normal) -> None:
         """Takes the normal equations of the whitened residuals, predicted less measured, at ``at``.
@@ -119,7 +131,7 @@ class Descent:
             away = self.at - self._mean
             toward = self._prior @ away
             tried = predicted.plus(Normal(self._prior, toward, float(away @ toward)))
-        if not self._iteration:
+        if not self.iteration:
             if not np.isfinite(tried.squares):
                 raise RowError("the prediction from the starting values is not finite; check signals and sigmas")
             self._next(tried)
@@ -130,18 +142,18 @@ class Descent:
             else:
                 self._next(tried)
         elif self._promised < self._tolerance:
-            self._end(self._x, self._now, self._now.squares)
+            self._end(self.best, self._now, self._now.squares)
         else:
             self._damping *= 10.0
             self._step()
 
     def _next(self, now: Normal) -> None:
         """The next iteration, from ``at``."""
-        self._x, self._now = self.at, now
-        if self._iteration == self._iterations:
+        self.best, self._now = self.at, now
+        if self.iteration == self._iterations:
             text = f"not converged after {self._iterations} iterations; the motion may not determine the parameters"
             raise ConvergenceError(text)
-        self._iteration += 1
+        self.iteration += 1
         self._step()
 
     def _step(self) -> None:
@@ -155,12 +167,12 @@ class Descent:
             self._promised = float(2.0 * downhill @ step - step @ scaled @ step)
         if not np.isfinite(self._promised):
             raise ConvergenceError("the derivative of the prediction is not finite; check the signals")
-        self.at = self._x + step / scale
+        self.at = self.best + step / scale
         if self._promised < self._tolerance and self._damping < _LIGHT:
             self._end(self.at, self._now, self._now.squares - self._promised)
 
     def _end(self, x: FloatArray, now: Normal, residual_sum: float) -> None:
-        self.found = Fit(x, inverse_of(now.information), residual_sum, self._iteration)
+        self.found = Fit(x, inverse_of(now.information), residual_sum, self.iteration)
 
 
 def fit(

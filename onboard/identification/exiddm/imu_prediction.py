@@ -101,6 +101,7 @@ class ImuPredictor:
         of_further: where the errors of each further instrument stand in the state: of a cell its scale alone.
         stated: (p,) as ``sigma``, of biases as they may be after their drift.
         wandering: where the delays stand that wander, and the correlation time of each.
+        changing: where rate and biases stand, the only elements of the state that change from tick to tick.
 
     Raises:
         UnknownFrameError: no payload link, or a name that the URDF does not have.
@@ -172,7 +173,7 @@ class ImuPredictor:
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := _drift(name)) in self.names
         ]
-        self._changing = np.array([*range(3), *(at for at, _ in self.biases)], np.intp)  # but for random walks
+        self.changing = np.array([*range(3), *(at for at, _ in self.biases)], np.intp)  # but for random walks
         self.stated = self.sigma.copy()
         for bias_at, drift_at in self.biases:
             self.stated[bias_at] = np.hypot(self.sigma[bias_at], DRIFT_MEMORY_s * self.sigma[drift_at])
@@ -278,7 +279,7 @@ class ImuPredictor:
             state: as the batch's measurements have corrected it at the first tick, (p,).
             covariance: of that, (p, p).
         """
-        c, F, P = self._changing, predicted.transition, covariance.copy()
+        c, F, P = self.changing, predicted.transition, covariance.copy()
         P[c] = F[c] @ covariance
         P[:, c] = P @ F[c].T
         return predicted.state + F @ (state - start), self.aged(P, len(predicted.values))

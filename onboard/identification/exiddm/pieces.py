@@ -3,7 +3,8 @@
 A piece is predicted from the state at its first tick, which is the end of the piece before, so that a prediction over
 seconds can be interrupted, and nothing as long as the window is ever held. With T the derivative of that state by the
 unknowns at the window's first tick, the normal equations of a piece about its own first state, N and g, are those of
-the window's unknowns as ``T' N T`` and ``T' g``.
+the window's unknowns as ``T' N T`` and ``T' g``. Few elements of the state change (rate and biases), so T has the ones
+of an identity in all other rows, and only the rows of those few are multiplied.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from onboard.estimation.maximum_likelihood import Normal
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.ticks import Ticks
 
-PIECE = 100  # ticks predicted at once, about
+PIECE = 80  # ticks predicted at once, about: fewer cost more each, more take longer
 
 
 class Pieces:
@@ -33,7 +34,7 @@ class Pieces:
     """
 
     def __init__(self, state: FloatArray, active: IndexArray, ticks: int, lines: int) -> None:
-        self.state, self.transition = state, np.eye(len(state))[:, active]
+        self.state, self.transition, self._active = state, np.eye(len(state))[:, active], active
         self.normal = Normal(np.zeros((len(active), len(active))), np.zeros(len(active)), 0.0)
         self.squares = np.zeros((ticks, lines))
         self._done, self._left = 0, -(-ticks // PIECE)  # pieces
@@ -61,9 +62,16 @@ class Pieces:
         weight = np.divide(1.0, sigma[inner], out=np.zeros(used.shape), where=used)
         residual = np.where(used, predicted.values - ticks.measured[inner], 0.0) * weight
         jacobian = np.multiply(predicted.jacobian, weight[..., None], out=predicted.jacobian)  # megabytes: not copied
-        T, piece = self.transition, Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
-        seen = Normal(T.T @ piece.information @ T, piece.gradient @ T, piece.squares)
+        piece = Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
+        changing = predictor.changing
+        half = self._by_first(piece.information, changing)
+        seen = Normal(self._by_first(half.T, changing), self._by_first(piece.gradient, changing), piece.squares)
         self.normal = self.normal.plus(seen)
         self.squares[first : self._done] = residual**2
-        self.state, self.transition = predicted.state, predicted.transition @ T
+        self.state, self.transition[changing] = predicted.state, predicted.transition[changing] @ self.transition
         return self._done - first
+
+    def _by_first(self, by_state: FloatArray, changing: IndexArray) -> FloatArray:
+        """``X T``: a derivative by the state at a piece's first tick, (..., p), by the unknowns, (..., a)."""
+        kept = np.where(np.isin(self._active, changing), 0.0, by_state[..., self._active])
+        return np.asarray(kept + by_state[..., changing] @ self.transition[changing], np.float64)

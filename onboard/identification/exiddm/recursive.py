@@ -14,8 +14,9 @@ The effect of the joints' noise, mainly gear transmission error, is added to the
 
 The work of a call is bounded: per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve
 is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound. A
-call that comes late brings more ticks, but no more work: else it would be the reason why the next one is later. A
-window is solved by :meth:`RecursiveExiddm.work`, so that what ticks give without it is told first.
+call that comes late brings more ticks, but no more work than their filter steps: else it would be the reason why the
+next one is later. A window is solved by :meth:`RecursiveExiddm.work`, so that what ticks give without it is told
+first; ticks that waited for it are processed there, too.
 """
 
 from collections import deque
@@ -42,8 +43,8 @@ BATCH_TICKS = 10
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
-WORK = 80  # ticks predicted (80 us each, a piece at a time) per tick taken in
-_STEP_WORK = 70  # ticks in whose prediction's time a filter step is done
+WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
+_STEP_WORK = 50  # ticks in whose prediction's time a filter step is done
 _SNAPSHOTS = 28  # batches of states kept, to restore the one before a change
 
 
@@ -99,9 +100,8 @@ class RecursiveExiddm:
         p = len(predictor.names)
         self.state: FloatArray | None = None
         self.covariance = np.zeros((p, p))
-        self.ticks_used = self.glitches = 0
+        self.exchanged, self.ticks_used, self.glitches, self.unexplained = False, 0, 0, 0
         self.changes: list[Change] = []
-        self.exchanged, self.unexplained = False, 0
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
         self.fusion = Fusion(("imu", *(one.name for one in predictor.further)), predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
@@ -129,8 +129,9 @@ class RecursiveExiddm:
         known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
         if known.any():
             self._inbox.append(ticks.part(known))
-        self._due += WORK * min(len(ticks.time_s), self._call_ticks)
-        self._do(bounded=True, solves=False)
+        steps = _STEP_WORK * len(ticks.time_s) // BATCH_TICKS  # of as many ticks as these
+        self._due += max(WORK * min(len(ticks.time_s), self._call_ticks), steps)
+        self._do(max(self._due - steps, 0), solves=False)
 
     def told(self, held: bool, time_s: float) -> None:
         """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known.
@@ -138,16 +139,16 @@ class RecursiveExiddm:
         It is a claim that the motion can contradict (:mod:`onboard.identification.exiddm.claims`).
         """
         self._inbox.append((held, time_s))
-        self._do(bounded=True, solves=False)
+        self._do(0, solves=False)
 
     def work(self) -> None:
         """Solve the window that is due, and take the ticks that wait for it, as far as :data:`WORK` goes."""
-        self._do(bounded=True, solves=True)
+        self._do(0, solves=True)
         self._due = min(self._due, 0)
 
     def finish(self) -> None:
         """Do all that is left to be done."""
-        self._do(bounded=False, solves=True)
+        self._do(-np.inf, solves=True)
 
     @property
     def holds(self) -> bool:
@@ -160,12 +161,12 @@ class RecursiveExiddm:
         """A window's solve is under way; ticks wait for it."""
         return self._solve is not None or self._asked is not None
 
-    def _do(self, *, bounded: bool, solves: bool) -> None:
+    def _do(self, least_due: float, *, solves: bool) -> None:
         while self.solving or self._inbox:
             if not self.solving and not isinstance(told := self._inbox[0], Ticks):
                 self._inbox.popleft()
                 self._announced(*told)
-            elif (bounded and self._due <= 0) or (self.solving and not solves):
+            elif self._due <= least_due or (self.solving and not solves):
                 return
             elif self.solving:
                 self._go_on()

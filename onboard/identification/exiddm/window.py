@@ -34,10 +34,13 @@ from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40
+_SETTLING = 6  # iterations to a minimum that the ticks determine take half as many
 _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _FEW = 0.03  # largest share of outliers
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
+_HOPELESS_AFTER = 5  # iterations from a guess after which it is judged whether they can get there
+_NEAR = 1e-5  # damping of the first step from a minimum of other ticks or other sigmas
 
 
 class Hypothesis(Enum):
@@ -102,7 +105,6 @@ class WindowSolve:
         self._left = list(hypotheses)
         self._descent: Descent | None = None
         self._pieces: Pieces | None = None  # of the prediction under way
-        self._fit: Fit | None = None  # not yet checked for outliers
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
             self._begin()
 
@@ -116,23 +118,37 @@ class WindowSolve:
         return ticks
 
     def _predicted(self, whole: Pieces) -> None:
-        """The window is predicted: at a fit that was found, or where the iteration wants it."""
-        if self._fit is not None:
-            self._check(self._fit, whole)
-            return
-        assert self._descent is not None
+        """The window is predicted where the iteration wants it."""
+        descent = self._descent
+        assert descent is not None
+        before = descent.iteration
         try:
-            self._descent.take(whole.normal)
+            descent.take(whole.normal)
         except (ConvergenceError, SingularError, RowError) as error:
             self._failed(nearly=isinstance(error, ConvergenceError))
+            return
+        if descent.found is not None:
+            self._fitted(descent.found, whole)
+        elif descent.iteration > max(before, _HOPELESS_AFTER) and self._is_hopeless(descent.prospect):
+            self._give_up(descent, whole)
         else:
-            if self._descent.found is None:
-                self._predict(self._descent.at)
-            else:
-                self._fitted(self._descent.found)
+            self._predict(descent.at)
+
+    def _is_hopeless(self, prospect: float) -> bool:
+        """Whether the iteration from a guess will not come so far that it explains the window."""
+        return self._stage is _Stage.GUESS and prospect > float(chdtri(float(self._use.sum()), _EXPLAINED))
+
+    def _give_up(self, descent: Descent, whole: Pieces) -> None:
+        """Go on without the worst outlier, which may be why, or with the next guess and all ticks."""
+        if self._leaves_out(whole):
+            self._descend(_Stage.GUESS, self._problem.state(descent.best), 1.0)
+        else:
+            self._use, self._glitches = np.isfinite(self._ticks.measured[1:-1]), 0
+            self._failed(nearly=False)
 
     def _predict(self, x: FloatArray) -> None:
         """Begin to predict the window with these values of what is active."""
+        self._at = x
         self._pieces = Pieces(self._problem.state(x), self._problem.active, *self._use.shape)
 
     # ------------------------------------------------------------------ a hypothesis
@@ -144,7 +160,7 @@ class WindowSolve:
             self.over, self._descent = True, None
             return
         self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
-        self._problem = self._problem_of(self._hypothesis)
+        self._problem: _Problem = self._problem_of(self._hypothesis)
         self._best: Fit | None = None
         if self._given is None:
             self._guesses = list(self._guessed())
@@ -186,16 +202,17 @@ class WindowSolve:
             self._begin()
 
     def _settle(self, start: FloatArray) -> None:
-        """Iterate to the minimum; a nearly flat minimum is accepted early."""
-        self._from = start
-        self._descend(_Stage.SETTLE, start, 1e-2)
+        """Iterate to the minimum; a nearly flat one, where that takes long, is accepted early."""
+        self._descend(_Stage.SETTLE, start, 1e-2, _SETTLING, _NEAR)
 
-    def _descend(self, stage: _Stage, start: FloatArray, tolerance: float) -> None:
+    def _descend(
+        self, stage: _Stage, start: FloatArray, tolerance: float, iterations: int = _ITERATIONS, damping: float = 1e-3
+    ) -> None:
         self._stage, active = stage, self._problem.active
         prior = self._problem.information[np.ix_(active, active)]
         noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
         self._sigma = np.hypot(self._ticks.sigma, noise)
-        self._descent = Descent(start[active], self._problem.mean[active], prior, _ITERATIONS, tolerance)
+        self._descent = Descent(start[active], self._problem.mean[active], prior, iterations, tolerance, damping)
         self._predict(self._descent.at)
 
     def _failed(self, *, nearly: bool) -> None:
@@ -203,34 +220,38 @@ class WindowSolve:
         if self._stage is _Stage.GUESS:
             self._next_guess()
         elif self._stage is _Stage.SETTLE and nearly:
-            self._descend(_Stage.SETTLE_ROUGHLY, self._from, 1.0)
+            assert self._descent is not None
+            self._descend(_Stage.SETTLE_ROUGHLY, self._problem.state(self._descent.best), 1.0)
         else:
             self._begin()
 
-    def _fitted(self, fitted: Fit) -> None:
-        """The iteration that was under way has this result."""
-        if self._stage is _Stage.GUESS:
-            if self._best is None or fitted.residual_sum < self._best.residual_sum:
-                self._best = fitted
-            self._next_guess()
+    def _fitted(self, fitted: Fit, whole: Pieces) -> None:
+        """The iteration that was under way has this result, so near to the last prediction that it is not repeated."""
+        if self._stage is not _Stage.GUESS:
+            self._check(fitted, whole)
             return
-        self._fit = fitted
-        self._predict(fitted.x)
+        if self._best is None or fitted.residual_sum < self._best.residual_sum:
+            self._best = fitted
+        self._next_guess()
 
     def _check(self, fitted: Fit, whole: Pieces) -> None:
         """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
-        self._fit = None
-        if self._glitches < _FEW * len(self._use):
-            lines = self._predictor.lines
-            each = [whole.squares[:, own].sum(axis=1) / chdtri(own.stop - own.start, _GLITCH) for own in lines]
-            worst = int(np.argmax([beyond.max() for beyond in each]))
-            tick = int(each[worst].argmax())
-            if each[worst][tick] >= 1.0:
-                self._use[tick, lines[worst]] = False
-                self._glitches += 1
-                self._settle(self._problem.state(fitted.x))
-                return
-        self._solved(fitted, whole)
+        if self._leaves_out(whole):
+            self._settle(self._problem.state(fitted.x))
+        else:
+            self._solved(fitted, whole)
+
+    def _leaves_out(self, whole: Pieces) -> bool:
+        """Whether there was an outlier and one more may be left out: the worst one is not used from now on."""
+        lines = self._predictor.lines
+        each = [whole.squares[:, own].sum(axis=1) / chdtri(own.stop - own.start, _GLITCH) for own in lines]
+        worst = int(np.argmax([beyond.max() for beyond in each]))
+        tick = int(each[worst].argmax())
+        if self._glitches >= _FEW * len(self._use) or each[worst][tick] < 1.0:
+            return False
+        self._use[tick, lines[worst]] = False
+        self._glitches += 1
+        return True
 
     def _solved(self, fitted: Fit, whole: Pieces) -> None:
         """A result under the hypothesis: the solution if that explains the window."""
@@ -240,7 +261,8 @@ class WindowSolve:
             return
         start, F = self._problem.state(fitted.x), whole.transition
         used, glitches, covariance = int(self._use[:, 0].sum()), self._glitches, F @ fitted.covariance @ F.T
-        self.found = Solved(self._hypothesis, start, whole.state, covariance, used, glitches)
+        end = whole.state + F @ (fitted.x - self._at)
+        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches)
         self.over, self._descent = True, None
 
     def _guessed(self) -> Iterator[FloatArray]:

@@ -1,0 +1,67 @@
+"""Windows of ticks: a prediction in pieces is the whole one, and what cannot be explained is given up early."""
+
+import numpy as np
+import pytest
+
+from onboard.identification.exiddm import pieces
+from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.pieces import Pieces
+from onboard.identification.exiddm.window import Hypothesis, WindowSolve
+from tests.dynamics.free_flyer_twin import twin
+from tests.identification.exiddm.test_recursive import PRIOR, WIDE, online, recorded, ticks_of
+
+
+@pytest.fixture(scope="module")
+def held():
+    return recorded(twin(1.5).flight, np.random.default_rng(3))
+
+
+def solved(predictor, ticks, hypothesis):
+    """The solve at its end, and how many ticks it has predicted."""
+    prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    solve, predicted = WindowSolve(predictor, "imu_base", WIDE, ticks, prior, (hypothesis,), None), 0
+    while not solve.over:
+        predicted += solve.advance()
+    return solve, predicted
+
+
+def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
+    predictor = online(held, imu_prior=PRIOR).predictor
+    ticks, p = ticks_of(held).part(slice(0, 122)), len(predictor.names)
+    state = np.full(p, 1e-3)
+    state[PAYLOAD] = [4.0, 0.1, 0.0, 0.4, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    active = np.flatnonzero(np.arange(p) % 7 != 2)  # not the rate's z, and others
+    use = np.ones((120, 6), np.bool_)
+    found = []
+    for size in (120, 17):
+        monkeypatch.setattr(pieces, "PIECE", size)
+        whole = Pieces(state, active, *use.shape)
+        while not whole.over:
+            whole.advance(predictor, ticks, ticks.sigma, use)
+        found.append(whole)
+    one, several = found
+    scale = np.sqrt(np.diag(one.normal.information))
+    differences_of_midpoints_at_the_ends = 1e-4
+    apart = (several.normal.information - one.normal.information) / np.outer(scale, scale)
+    assert np.abs(apart).max() < differences_of_midpoints_at_the_ends
+    assert np.abs(several.transition - one.transition).max() < differences_of_midpoints_at_the_ends
+    assert several.normal.squares == pytest.approx(one.normal.squares, rel=1e-4)
+    assert several.state == pytest.approx(one.state, rel=1e-4, abs=1e-6)
+
+
+def test_a_hypothesis_that_comes_nowhere_near_is_given_up_after_a_few_iterations(held):
+    window = ticks_of(held).part(slice(0, 100))
+    uncertain = online(held, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"]).predictor
+    nothing, predicted = solved(uncertain, window, Hypothesis.NOTHING)
+    assert nothing.found is None
+    assert predicted < 60 * 98  # of 40 iterations with a refused step in each
+
+
+@pytest.mark.parametrize("at", [[50], [10, 80, 90]])
+def test_outliers_do_not_make_a_window_hopeless(held, at):
+    window = ticks_of(held).part(slice(0, 100))
+    window.measured[at] += 1000.0 * window.sigma[0]
+    solve, _ = solved(online(held).predictor, window, Hypothesis.NEW)
+    assert solve.found is not None
+    assert solve.found.glitches == len(at)
+    assert solve.found.state[PAYLOAD][0] == pytest.approx(5.0, abs=4.0 * np.sqrt(solve.found.covariance[3, 3]))
