@@ -31,6 +31,7 @@ from hil_sim.sensing.sensors import DriftingClock
 from hil_sim.twins import Sensor, Twins, emulators, sensor
 
 _AHEAD_S = 1.0  # in virtual time
+_AHEAD_ASKED_S = 0.1  # where what the flight computer asks for is to come soon
 _VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
 
 
@@ -160,6 +161,10 @@ class Mission:
             raise RuntimeError("no buses yet; call Mission.attach first")
         return self._twins.produced()
 
+    def ask(self, segment: str) -> bool:
+        """The flight computer asks for a motion; False where the arm cannot play it now."""
+        return isinstance(self.plant, VehiclePlant) and self.plant.ask(segment)
+
     def possible_faults(self) -> dict[str, tuple[FaultKind, ...]]:
         """Kinds of faults that each device and bus can have, by its name.
 
@@ -229,7 +234,8 @@ def open_in_process(
         FaultError: a fault that its device cannot have, or of a device that is not there.
     """
     mission = Mission(scenario_of(scenario) if isinstance(scenario, str) else scenario, seed, faults)
-    mission.ahead_s = _AHEAD_S
+    waits = isinstance(mission.plant, VehiclePlant) and mission.plant.program.waits
+    mission.ahead_s = _AHEAD_ASKED_S if waits else _AHEAD_S
     with ExitStack() as stack:
         directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil_"))
         tables = mission.scenario.bus

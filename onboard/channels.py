@@ -41,6 +41,19 @@ QUANTITY = np.dtype(
 )
 
 
+REQUEST = np.dtype(
+    [
+        *_HEAD,
+        ("vehicle_ns", "<i8"),  # of the last row that it was made of
+        ("ratio", "<f8"),  # of the widest asked half interval to what is wanted
+        ("expected", "<f8"),  # the same after the segment
+        ("number", "<u4"),
+        ("act", "u1"),  # onboard.flight.asking.Act
+        ("segment", "S32"),
+    ],
+    align=True,
+)
+
 HEALTH = np.dtype(  # a second of a real flight; NaN and -1: unknown
     [
         *_HEAD,

@@ -288,10 +288,11 @@ def _required(file: Table, key: str, label: str) -> Table:
 
 
 def _find_csv(table: Table, over: Path) -> None:
-    """A CSV of motion lies beside the scenario that names it."""
-    csv = table.get("motion", {}).get("csv")
-    if isinstance(csv, str):
-        table["motion"]["csv"] = str(over.parent / csv)
+    """Files of motion lie beside the scenario that names them."""
+    for key in ("csv", "segments"):
+        name = table.get("motion", {}).get(key)
+        if isinstance(name, str):
+            table["motion"][key] = str(over.parent / name)
 
 
 def _fit_capture(table: Table) -> None:

@@ -1,8 +1,10 @@
-"""Prescribed motion of a vehicle's joints: holds and multi-tone swings inside the drawing's limits, or a recorded one.
+"""Motion of a vehicle's joints: holds and multi-tone swings inside the drawing's limits, or a recorded one.
 
-The tones are those of ``arm_swings``; every joint has a swing of its own size.
+Besides, segments that the flight computer asks for. The tones are those of ``arm_swings``; every joint has a swing of
+its own size.
 """
 
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -54,10 +56,36 @@ class JointSwings(Program):
             spans.append(PhaseSpan(step.phase, step.action, now_s, end_s))
             now_s = end_s
         self.spans = tuple(spans)
+        self._segments: dict[str, CubicSpline] = {}
+        self.asked: list[tuple[float, str]] = []  # start and name of the segments asked for so far
+        if scenario.motion.segments is not None:
+            self._segments, self.posture = _segments(Path(scenario.motion.segments), joints)
         self._recorded: tuple[CubicSpline, float, float] | None = None
         if scenario.motion.csv is not None:
             self._recorded = _recorded(Path(scenario.motion.csv), joints)
             self.posture = self._recorded[0](self._recorded[1])
+
+    @property
+    def waits(self) -> bool:
+        """Whether the flight computer asks for some of the motion, so that it is not known beforehand."""
+        return bool(self._segments)
+
+    def ask(self, name: str, start_s: float) -> bool:
+        """Play a segment from a time on; False where there is none of this name, or the arm moves already.
+
+        Args:
+            name: of the segment.
+            start_s: nothing that was read of the motion is later.
+        """
+        if name not in self._segments:
+            return False
+        end_s = start_s + float(self._segments[name].x[-1])
+        busy = any(start_s < at_s + self._segments[other].x[-1] for at_s, other in self.asked)
+        swings = any(span.action == "swing" and span.start_s < end_s and start_s < span.end_s for span in self.spans)
+        if busy or swings or end_s > self.duration_s:
+            return False
+        self.asked.append((start_s, name))
+        return True
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Angle, rate and acceleration at times (n,); (n, joints) each, rad or m."""
@@ -75,6 +103,11 @@ class JointSwings(Program):
             q[rows] += e * s
             dq[rows] = de * s + e * ds
             ddq[rows] = dde * s + 2.0 * de * ds + e * dds
+        for start_s, name in self.asked:
+            spline = self._segments[name]
+            rows = (time_s > start_s) & (time_s < start_s + spline.x[-1])
+            if rows.any():
+                q[rows], dq[rows], ddq[rows] = (spline(time_s[rows] - start_s, order) for order in range(3))
         return q, dq, ddq
 
 
@@ -128,3 +161,28 @@ def _recorded(path: Path, joints: Sequence[DrawnJoint]) -> tuple[CubicSpline, fl
                 f"motion.csv: {joint.name} goes from {column.min():g} to {column.max():g}, beyond the URDF's limits"
             )
     return CubicSpline(time_s, q, bc_type="clamped"), float(time_s[0]), float(time_s[-1])
+
+
+def _segments(path: Path, joints: Sequence[DrawnJoint]) -> tuple[dict[str, CubicSpline], FloatArray]:
+    """Splines of the motions in a file, by name, from time 0; and the posture at which all begin and end."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: np.asarray(file[name]) for name in ("names", "joints", "time_s", "q", "ticks")}
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise ScenarioError(
+            f"motion.segments: {path} cannot be read: {error}; heft plan --segments writes it"
+        ) from error
+    names = found["joints"].tolist()
+    if sorted(names) != sorted(joint.name for joint in joints):
+        raise ScenarioError(f"motion.segments: {path} is of {', '.join(names)}; the joints are others")
+    order = [names.index(joint.name) for joint in joints]
+    q = found["q"][:, :, order]
+    posture = q[0, 0]
+    splines = {}
+    for name, n, own in zip(found["names"].tolist(), found["ticks"].tolist(), q, strict=True):
+        if np.abs(own[[0, n - 1]] - posture).max() > 1e-6:
+            raise ScenarioError(
+                f"motion.segments: {name} of {path} does not begin and end in the posture of the others"
+            )
+        splines[name] = CubicSpline(found["time_s"][:n], own[:n], bc_type="clamped")
+    return splines, posture

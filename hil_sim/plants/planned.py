@@ -6,6 +6,7 @@ MuJoCo is not needed, so that a flight computer without it can plan too.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -100,6 +101,30 @@ def room_for_motion(scenario: Scenario, duration_s: float | None) -> Room:
     sequence = (*scenario.sequence[:at], step, *scenario.sequence[at + 1 :])
     start_s = float(starts[at])
     return Room(scenario.model_copy(update={"sequence": sequence}), start_s, start_s + length)
+
+
+def with_segments(scenario: Scenario, segments: Path, duration_s: float) -> VehicleScenario:
+    """A rehearsal in which the flight computer asks for motions in place of the swing of :func:`room_for_motion`.
+
+    What would follow that swing is left out, but for a release by time.
+
+    Args:
+        scenario: of a vehicle of one's own.
+        segments: the file of motions.
+        duration_s: longest time that it may ask.
+
+    Raises:
+        ScenarioError: see :func:`room_for_motion`.
+    """
+    room = room_for_motion(scenario, duration_s)
+    sequence, at_s = [], 0.0
+    for step in room.scenario.sequence:
+        sequence.append(step.model_copy(update={"action": "asked"}) if at_s == room.start_s else step)
+        if at_s == room.start_s:
+            break
+        at_s += step.duration_s
+    motion = room.scenario.motion.model_copy(update={"segments": str(segments)})
+    return room.scenario.model_copy(update={"sequence": tuple(sequence), "motion": motion})
 
 
 def planned(scenario: VehicleScenario, program: JointSwings, joints: Sequence[str], period_s: float) -> Planned:

@@ -1,12 +1,14 @@
 """Plant of any vehicle: its URDF as it was built, its base released, held or moved, its joints as told, its payload.
 
-The whole mission is computed when the plant is created, at steps of a few ms (the flight computer does not act on it).
-The sensors' finer grid is interpolated by splines, separately between captures and releases; a jolt is in one row of
-that grid, as its mean. Rows are released in chunks as time advances, so no sensor reads future rows.
+The whole mission is computed when the plant is created, at steps of a few ms; where the flight computer asks for some
+of the motion, it is computed as time advances. The sensors' finer grid is interpolated by splines, separately between
+captures and releases; a jolt is in one row of that grid, as its mean. Rows are released in chunks as time advances, so
+no sensor reads future rows.
 """
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import mujoco
@@ -27,6 +29,7 @@ from hil_sim.scenario.vehicle_tables import JointFriction, LetGo, PayloadTable, 
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 _DRAWS = 1000  # of a part until it is one that can exist
 _SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
+_AROUND = 8  # rows to either side with which a part of a spline is as the whole one, to 3e-5 of its bend
 
 
 class VehiclePlant(world.Plant):
@@ -73,40 +76,71 @@ class VehiclePlant(world.Plant):
         self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
         self.events_s: dict[str, float] = {}
-        self.rows_true = self._fly(rng)
+        self._live: list[tuple[FloatArray, Callable[[slice], FloatArray]]] = []
+        self._start(rng)
+        if not self.program.waits:
+            self._compute(self.rows)
 
-    def _fly(self, rng: np.random.Generator) -> Rows:
-        """True signals of the whole flight on the sensors' grid."""
+    def _start(self, rng: np.random.Generator) -> None:
+        """The flight at its first row, and what will happen in it."""
         scenario, every = self._scenario, self._scenario.physics.integration_steps
-        coarse_s, steps = every * self.step_s, -(-self.rows // every) + 1
+        self._coarse_s, self._steps = every * self.step_s, -(-self.rows // every) + 1
         prescribed = scenario.vehicle.base == "prescribed"
-        half_s = np.asarray(0.5 * coarse_s * np.arange(2 * steps + 1), np.float64)
+        half_s = np.asarray(0.5 * self._coarse_s * np.arange(2 * self._steps + 1), np.float64)
         path = sway(scenario.base_motion, half_s, rng) if prescribed else None
         link = scenario.vehicle.payload_link
         if self.payload is not None and scenario.capture is None and link is not None:
             self._model.hold(link, self.payload)
-        flight = VehicleFlight(
-            self._model, self.program, self._places, link, coarse_s, self._velocity, path, self._pucks
+        given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
+        self._flight = VehicleFlight(*given)
+        self._coming = deque(self._events(rng, self._coarse_s, self._steps))
+        joints = len(self.joints)
+        self.rows_true = Rows(*(np.zeros((self.rows, n)) for n in (self._model.model.nsensordata, *[joints] * 3)))
+        self._window: Rows | None = (
+            None  # coarse rows from ``_window_at`` on, of which those before ``_done`` are refined
         )
-        parts: list[Rows] = []
-        jolt: Jolt | None = None
-        for name, first, moves in self._events(rng, coarse_s, steps):
-            parts.append(self._part(flight, first, every, jolt))
-            jolt = flight.exchange(moves, None) if name == "capture" else flight.exchange(None, moves)
-            self.events_s[name] = first * coarse_s
-        parts.append(self._part(flight, steps, every, jolt))
-        return Rows(*(np.concatenate(of)[: self.rows] for of in zip(*parts, strict=True)))
+        self._window_at = self._done = 0
+        self._jolt: Jolt | None = None
 
-    def _part(self, flight: VehicleFlight, until: int, every: int, jolt: Jolt | None) -> Rows:
-        """Fly to a coarse row, and refine what is before it; what jumped at the first row is in that."""
-        flown, last = flight.advance(until - flight.count), flight.show()
-        coarse = Rows(*(np.concatenate(of) for of in zip(flown, last, strict=True)))
-        at = np.arange(every * (len(coarse.joints) - 1)) / every
-        fine = Rows(*(CubicSpline(np.arange(len(values)), values)(at) for values in coarse))
-        if jolt is not None:
-            fine.sensors[0] += jolt.sensors / self.step_s
-            fine.torques[0] += jolt.torques / self.step_s
-        return fine
+    def _compute(self, rows: int) -> None:
+        """True signals on the sensors' grid, so many rows at least."""
+        every, flight = self._scenario.physics.integration_steps, self._flight
+        while self._done < self._steps and self._done * every < rows:
+            end = self._coming[0][1] if self._coming else self._steps
+            wanted = min(end, -(-rows // every) + _AROUND)
+            flown = flight.advance(wanted - flight.count)
+            self._window = flown if self._window is None else _joined(self._window, flown)
+            if wanted < end:
+                self._refine(self._window, wanted - _AROUND)
+                kept = max(self._window_at, self._done - _AROUND)
+                self._window = Rows(*(values[kept - self._window_at :] for values in self._window))
+                self._window_at = kept
+                continue
+            self._refine(_joined(self._window, flight.show()), end)
+            self._window, self._window_at = None, end
+            if self._coming:
+                name, first, moves = self._coming.popleft()
+                self._jolt = flight.exchange(moves, None) if name == "capture" else flight.exchange(None, moves)
+                self.events_s[name] = first * self._coarse_s
+
+    def _refine(self, window: Rows, until: int) -> None:
+        """Fine rows up to a coarse one; what jumped before the first is in that."""
+        every, first = self._scenario.physics.integration_steps, self._done * self._scenario.physics.integration_steps
+        count = min(every * until, self.rows) - first
+        at = (self._done - self._window_at) + np.arange(max(count, 0)) / every
+        for out, values in zip(self.rows_true, window, strict=True):
+            out[first : first + len(at)] = CubicSpline(np.arange(len(values)), values)(at)
+        if self._jolt is not None:
+            self.rows_true.sensors[first] += self._jolt.sensors / self.step_s
+            self.rows_true.torques[first] += self._jolt.torques / self.step_s
+            self._jolt = None
+        self._done = until
+        for out, made in self._live:
+            out[first : first + len(at)] = made(slice(first, first + len(at)))
+
+    def ask(self, name: str) -> bool:
+        """Play a segment of ``motion.segments`` as soon as what is computed allows; False where it cannot be."""
+        return self.program.ask(name, (self._flight.count + 1) * self._coarse_s)
 
     def _events(self, rng: np.random.Generator, coarse_s: float, steps: int) -> Iterator[tuple[str, int, Released]]:
         """Capture and ejection: name, coarse row, and what comes or goes."""
@@ -133,12 +167,12 @@ class VehiclePlant(world.Plant):
 
     def angle_rad(self, at: str) -> FloatArray:
         """See ``world.Plant``: m of a joint that slides."""
-        return self.rows_true.joints[:, self._joint(at)].copy()
+        return self.rows_true.joints[:, self._joint(at)]
 
     def moment_n_m(self, at: str, axis: world.Axis = world.Z) -> FloatArray:
         """See ``world.Plant``."""
-        unit = np.asarray(axis) / np.linalg.norm(axis)
-        return np.asarray(self.rows_true.sensors[:, self._model.sensor("torque", self.drawing.link_at(at))] @ unit)
+        unit, columns = np.asarray(axis) / np.linalg.norm(axis), self._model.sensor("torque", self.drawing.link_at(at))
+        return self._made(lambda rows: np.asarray(self.rows_true.sensors[rows, columns] @ unit))
 
     def force_n(self, at: str) -> FloatArray:
         """See ``world.Plant``."""
@@ -147,10 +181,24 @@ class VehiclePlant(world.Plant):
     def servo_torque_n_m(self, at: str) -> FloatArray:
         """See ``world.Plant``: with the drive's friction and rotor."""
         column, drive = self._joint(at), self.drives[at]
-        rate = self.rows_true.rates[:, column]
-        own = drive.coulomb_n_m * np.tanh(rate / _SLOW) + drive.viscous_n_m_s * rate
-        own = own + drive.rotor_kg_m2 * np.gradient(rate, self.step_s)
-        return self.rows_true.torques[:, column] + own
+
+        def made(rows: slice) -> FloatArray:
+            rate = self.rows_true.rates[rows, column]
+            own = drive.coulomb_n_m * np.tanh(rate / _SLOW) + drive.viscous_n_m_s * rate
+            if len(rate) > 1:
+                own = own + drive.rotor_kg_m2 * np.gradient(rate, self.step_s)
+            return np.asarray(self.rows_true.torques[rows, column] + own)
+
+        return self._made(made)
+
+    def _made(self, of: Callable[[slice], FloatArray]) -> FloatArray:
+        """A signal (n,) made of others: of those rows that there are, and of each that comes."""
+        done = slice(0, min(self._done * self._scenario.physics.integration_steps, self.rows))
+        out = np.zeros(self.rows)
+        if done.stop:
+            out[done] = of(done)
+        self._live.append((out, of))
+        return out
 
     @property
     def efforts_n_m(self) -> dict[str, float]:
@@ -195,6 +243,7 @@ class VehiclePlant(world.Plant):
             "posture": dict(zip(self._model.joints, self.program.posture.tolist(), strict=True)),
             "capture_s": self.events_s.get("capture", 0.0),
             "ejection_s": self.events_s.get("ejection"),
+            "asked": [{"start_s": start_s, "segment": name} for start_s, name in self.program.asked],
         }
 
     def _joint(self, name: str) -> int:
@@ -204,6 +253,11 @@ class VehiclePlant(world.Plant):
 
     def _run_chunk(self) -> None:
         self.count += self.chunk
+        self._compute(min(self.count, self.rows))
+
+
+def _joined(before: Rows, after: Rows) -> Rows:
+    return Rows(*(np.concatenate(of) for of in zip(before, after, strict=True)))
 
 
 def _told(body: Body) -> dict[str, Any]:

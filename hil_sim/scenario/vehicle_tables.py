@@ -103,12 +103,13 @@ class EjectionTable(Table):
 class Step(Table):
     """``[[sequence]]``: the arm keeps its posture (``hold``), or every joint swings about it (``swing``).
 
+    ``asked``: it keeps its posture, and plays the segments of ``motion.segments`` that the flight computer asks for.
     ``swing``: rms amplitude of a joint, of the way to its nearer end (a third of a radian at most of one that turns
     freely or far); the motion grows from rest and dies down within ``ramp_s``.
     """
 
     phase: PhaseCode
-    action: Literal["hold", "swing"]
+    action: Literal["hold", "swing", "asked"]
     duration_s: PositiveFloat
     ramp_s: PositiveFloat = 2.0
     swing: Fraction = 0.35
@@ -126,12 +127,14 @@ class Motion(Table):
     """``[motion]``: of the joints. ``posture``: by joint, rad or m; drawn near the middle of its range where not given.
 
     ``csv``: a file of ``time_s`` and a column for each joint, rad or m, in place of the swings of the sequence; beside
-    the scenario. The first posture holds before it, the last after it.
+    the scenario. The first posture holds before it, the last after it. ``segments``: a file of motions that the flight
+    computer may ask for; their posture is the arm's.
     """
 
     posture: dict[str, float] = Field(default_factory=dict)
     spread: Fraction = 0.3
     csv: str | None = None
+    segments: str | None = None
 
 
 class BaseSway(Table):
@@ -191,6 +194,10 @@ class VehicleScenario(Scenario):
             raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
         if self.payload is None and (self.capture is not None or self.ejection is not None):
             raise ValueError("capture and ejection need a [payload]")
+        if any(step.action == "asked" for step in self.sequence) != (self.motion.segments is not None):
+            raise ValueError('motion.segments and a step with action = "asked" need each other')
+        if self.motion.segments is not None and self.motion.csv is not None:
+            raise ValueError("motion.csv and motion.segments: give one of them")
         end_s = sum(step.duration_s for step in self.sequence)
         caught = self.capture
         if caught and caught.phase is None and not 0.0 < caught.earliest_s <= caught.latest_s < end_s:

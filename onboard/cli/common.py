@@ -124,6 +124,18 @@ def add_live(command: Any) -> None:
     )
 
 
+def add_until(command: Any) -> None:
+    """The options ``--until`` and ``--segments`` of a command that flies."""
+    command.add_argument(
+        "--until",
+        metavar="GOAL",
+        help='ask for motions until half of the 95 %% intervals are so narrow: "mass 1 %%, centre 5 mm"',
+    )
+    command.add_argument(
+        "--segments", type=Path, metavar="FILE", help="the motions to ask for (heft plan --segments), for --until"
+    )
+
+
 def serve_live(address: str | None, log: Path) -> AbstractContextManager[int | None]:
     """The live server of ``--live``; none without the option.
 

@@ -12,6 +12,7 @@ from onboard.cli.common import (
     OK,
     Commands,
     add_live,
+    add_until,
     complain,
     console,
     next_log,
@@ -44,6 +45,8 @@ def add(commands: Commands) -> None:
         help="something breaks between two times of the mission [s], e.g. off:imu_base:10:12; repeatable",
     )
     hil.add_argument("--faults", action="store_true", help="say which faults the scenario's devices can have, and end")
+    add_until(hil)
+    hil.add_argument("--most", type=float, default=300.0, metavar="S", help="with --until: longest time (default 300)")
     add_live(hil)
     controller.add(hil)
     hil.set_defaults(command=_hil)
@@ -66,10 +69,17 @@ def _hil(arguments: argparse.Namespace) -> int:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
     seed = arguments.seed
     faults = [parse(text) for text in arguments.fault]
-    vehicle = config.named(arguments.scenario)
+    vehicle = config.with_mission(config.named(arguments.scenario), arguments.until, arguments.segments)
+    asks = vehicle.segments_path
+    if asks is not None and arguments.realtime:
+        raise ValueError("--until flies in virtual time here; on the real clock heft fly asks real drives")
     name = vehicle.file.vehicle.name if arguments.scenario.endswith(".toml") else arguments.scenario
-    scenario = scenario_of(arguments.scenario, arguments.over)
+    scenario = (
+        scenario_of(arguments.scenario, arguments.over) if asks is None else _asked(vehicle.path, asks, arguments)
+    )
     if arguments.controller:
+        if asks is not None:
+            raise ValueError("--controller moves the arm itself: leave --until out")
         return controller.fly(arguments, vehicle, scenario, faults)
     own = scenario.scenario.plant == "vehicle"
     expected: list[dict[str, Any]] = []
@@ -80,7 +90,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         if arguments.faults:
             _list_faults(world.possible_faults(), EFFECTS)
             return OK
-        expected = _foresee(vehicle, world)
+        expected = _foresee(vehicle, world) if asks is None else []
     log = arguments.log or next_log(vehicle.file.recording.directory, name)
     with progress() as bar:
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)
@@ -100,6 +110,20 @@ def _hil(arguments: argparse.Namespace) -> int:
     truth.write(flown.log, flown.truth)
     result = mission_table.result(flown) | {"expected": expected}
     return _told(arguments, result, log)
+
+
+def _asked(path: Path, segments: Path, arguments: argparse.Namespace) -> Any:
+    """The rehearsal in which the flight asks for its motions; of a packaged mission, that of its vehicle."""
+    from hil_sim.devices.vehicle_file import rehearsal, scenario_of
+    from hil_sim.plants.planned import with_segments
+
+    if not 10.0 <= arguments.most <= 3600.0:
+        raise ValueError(f"--most {arguments.most:g}: give 10 to 3600")
+    from hil_sim.scenario.load import names
+
+    packaged = arguments.scenario in names()
+    own = rehearsal(path, arguments.over) if packaged else scenario_of(arguments.scenario, arguments.over)
+    return with_segments(own, segments, arguments.most)
 
 
 def _told(arguments: argparse.Namespace, result: dict[str, Any], log: Path) -> int:

@@ -2,8 +2,14 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from onboard.cli.common import OK, Commands, load_vehicle, progress, show
+
+if TYPE_CHECKING:
+    from onboard import config
+
+SEGMENT_S = 6.0
 
 
 def add(commands: Commands) -> None:
@@ -30,6 +36,12 @@ def add(commands: Commands) -> None:
     plan.add_argument("--starts", type=int, default=8, metavar="N", help="random motions to begin with (default 8)")
     plan.add_argument("--iterations", type=int, default=15, metavar="N", help="of each descent (default 15)")
     plan.add_argument("--seed", type=int, default=1, metavar="N", help="of the random motions (default 1)")
+    plan.add_argument(
+        "--segments",
+        action="store_true",
+        help="many short motions that a flight may ask for (--until), in segments.npz",
+    )
+    plan.add_argument("--masses", metavar="KG,...", help="with --segments: payloads that they are planned for")
     plan.add_argument("-o", "--output", type=Path, default=Path("plan"), metavar="DIR", help="(default: plan)")
     plan.set_defaults(command=_plan)
 
@@ -50,6 +62,10 @@ def _plan(arguments: argparse.Namespace) -> int:
         if not 1 <= value <= 10_000:
             raise ValueError(f"{option} {value}: give 1 to 10000")
     vehicle = load_vehicle(arguments.vehicle)
+    if arguments.segments:
+        return _plan_segments(arguments, vehicle)
+    if arguments.masses is not None:
+        raise ValueError("--masses needs --segments")
     room = room_for_motion(rehearsal(vehicle.path, arguments.over), arguments.seconds)
     wanted = Wanted(
         *(room.start_s, room.end_s, tuple(arguments.asked), Criterion(arguments.criterion)),
@@ -73,3 +89,51 @@ def _plan(arguments: argparse.Namespace) -> int:
     own = arguments.vehicle if str(arguments.vehicle).endswith(".toml") else vehicle.path  # no packaged mission
     print(f"next: heft hil {own} --scenario {arguments.output / files.SCENARIO}")
     return OK
+
+
+def _plan_segments(arguments: argparse.Namespace, vehicle: "config.Vehicle") -> int:
+    """The library of motions that a flight may ask for."""
+    from hil_sim.devices.vehicle_file import rehearsal
+    from hil_sim.plants.planned import default_plan, room_for_motion
+    from onboard.config.segments import FILE, to_bytes
+    from onboard.offline.planning import limits, view
+    from onboard.offline.planning.segments import WantedSegments, plan_segments
+
+    if arguments.asked or arguments.criterion != "D":
+        raise ValueError(
+            "--segments are planned for mass, centre, inertia and all of them: leave --for and --criterion out"
+        )
+    room = room_for_motion(rehearsal(vehicle.path, arguments.over), arguments.seconds or SEGMENT_S)
+    wanted = WantedSegments(
+        *(room.start_s, room.end_s - room.start_s, _masses(arguments.masses)),
+        limits.LimitsFile() if arguments.limits is None else limits.read(arguments.limits),
+        *(arguments.starts, arguments.iterations, arguments.seed),
+    )
+    with progress() as bar:
+        task = bar.add_task("planning segments", total=1.0)
+        made = plan_segments(
+            vehicle,
+            lambda period_s: default_plan(room.scenario, period_s),
+            wanted,
+            lambda done: bar.update(task, completed=done),
+        )
+    show(view.segments(made))
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    path = arguments.output / FILE
+    path.write_bytes(to_bytes(made))
+    print(path)
+    own = arguments.vehicle if str(arguments.vehicle).endswith(".toml") else vehicle.path
+    print(f'next: heft hil {own} --until "mass 1 %" --segments {path}')
+    return OK
+
+
+def _masses(text: str | None) -> tuple[float, ...]:
+    if text is None:
+        return ()
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = (0.0,)
+    if not all(1e-3 <= mass <= 1e6 for mass in found) or len(set(found)) != len(found):
+        raise ValueError(f"--masses {text}: different numbers of kg between commas, e.g. 0.5,2,8,32")
+    return found

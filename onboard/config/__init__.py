@@ -3,7 +3,7 @@
 from onboard.config.errors import ConfigError, Origin
 from onboard.config.estimation import JointKeys, Phases, Zero
 from onboard.config.free_body import Load
-from onboard.config.loader import load, named, packaged, parse, parse_tree, validated
+from onboard.config.loader import load, named, packaged, parse, parse_tree, validated, with_mission
 from onboard.config.text import laid_over, read, tree_of
 from onboard.config.vehicle import Recording, Vehicle
 
@@ -25,4 +25,5 @@ __all__ = [
     "read",
     "tree_of",
     "validated",
+    "with_mission",
 ]

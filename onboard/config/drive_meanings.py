@@ -1,4 +1,4 @@
-"""What the keys of ``[drive]`` mean, and when to change them; see ``meanings``."""
+"""What the keys of ``[drive]`` and ``[mission]`` mean, and when to change them; see ``meanings``."""
 
 DRIVE: dict[str, tuple[str, ...]] = {
     "armed": ("Whether drives with `driven = true` may be driven at all.", "the arm is to move"),
@@ -15,4 +15,10 @@ DRIVE: dict[str, tuple[str, ...]] = {
     "sync_limit_ms": ("Longest time without SYNC, answers or targets.", "SYNCs are rare, or the bus is full"),
     "master_node": ("Our node number, of the heartbeat.", "a node has it"),
     "after_stop": ('"release": to the brake after a quick stop; "hold": current stays on.', "it has no brake"),
+}
+
+MISSION: dict[str, tuple[str, ...]] = {
+    "until": ('Half of the 95 % intervals that are enough, e.g. `"mass 1 %, centre 5 mm"`.',),
+    "segments": ("File of motions that the flight may ask for, relative to this file (`heft plan --segments`).",),
+    "give_up_s": ("Longest time with a payload held.", "the arm may move for longer"),
 }

@@ -63,6 +63,30 @@ def parse(text: str, path: Path, urdf: Path | None = None) -> Vehicle:
     return parse_tree(tree_of(text, str(path)), path, Origin(str(path), text), urdf)
 
 
+def with_mission(vehicle: Vehicle, until: str | None, segments: Path | None) -> Vehicle:
+    """A vehicle with another goal, or another file of segments, in its text too, which its log carries.
+
+    Raises:
+        ConfigError: it is no goal, or there are no segments.
+    """
+    if until is None and segments is None:
+        return vehicle
+    path = segments or vehicle.segments_path
+    if path is None:
+        raise ConfigError(f"{vehicle.label}: --until needs --segments FILE, which heft plan --segments writes")
+    import tomlkit  # noqa: PLC0415  (not with what every flight starts with)
+
+    document = tomlkit.parse(vehicle.text)
+    document.setdefault("mission", tomlkit.table())
+    document["mission"]["segments"] = path.name
+    if until is not None:
+        document["mission"]["until"] = until
+    made = parse(tomlkit.dumps(document), vehicle.path, vehicle.urdf)
+    return made.model_copy(
+        update={"own_segments": path.absolute(), "arm": vehicle.arm, "own_motion": vehicle.own_motion}
+    )
+
+
 def parse_tree(tree: dict[str, Any], path: Path, origin: Origin, urdf: Path | None = None) -> Vehicle:
     """As :func:`load`, for tables that are read already, and stand for the file at ``path``.
 

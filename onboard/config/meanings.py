@@ -6,7 +6,7 @@ The keys of devices are told by their own modules, in ``docs/devices.md``.
 from typing import NamedTuple
 
 from onboard.config.drive import Drive
-from onboard.config.drive_meanings import DRIVE
+from onboard.config.drive_meanings import DRIVE, MISSION
 from onboard.config.estimation import (
     Carried,
     Estimation,
@@ -25,6 +25,7 @@ from onboard.config.estimation import (
     Zero,
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
+from onboard.config.mission import MissionKeys
 from onboard.config.planar import Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.section import Section
@@ -306,4 +307,5 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "coulomb_sigma_N": _M("Drag that is the same at any slip, 1 sigma about none.", "as above"),
     },
     Drive: {key: _M(*said) for key, said in DRIVE.items()},
+    MissionKeys: {key: _M(*said) for key, said in MISSION.items()},
 }

@@ -13,7 +13,10 @@ from onboard.config.driving import player_of
 from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
+from onboard.config.mission import MissionKeys
 from onboard.config.planar import Planar
+from onboard.config.segments import Library
+from onboard.config.segments import read as read_segments
 from onboard.config.text import MOST_BYTES_URDF, read
 from onboard.devices.base import BusDevice, Channels, DeviceSection
 from onboard.devices.registry import DEVICES
@@ -109,6 +112,7 @@ class VehicleFile(Section):
     recording: Recording = Recording()
     realtime: Realtime = Realtime()
     drive: Drive | None = None
+    mission: MissionKeys | None = None
 
 
 class Vehicle(BaseModel):
@@ -127,6 +131,7 @@ class Vehicle(BaseModel):
     urdf: Path | None = None  # in place of the one that the file names
     arm: bool = False
     own_motion: Path | None = None  # in place of that of [drive]
+    own_segments: Path | None = None  # in place of those of [mission]
 
     @property
     def text(self) -> str:
@@ -158,6 +163,22 @@ class Vehicle(BaseModel):
         if self.own_motion is not None or self.file.drive is None or self.file.drive.motion is None:
             return self.own_motion
         return self.path.parent / self.file.drive.motion
+
+    @property
+    def segments_path(self) -> Path | None:
+        """The file of segments that the flight may ask for, beside the vehicle file; None: it asks for none."""
+        if self.file.mission is None:
+            return None
+        return self.path.parent / self.file.mission.segments if self.own_segments is None else self.own_segments
+
+    @cached_property
+    def segments(self) -> Library | None:
+        """The segments that the flight may ask for.
+
+        Raises:
+            ConfigError: they cannot be read.
+        """
+        return None if self.segments_path is None else read_segments(self.segments_path)
 
     def play(self, bus: str) -> PlayerConfig | None:
         """What is played on a bus; see :func:`onboard.config.driving.player_of`."""
@@ -191,6 +212,11 @@ class Vehicle(BaseModel):
     def rate_hz(self, device: str) -> float:
         """Nominal rate of a device's samples."""
         return self.file.device[device].rate_on(self)
+
+    def with_row_rate(self, rate_Hz: float) -> "Vehicle":
+        """The same vehicle with other ticks: a tick's mean has as many more samples, and the same information."""
+        settings = self.file.estimation.model_copy(update={"row_rate_hz": rate_Hz})
+        return self.model_copy(update={"file": self.file.model_copy(update={"estimation": settings})})
 
     def with_urls(self, urls: dict[str, str]) -> "Vehicle":
         """The same vehicle with other bus URLs."""

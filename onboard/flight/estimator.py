@@ -18,6 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.answers import Answers, change_event
+from onboard.flight.asking import Asking
 from onboard.flight.clocks import timebase_of
 from onboard.flight.identification import METHODS, build_online, channels_of, with_hypotheses
 from onboard.flight.phases import PhaseTrack
@@ -108,6 +109,9 @@ class Estimator:
             "estimate": channels.estimate_dtype(len(self.online.parameter_names), size),
             "quantity": channels.QUANTITY,
         }
+        self._asking = None if vehicle.segments is None else Asking(vehicle, vehicle.segments, self.online, self.model)
+        if self._asking is not None:
+            self.outputs["request"] = channels.REQUEST
         self._answers = Answers(self.outputs["estimate"], settings.nuisance)
         self._sequence = dict.fromkeys(self.outputs, 0)
 
@@ -198,19 +202,8 @@ class Estimator:
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
             motion = base.motion
             friction = None if friction is None else np.nan_to_num(friction)
-            signals = Signals(
-                time_s,
-                q,
-                dq,
-                ddq,
-                motion,
-                measured,
-                sigma,
-                measured_rate,
-                noise,
-                friction,
-                of_rows if of_rows.any() else None,
-            )
+            rest = measured_rate, noise, friction, of_rows if of_rows.any() else None
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, *rest)
         if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
             made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))
         found = self._update(signals, at_ns, refused)
@@ -223,6 +216,9 @@ class Estimator:
             made.append(change_event(now_ns, change))
         if self.online.rows_used:
             made += self._answered(now_ns, int(at_ns[-1]))
+        if self._asking is not None:
+            said = self._asking.step(now_ns, float(time_s[-1]), joints[:2, -1], measured[-1, :3], self.online)
+            made += [self._numbered(one.channel, one.rows) if one.channel == "request" else one for one in said]
         return made
 
     def _means(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:

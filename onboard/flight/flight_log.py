@@ -42,10 +42,13 @@ def preamble(vehicle: config.Vehicle, flight: str, started: Started | None = Non
         started: when, on the wall clock (noted once, here) and on the monotonic one; virtual time has neither.
         continues: the log of the part before, of a flight that lost its power.
     """
-    attachments = (
+    attachments: tuple[Attachment, ...] = (
         Attachment(VEHICLE_ATTACHMENT, "application/toml", vehicle.text.encode(), 0),
         Attachment(vehicle.file.vehicle.urdf, "application/xml", vehicle.urdf_path.read_bytes(), 0),
     )
+    segments = vehicle.segments_path
+    if segments is not None:
+        attachments += (Attachment(segments.name, "application/octet-stream", segments.read_bytes(), 0),)
     metadata = {
         "flight": flight_facts(vehicle, started) | ({"continues": continues} if continues else {}),
         "versions": versions(),

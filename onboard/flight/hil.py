@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Protocol
 from onboard import config
 from onboard.flight import rings, runner, simulated
 from onboard.flight.acquisition import Acquisition
+from onboard.flight.asking import Act
 from onboard.flight.devices import open_devices
 from onboard.flight.directories import scratch
 from onboard.flight.estimation import EstimationWorker, create_rings
@@ -26,6 +27,7 @@ from onboard.flight.publisher import Publisher
 from onboard.flight.runner_processes import FlightError
 
 Progress = Callable[[float], None]
+OVER_NS = 2_000_000_000  # after a goal is met, or given up
 EARLIER_S = 0.3  # before the devices end, a flight ends that no phase has ended
 ANSWER_S = 15.0  # devices that do not end then are killed
 _DIED = "the simulated devices died in flight, or hang: no counts and no truth; the log is {}"
@@ -41,6 +43,9 @@ class World(Protocol):
     @property
     def end_ns(self) -> int:
         """When the mission is over."""
+
+    def ask(self, segment: str) -> bool:
+        """The flight computer asks for a motion; False where the arm cannot play it now."""
 
     def advance(self, now_ns: int) -> None:
         """Everything that happens up to ``now_ns``."""
@@ -92,7 +97,18 @@ def fly_simulated(
             acquisition.expect(expected(flying, bus), world.start_ns)
         inputs = rings.readers(directory, estimator.inputs)
         estimation = EstimationWorker(estimator, inputs, Publisher(answers, "_estimation"))
+        requests = rings.readers(directory, ["request"])["request"] if "request" in estimator.outputs else None
         recorder = open_simulated_recorder(vehicle, directory, log)
+
+        def answered(now_ns: int) -> int | None:
+            """Pass on what was asked for; a flight that knows enough, or has given up, ends soon after."""
+            over = False
+            for row in requests.read()[0] if requests is not None else ():
+                if row["act"] == Act.SEGMENT:
+                    world.ask(row["segment"].decode())
+                over |= row["act"] != Act.SEGMENT
+            return now_ns + OVER_NS if over else None
+
         span_ns = world.end_ns - world.start_ns
         simulated.fly(
             clock,
@@ -102,6 +118,7 @@ def fly_simulated(
             estimation,
             recorder,
             lambda now_ns: progress((now_ns - world.start_ns) / span_ns),
+            answered,
         )
     return Flown(log, world.produced(), world.truth())
 

@@ -52,6 +52,7 @@ def fly(
     estimation: EstimationWorker,
     recorder: Recorder,
     progress: Callable[[int], None] = lambda _: None,
+    answered: Callable[[int], int | None] = lambda _: None,
 ) -> None:
     """Fly until ``end_ns``; then stop the devices, drain every queue and close the log.
 
@@ -63,6 +64,7 @@ def fly(
         estimation: the estimation worker.
         recorder: the recording worker.
         progress: told the time after each step of the recorder.
+        answered: called after each step of the estimation; returns another ``end_ns``, None to keep it.
     """
     acquisition.start(clock.now_ns)
     pause_ns = step_ns(device.period_ns for device in acquisition.devices)
@@ -75,6 +77,7 @@ def fly(
         acquisition.step(clock.now_ns)
         if step % estimation_steps == 0:
             estimation.step(clock.now_ns)
+            end_ns = min(end_ns, answered(clock.now_ns) or end_ns)
         if step % RECORDING_STEPS == 0:
             recorder.step(clock.now_ns)
             progress(clock.now_ns)

@@ -28,6 +28,7 @@ from onboard.config.estimation import (
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.meanings import MEANINGS
+from onboard.config.mission import MissionKeys
 from onboard.config.planar import Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.offline.tables.columns import unit_of
@@ -61,6 +62,7 @@ TABLES: dict[str, type[Section]] = {
     "[recording]": Recording,
     "[realtime]": Realtime,
     "[drive]": Drive,
+    "[mission]": MissionKeys,
 }
 HEAD = """# vehicle.toml
 

@@ -105,8 +105,7 @@ class RecursiveExiddm:
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
         self.fusion = Fusion(("imu", *(one.name for one in predictor.further)), predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self._snapshots = Snapshots(_SNAPSHOTS)
-        self._innovations = Innovations(predictor, self.fusion)
+        self._snapshots, self._innovations = Snapshots(_SNAPSHOTS), Innovations(predictor, self.fusion)
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
@@ -155,6 +154,10 @@ class RecursiveExiddm:
         """A payload is held and its state known, and no release of it is announced, be it taken in or not."""
         told = [held for held, _ in (one for one in self._inbox if not isinstance(one, Ticks))]
         return self.state is not None and bool(self.held) and not (told and not told[-1])
+
+    def settled(self) -> bool:
+        """No window is open, and none will replace the steps since the last one: what is known only gets better."""
+        return not self._hypotheses and self._stepped is None and not self.solving
 
     @property
     def solving(self) -> bool:
@@ -404,5 +407,4 @@ class RecursiveExiddm:
             self.state, F, of_a_turn = self.predictor.bridge(both.q, both.dq, both.ddq, self.state, both.cyclic)
             self.covariance = F @ self.covariance @ F.T
             self.covariance[RATE, RATE] += (rates.max() * gap_s) ** 2 * of_a_turn
-            self._stepped = None
-            self._pending = self._none
+            self._stepped, self._pending = None, self._none

@@ -25,6 +25,7 @@ from onboard.offline.foresee.free import Noise, body_covariance, fly
 from onboard.offline.foresee.plan import Expected, Foreseen, Plan
 from onboard.regressor.rows import BaseMotion, standing
 
+_ANY_RATE_rad_s = 0.1  # of the base: standard deviation before anything is known
 TICK_HZ = 5.0  # of the search; what is promised is of the estimator's own ticks
 
 
@@ -62,16 +63,23 @@ class Bound(ABC):
 class FreeBound(Bound):
     """For a free-flyer with the ExIDDM.
 
+    Attributes:
+        unknowns: names of the p unknowns of the estimator.
+        prior_sigma: of these before the flight, (p,).
+
     Args:
         vehicle: with coarse ticks.
         plan: of the whole flight at these ticks.
         first: tick of the motion; the payload is held from before it.
+        still: vehicle and payload have no momentum when it begins.
     """
 
-    def __init__(self, vehicle: config.Vehicle, plan: Plan, first: int) -> None:
+    def __init__(self, vehicle: config.Vehicle, plan: Plan, first: int, *, still: bool = False) -> None:
         before = fly(vehicle, plan.part(slice(0, first)))
         if before is None or plan.payload is None:
             raise config.ConfigError("nothing is held before the planned motion; let [capture] come earlier")
+        if still:
+            before.state[RATE] = 0.0
         self._before, self._model, self._payload = before, before.model, plan.payload
         self._predictor = before.identifier.exiddm.predictor
         self._prior = np.linalg.inv(before.covariance)
@@ -80,11 +88,14 @@ class FreeBound(Bound):
         self._chi[self._model.payload_columns()] = standard_of(plan.payload)
         self.names = tuple(f"{kind}_{self._model.spec.payload_link}" for kind in BODY)
         self.scales = body_scales(plan.payload)
+        self.unknowns = tuple(self._predictor.names)
+        self.prior_sigma = np.nan_to_num(self._predictor.sigma)
+        self.prior_sigma[RATE] = _ANY_RATE_rad_s
+        self.prior_sigma[PAYLOAD] = before.identifier.exiddm.payload_sigma
 
     def of(self, moved: FloatArray) -> Outcome:
         """See the base class."""
-        rows = self._rows(moved)
-        flat = rows.reshape(-1, rows.shape[2])
+        flat = self.whitened(moved)
         information = self._prior + flat.T @ flat
         return Outcome(self._body(information), self.base(moved, self._predictor.period_s))
 
@@ -99,12 +110,24 @@ class FreeBound(Bound):
         """See the base class."""
         return _floating(self._model, moved, period_s, self._chi, self._before.state[RATE])
 
+    def whitened(self, moved: FloatArray) -> FloatArray:
+        """Whitened derivatives of all readings by all unknowns at the motion's start, (readings, p)."""
+        rows = self._rows(moved)
+        return rows.reshape(-1, rows.shape[2])
+
     def _rows(self, moved: FloatArray) -> FloatArray:
         """Whitened derivatives of the readings, (n - 2, lines, p)."""
+        sigma, cyclic = self.noise(moved)
         q, dq, ddq = moved
-        now = self._predictor.predict(q, dq, ddq, self._before.state, self._noise.cyclic(q, dq))
+        now = self._predictor.predict(q, dq, ddq, self._before.state, cyclic)
+        return np.asarray(now.jacobian / sigma[:, :, None], np.float64)
+
+    def noise(self, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the readings, (n - 2, lines), and functions of the joints' cyclic errors, (n, 3, m)."""
+        q, dq, _ = moved
         joints = self._predictor.joint_noise(q, self._noise.of_joints(dq), self._before.state)
-        return np.asarray(now.jacobian / np.hypot(self._noise.of_lines, joints)[1:-1, :, None], np.float64)
+        sigma = np.hypot(self._noise.of_lines, joints)[1:-1]
+        return np.asarray(sigma, np.float64), self._noise.cyclic(q, dq)
 
     def _body(self, information: FloatArray) -> FloatArray:
         covariance: FloatArray = np.asarray(np.linalg.inv(information)[PAYLOAD, PAYLOAD], np.float64)

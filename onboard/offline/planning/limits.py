@@ -88,6 +88,7 @@ class Limits:
 
     Attributes:
         low, high: of the joints' angles, (joints,).
+        joints: their names.
         names: of the limits, in the order of :meth:`excess`.
 
     Raises:
@@ -105,7 +106,7 @@ class Limits:
         speed, effort = model.model.velocityLimit[at], model.model.effortLimit[at]
         speed = np.where((speed > 0.0) & (speed < 1e6), said.share * speed, np.array(_RATE)[slides])
         effort = np.where(effort > 0.0, said.share * effort, np.inf)
-        self._slides, self._joints = slides, names
+        self._slides, self.joints = slides, tuple(names)
         self.low, self.high = _ranges(model, told, said.share)
         self.rate = np.array([t.rate or float(v) for t, v in zip(told, speed, strict=True)])
         self.acceleration = np.array(
@@ -135,7 +136,7 @@ class Limits:
         if (low >= 0.0).any() or (high <= 0.0).any():
             k = int(np.flatnonzero((low >= 0.0) | (high <= 0.0))[0])
             raise config.ConfigError(
-                f"{self._joints[k]} starts at {posture[k]:.3g}, its limits are {self.low[k]:.3g} to {self.high[k]:.3g}"
+                f"{self.joints[k]} starts at {posture[k]:.3g}, its limits are {self.low[k]:.3g} to {self.high[k]:.3g}"
                 "; widen them, or give another [motion.posture] in the scenario"
             )
         reach = np.array(_REACH)[self._slides]

@@ -67,12 +67,12 @@ def plan_motion(
         ConfigError: quantities, limits or payload do not fit the vehicle.
         SignalError: a motion with which nothing can be predicted.
     """
-    coarse, fine = _at_rate(vehicle, TICK_HZ), vehicle
+    coarse, fine = vehicle.with_row_rate(TICK_HZ), vehicle
     plan = plan_of(coarse, rehearsed(1.0 / TICK_HZ))
-    ticks = _ticks(plan, wanted)
+    ticks = ticks_of(plan, wanted.start_s, wanted.end_s)
     free = vehicle.file.planar is None and vehicle.file.estimation.method == "exiddm"
     bound: Bound = FreeBound(coarse, plan, ticks.start) if free else RowsBound(coarse, plan, ticks)
-    chosen = _chosen(bound.names, wanted.asked)
+    chosen = chosen_of(bound.names, wanted.asked)
     model = build_model(vehicle)
     pieces = max(_FEWEST_PIECES, round((wanted.end_s - wanted.start_s) / PIECE_s))
     splines = Splines(plan.q[ticks.start], wanted.end_s - wanted.start_s, pieces)
@@ -101,20 +101,15 @@ def plan_motion(
     )
 
 
-def _at_rate(vehicle: config.Vehicle, rate_Hz: float) -> config.Vehicle:
-    """The vehicle with coarser ticks: a tick's mean has as many more samples, so that the information is the same."""
-    settings = vehicle.file.estimation.model_copy(update={"row_rate_hz": rate_Hz})
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
-
-
-def _ticks(plan: Plan, wanted: Wanted) -> slice:
-    first, last = np.searchsorted(plan.time_s, [wanted.start_s - 1e-9, wanted.end_s - 1e-9])
+def ticks_of(plan: Plan, start_s: float, end_s: float) -> slice:
+    """Ticks of a plan between two of its times."""
+    first, last = np.searchsorted(plan.time_s, [start_s - 1e-9, end_s - 1e-9])
     return slice(int(first), int(last))
 
 
 def _with(plan: Plan, splines: Splines, coefficients: FloatArray, wanted: Wanted) -> Plan:
     """A plan with the motion in its place."""
-    ticks = _ticks(plan, wanted)
+    ticks = ticks_of(plan, wanted.start_s, wanted.end_s)
     moved = splines.move(splines.basis(plan.time_s[ticks] - wanted.start_s), coefficients)
     signals = [signal.copy() for signal in (plan.q, plan.dq, plan.ddq)]
     for signal, own in zip(signals, moved, strict=True):
@@ -122,7 +117,7 @@ def _with(plan: Plan, splines: Splines, coefficients: FloatArray, wanted: Wanted
     return plan._replace(q=signals[0], dq=signals[1], ddq=signals[2])
 
 
-def _chosen(names: tuple[str, ...], asked: tuple[str, ...]) -> tuple[int, ...]:
+def chosen_of(names: tuple[str, ...], asked: tuple[str, ...]) -> tuple[int, ...]:
     """Quantities by name or by the first part of it.
 
     Raises:

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import NullFormatter
 from rich.console import Group, RenderableType
+from rich.table import Table
 from rich.text import Text
 
+from onboard.config.segments import Library
 from onboard.offline.foresee.plan import Expected, Foreseen
 from onboard.offline.planning.planning import PlannedMotion
 from onboard.offline.report.theme import CYCLE, figures, subplots
@@ -27,6 +29,25 @@ def render(made: PlannedMotion) -> RenderableType:
     if gains:
         lines.append(f"width of its interval over that of the swings in its place: {', '.join(gains)}")
     return Group(foreseen.render(made.expected, "the planned motion"), *(Text(line) for line in lines))
+
+
+def segments(made: Library) -> RenderableType:
+    """The segments, with what they make of the base and their nearest limit at the lightest and heaviest payload."""
+    heads = (f"{made.masses[0]:.3g} kg", f"{made.masses[-1]:.3g} kg")
+    table = Table(
+        box=None, pad_edge=False, title="largest rate of the base, rad/s, and the nearest limit", title_justify="left"
+    )
+    table.add_column("segment", no_wrap=True)
+    for head in heads:
+        table.add_column(head, justify="right")
+        table.add_column("", no_wrap=True)
+    for k, name in enumerate(made.names):
+        cells = []
+        for m in (0, -1):
+            over = 100.0 * (1.0 + made.excess[k, m])
+            cells += [f"{made.base_rate[k, m]:.3f}", f"{made.breaks[k][m]} {over:.0f} %"]
+        table.add_row(name, *cells)
+    return table
 
 
 def _answers(found: Foreseen) -> tuple[Expected, ...]:
