@@ -1,5 +1,7 @@
 """Dtypes of heft's own channels (clocks, estimates, rows); those of devices are in ``drivers.records``. Same rules."""
 
+from enum import IntEnum
+
 import numpy as np
 
 _HEAD = [("sequence", "<u8"), ("host_ns", "<i8")]
@@ -41,6 +43,14 @@ QUANTITY = np.dtype(
 )
 
 
+class Act(IntEnum):
+    """Of a REQUEST row."""
+
+    SEGMENT = 0  # the arm is to play it
+    MET = 1  # nothing more: enough is known
+    GIVEN_UP = 2
+
+
 REQUEST = np.dtype(
     [
         *_HEAD,
@@ -48,7 +58,7 @@ REQUEST = np.dtype(
         ("ratio", "<f8"),  # of the widest asked half interval to what is wanted
         ("expected", "<f8"),  # the same after the segment
         ("number", "<u4"),
-        ("act", "u1"),  # onboard.flight.asking.Act
+        ("act", "u1"),  # Act
         ("segment", "S32"),
     ],
     align=True,

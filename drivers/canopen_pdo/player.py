@@ -73,12 +73,13 @@ class Player:
         self._since_ns = self._beat_ns = self._told_ns = self._now_ns = 0
         self._sent_tick: int | None = None
         self._first_tick = self._row = 0
+        self._counts, self._name = config.counts, config.name  # of what is played now
         self._offsets: list[int] = []
         self._aimed: deque[tuple[int, list[int]]] = deque(maxlen=LATENCY + 1)
         self._past: deque[tuple[int, list[int]]] = deque()
         self._waiting_ns: int | None = None  # for bit 12 in mode 1
         self._worst = [0] * len(self.axes)
-        self._blend = round(BLEND_S * 1e9 / sync.period_ns)
+        self._blend = self._lead = round(BLEND_S * 1e9 / sync.period_ns)
 
     @property
     def is_active(self) -> bool:
@@ -93,6 +94,17 @@ class Player:
     def arm(self) -> None:
         """From now on the motion is played as soon as all drives are ready; may be called by another thread."""
         self._armed = True
+
+    def request(self, name: str) -> None:
+        """Play a segment from where the arm is held; refused, with an event, while it is not held there."""
+        counts = self.config.segments.get(name)
+        if counts is None or self.state is not State.HOLDING:
+            why = "there is none of this name" if counts is None else f"the player is {self.state.name.lower()}"
+            self._report.event(self._now_ns, Severity.WARNING, "segment_refused", f"{name}: {why}")
+            return
+        self._counts, self._name, self._lead, self._offsets = counts, name, 0, [0] * len(self.axes)
+        self.state, self._first_tick = State.PLAYING, (self._sync.tick or 0) + 1
+        self._report.event(self._now_ns, Severity.INFO, "drive_started", f"{name} is played")
 
     def axis_of(self, node: int) -> DriveAxis | None:
         """The axis that a node drives."""
@@ -206,9 +218,9 @@ class Player:
 
     def _row_at(self, since: int) -> list[int]:
         """Targets so many SYNCs after the start; the motion begins when the way to it is over."""
-        rows = self.config.counts
-        row = min(max(since - self._blend, 0), len(rows) - 1)
-        if since - self._blend >= len(rows) and self.state is State.PLAYING:
+        rows = self._counts
+        row = min(max(since - self._lead, 0), len(rows) - 1)
+        if since - self._lead >= len(rows) and self.state is State.PLAYING:
             self._finish()
         share = min(max(since / self._blend, 0.0), 1.0)
         left = 1.0 - share**3 * (10.0 + share * (-15.0 + 6.0 * share))
@@ -256,7 +268,7 @@ class Player:
                 for axis, far in zip(self.axes, self._worst, strict=True)
             )
         )
-        text = f"{self.config.name} is over, its end is held{far}"
+        text = f"{self._name} is over, its end is held{far}"
         self._report.event(self._now_ns, Severity.INFO, "drive_done", text)
 
     # Watching

@@ -1,6 +1,7 @@
 """What the player of a CAN bus plays, checked."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ class PlayerConfig:
         sync_limit_ms: Longest time without SYNC, or without an answer of a drive.
         master: Our node number, of the heartbeat.
         name: Of the motion, for messages.
+        segments: Further motions by name, a row for each SYNC, from the motion's last row and back to it.
     """
 
     axes: tuple[AxisConfig, ...]
@@ -32,12 +34,19 @@ class PlayerConfig:
     sync_limit_ms: float = 25.0
     master: int = 127
     name: str = "motion"
+    segments: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 1 <= self.master <= 127 or any(axis.drive.node == self.master for axis in self.axes):
             raise ConfigurationError(f"master node {self.master}: a number of 1..127 that no drive has")
         if self.counts.shape != (len(self.ticks), len(self.axes)) or len(self.ticks) < 2 or not self.axes:
             raise ConfigurationError(f"{self.name}: {self.counts.shape} targets for {len(self.axes)} drives: two rows")
-        for axis, column in zip(self.axes, self.counts.T, strict=True):
+        for name, counts in self.segments.items():
+            if self.mode != CYCLIC or counts.ndim != 2 or np.abs(counts[[0, -1]] - self.counts[-1]).max() > 1:
+                raise ConfigurationError(
+                    f"{name}: segments are cyclic, from where {self.name} ends and back: correct it"
+                )
+        columns = np.concatenate([self.counts, *self.segments.values()]).T
+        for axis, column in zip(self.axes, columns, strict=True):
             if column.min() < axis.low or column.max() > axis.high:
                 raise ConfigurationError(f"{self.name}: {axis.drive.name} would leave its limits: correct the motion")

@@ -11,6 +11,7 @@ from onboard.cli.common import (
     OK,
     Commands,
     add_live,
+    add_until,
     bus_and_url,
     busy,
     complain,
@@ -42,6 +43,7 @@ def add(commands: Commands) -> None:
     fly.add_argument("--motion", type=Path, metavar="CSV", help="motion for the drives, in place of that of [drive]")
     fly.add_argument("--arm", action="store_true", help="drive the arm: after a preflight, when every drive is ready")
     fly.add_argument("--url", action="append", default=[], metavar="BUS=URL", help="open BUS at URL instead")
+    add_until(fly)
     spoken = fly.add_mutually_exclusive_group()
     spoken.add_argument("--quiet", action="store_true", help="say warnings and errors only")
     spoken.add_argument("--json-lines", action="store_true", help="say everything as JSON, an object a line")
@@ -50,12 +52,13 @@ def add(commands: Commands) -> None:
 
 
 def _fly(arguments: argparse.Namespace) -> int:
+    from onboard import config
     from onboard.cli import messages
     from onboard.flight import runner
     from onboard.flight.runner_processes import FlightError
 
     urls = dict(bus_and_url(text) for text in arguments.url)
-    vehicle, plan = load_vehicle(arguments.vehicle), None
+    vehicle, plan = config.with_mission(load_vehicle(arguments.vehicle), arguments.until, arguments.segments), None
     driven = _with_drives(vehicle, arguments, urls)
     if driven is None:
         return NOT_READY
@@ -93,6 +96,8 @@ def _with_drives(
 ) -> "config.Vehicle | None":
     """The vehicle with what its drives are to play, if anything; None where a preflight stands against it."""
     drive = vehicle.file.drive
+    if arguments.until is not None and not (arguments.arm or (drive is not None and drive.phase is not None)):
+        raise ValueError("--until asks for motions: add --arm, or give [drive] phase (docs/driving.md)")
     if arguments.arm or arguments.motion is not None:
         if drive is None or not drive.armed:
             raise ValueError(f"{vehicle.label}: --arm and --motion need [drive] armed = true (docs/driving.md)")
@@ -103,14 +108,15 @@ def _with_drives(
     from onboard.flight import preflight, workers  # Pinocchio comes with them, which a supervisor does without
     from onboard.flight.estimator import Estimator
 
-    if vehicle.motion is None:
+    if vehicle.motion is None and vehicle.segments_path is None:
         raise ValueError(f"{vehicle.label}: no motion to drive: give --motion, or [drive] motion")
     playing = [bus for bus in vehicle.buses if vehicle.play(bus) is not None]
     looks = time.monotonic_ns, time.sleep, workers.run_for, None, preflight.FLIGHT_S, Estimator(vehicle), time.time()
     with busy("preflight, before the arm is driven") as told:
         found = preflight.preflight(vehicle.with_urls(urls), *looks, told)
+    played = vehicle.motion.name if vehicle.motion is not None else "segments as they are asked for"
     if found.ready:
-        console().print(f"preflight is green: {vehicle.motion.name} on {', '.join(playing)}")
+        console().print(f"preflight is green: {played} on {', '.join(playing)}")
         return vehicle
     show(preflight.render(found))
     if vehicle.arm:

@@ -72,7 +72,7 @@ def _hil(arguments: argparse.Namespace) -> int:
     vehicle = config.with_mission(config.named(arguments.scenario), arguments.until, arguments.segments)
     asks = vehicle.segments_path
     if asks is not None and arguments.realtime:
-        raise ValueError("--until flies in virtual time here; on the real clock heft fly asks real drives")
+        raise ValueError("--until flies in virtual time here; on the real clock heft fly --until asks real drives")
     name = vehicle.file.vehicle.name if arguments.scenario.endswith(".toml") else arguments.scenario
     scenario = (
         scenario_of(arguments.scenario, arguments.over) if asks is None else _asked(vehicle.path, asks, arguments)

@@ -22,11 +22,13 @@ from onboard.devices.canopen import sync_on
 from onboard.devices.driven import DrivenDevice
 
 if TYPE_CHECKING:
+    from onboard.config.segments import Library
     from onboard.config.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 LONGEST_S = 3600.0
 FEWEST_ROWS = 4
+HELD_S = 1.0  # of the posture of segments, before the first is asked for
 WAY_POINTS_S = 0.2  # least time between two of them
 
 
@@ -46,7 +48,10 @@ def player_of(vehicle: "Vehicle", bus: str) -> PlayerConfig | None:
     """
     drive = vehicle.file.drive
     motion = vehicle.motion
-    if drive is None or not drive.armed or motion is None or not (vehicle.arm or drive.phase is not None):
+    library = vehicle.segments
+    if drive is None or not drive.armed or not (vehicle.arm or drive.phase is not None):
+        return None
+    if motion is None and library is None:
         return None
     driven = driven_on(vehicle)
     if not driven:
@@ -56,17 +61,32 @@ def player_of(vehicle: "Vehicle", bus: str) -> PlayerConfig | None:
         raise ConfigError(f"{vehicle.label}: driven devices are on {', '.join(buses)}; one SYNC moves one bus's drives")
     if buses != [bus]:
         return None
-    time_s, q = read_motion(motion, [device.joint for device in driven.values()])
+    joints = [device.joint for device in driven.values()]
+    name = "the posture of the segments" if motion is None else motion.name
+    segments = {} if library is None else _segments(library, joints)
+    if motion is not None:
+        time_s, q = read_motion(motion, joints)
+    else:
+        time_s, q = np.array([0.0, HELD_S]), np.tile(next(iter(segments.values()))[1][0], (2, 1))
     ranges = joint_ranges(vehicle.urdf_text)
     period_s = 1e-3 * sync_on(vehicle, bus)[1].period_ms
     on_sync_s, on_sync = resampled(time_s, q, period_s)
     axes, columns = [], []
     for column, (name, device) in enumerate(driven.items()):
         limits = _range(drive, device.joint, ranges)
-        require_within(str(motion), device.joint, on_sync_s, on_sync[:, column], limits, drive.acceleration_rad_s2)
+        require_within(
+            str(motion or name), device.joint, on_sync_s, on_sync[:, column], limits, drive.acceleration_rad_s2
+        )
         axes.append(_axis(drive, name, device, limits))
         columns.append(_counts(device, q[:, column] if drive.mode == "profile" else on_sync[:, column]))
     counts = np.stack(columns, 1)
+    asked = {}
+    for own, (at_s, angles) in segments.items():
+        on_sync_s, on_sync = resampled(at_s, angles, period_s)
+        for column, device in enumerate(driven.values()):
+            limits = _range(drive, device.joint, ranges)
+            require_within(own, device.joint, on_sync_s, on_sync[:, column], limits, drive.acceleration_rad_s2)
+        asked[own] = np.stack([_counts(device, on_sync[:, k]) for k, device in enumerate(driven.values())], 1)
     ticks, mode = np.arange(len(counts), dtype=np.int64), CYCLIC
     if drive.mode == "profile":
         if np.diff(time_s).min() < WAY_POINTS_S:
@@ -74,8 +94,19 @@ def player_of(vehicle: "Vehicle", bus: str) -> PlayerConfig | None:
         ticks, mode = np.round((time_s - time_s[0]) / period_s).astype(np.int64), PROFILE
     return PlayerConfig(
         *(tuple(axes), ticks, counts, mode, drive.heartbeat_ms, drive.sync_limit_ms, drive.master_node),
-        name=motion.name,
+        name=name,
+        segments=asked,
     )
+
+
+def _segments(library: "Library", joints: Sequence[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Times (n,) and angles (n, joints) of each segment, by name."""
+    if sorted(library.joints) != sorted(joints):
+        told = f"{', '.join(library.joints)}, and {', '.join(joints)} are driven"
+        raise ConfigError(f"the segments of [mission] move {told}: they have to be the same")
+    order = [library.joints.index(joint) for joint in joints]
+    motions = zip(library.names, library.ticks.tolist(), library.q, strict=True)
+    return {name: (library.time_s[:n], q[:n, order]) for name, n, q in motions}
 
 
 def driven_on(vehicle: "Vehicle") -> dict[str, DrivenDevice]:

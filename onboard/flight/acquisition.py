@@ -44,6 +44,7 @@ class Acquisition:
         self._publisher.publish(batches)
         if self._arming is not None:
             self._arming.see(batches)
+            self._publisher.publish(self._arming.hear(device, now_ns))
 
     def step(self, now_ns: int) -> None:
         """Pump every device that is due, without waiting."""

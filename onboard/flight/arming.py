@@ -9,13 +9,20 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from drivers.canopen_pdo.player import Player
 from drivers.canopen_pdo.torque_master import TorqueMaster
 from drivers.device import Device
 from drivers.records import Batch, SampleStatus, Severity, event
 from onboard import config
+from onboard.channels import Act
+from onboard.ring import RingReader
 
 MARK = "drive_armed"
+REQUESTS = "request.ring"  # of the estimation process
+HEAR_NS = 20_000_000  # between two looks at it
+LATE_NS = 2_000_000_000  # a request so old is not played any more
 
 
 @runtime_checkable
@@ -44,6 +51,10 @@ class Arming:
         self._spent = self._mark is not None and self._mark.exists()
         self._players: list[Player | TorqueMaster] = []
         self._lock = threading.Lock()
+        asks = directory is not None and vehicle.file.mission is not None
+        self._asked_at = directory / REQUESTS if directory is not None and asks else None
+        self._asked: RingReader | None = None
+        self._hear_ns = 0
 
     def started(self, device: Device, now_ns: int) -> list[Batch]:
         """A device was started: its player is armed where the operator has armed; an event where it is not any more."""
@@ -68,6 +79,33 @@ class Arming:
                 valid = ~(rows["status"] & SampleStatus.NOT_VALID).astype(bool)
                 if (rows["value_raw"][valid] == self._phase).any():
                     self._arm()
+
+    def hear(self, device: Device, now_ns: int) -> list[Batch]:
+        """Pass on segments that the estimation asks for to the device's player; an event for each that comes late."""
+        player = device.player if isinstance(device, Drives) and self._asked_at is not None else None
+        if not isinstance(player, Player) or not player.is_active or now_ns < self._hear_ns:
+            return []
+        self._hear_ns = now_ns + HEAR_NS
+        said = []
+        for row in self._requests():
+            name, late_ns = row["segment"].decode("ascii", "replace"), now_ns - int(row["host_ns"])
+            if row["act"] == Act.SEGMENT and late_ns <= LATE_NS:
+                player.request(name)
+            elif row["act"] == Act.SEGMENT:
+                text = f"{name} was asked for {1e-9 * late_ns:.1f} s ago: it is not played"
+                said.append(event(now_ns, Severity.WARNING, "segment_late", device.name, text))
+        return said
+
+    def _requests(self) -> Iterable[np.void]:
+        """Rows that were not read before; none as long as there is no ring."""
+        assert self._asked_at is not None
+        if self._asked is None:
+            try:
+                self._asked = RingReader(self._asked_at)
+            except (OSError, ValueError):  # not there, or being made
+                return ()
+        rows: Iterable[np.void] = self._asked.read()[0]
+        return rows
 
     def _arm(self) -> None:
         with self._lock:

@@ -7,7 +7,6 @@ small. Where the motions that are allowed tell nothing more, the event says whic
 it, or which tolerances are left.
 """
 
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from drivers.records import Batch, Severity, event
 from onboard import channels, config
+from onboard.channels import Act
 from onboard.config.mission import Goal, goals_of
 from onboard.config.segments import Library
 from onboard.dynamics.errors import SignalError
@@ -38,14 +38,6 @@ _LITTLE = 0.93  # of the ratio: a segment that gains less than this may be the l
 _FEWEST = 3  # segments before it is given up
 _KEPT = 0.02  # over a limit, of it
 _ANY_RATE_rad_s = 0.1
-
-
-class Act(IntEnum):
-    """Of a REQUEST row."""
-
-    SEGMENT = 0
-    MET = 1
-    GIVEN_UP = 2
 
 
 class _Known(NamedTuple):

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from onboard import config
+from onboard.channels import Act
 from onboard.flight import rings, runner, simulated
 from onboard.flight.acquisition import Acquisition
-from onboard.flight.asking import Act
 from onboard.flight.devices import open_devices
 from onboard.flight.directories import scratch
 from onboard.flight.estimation import EstimationWorker, create_rings

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from onboard import channels, config
+from onboard.channels import Act
 from onboard.cli import main
 from onboard.config.mission import goals_of
 from onboard.config.segments import Library, read, to_bytes
-from onboard.flight.asking import Act, Asking
+from onboard.flight.asking import Asking
 from onboard.flight.estimator import Estimator
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
