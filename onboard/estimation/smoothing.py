@@ -13,13 +13,13 @@ Known limits: the kernel is centred, so a tick needs samples up to half a width 
 dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, PPoly
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import RowError
@@ -63,24 +63,59 @@ class Kernel(NamedTuple):
         return np.array([[1.0, m1, m2], [0.0, 1.0, 2.0 * m1], [0.0, 0.0, 2.0]][derivative])
 
 
-def _unit_kernels() -> tuple[PPoly, Kernel, PPoly]:
+class _Pieces(NamedTuple):
+    """Functions that are polynomials on each of :data:`ORDER` intervals of -1/2..1/2, and zero beyond.
+
+    Our own: :mod:`scipy.interpolate` is 12 MB in each process of an estimator.
+    """
+
+    coefficients: FloatArray  # (powers of the place in the interval from 0 to 1, intervals, functions)
+
+    def __call__(self, u: FloatArray) -> FloatArray:
+        """The functions at ``u``, (..., functions)."""
+        place = (np.asarray(u, np.float64) + 0.5) * ORDER
+        interval = np.clip(place, 0.0, ORDER - 1.0).astype(np.intp)
+        place = (place - interval)[..., None]
+        inside = (place >= 0.0) & (place <= 1.0)
+        value: FloatArray = self.coefficients[-1][interval]
+        for coefficient in self.coefficients[-2::-1]:  # Horner; element by element, so the same bits in every replay
+            value *= place
+            value += coefficient[interval]
+        return value if inside.all() else np.where(inside, value, 0.0)
+
+    def derived(self) -> "_Pieces":
+        """Their derivatives."""
+        derivative = np.zeros_like(self.coefficients)
+        derivative[:-1] = self.coefficients[1:] * (ORDER * np.arange(1.0, ORDER))[:, None, None]
+        return _Pieces(derivative)
+
+    def alone(self, function: int) -> Shape:
+        """One of them."""
+        only = _Pieces(self.coefficients[..., [function]])
+        return lambda u: only(u)[..., 0]
+
+
+def _base() -> _Pieces:
+    """B: ``ORDER sum_i (-1)^i C(ORDER, i) (x - i)^(ORDER - 1) / (ORDER - 1)!`` over i up to x (Schoenberg, 1946)."""
+    degree, intervals = ORDER - 1, range(ORDER)
+    whole = [  # exact: integers
+        [
+            sum((-1) ** i * math.comb(ORDER, i) * math.comb(degree, k) * (j - i) ** (degree - k) for i in range(j + 1))
+            for j in intervals
+        ]
+        for k in range(ORDER)
+    ]
+    return _Pieces(np.array(whole, np.float64)[..., None] * (ORDER / math.factorial(degree)))
+
+
+def _unit_kernels() -> tuple[Shape, Kernel, _Pieces]:
     """B, (h, h', h''), and all four of them beside each other, on the full width -1/2..1/2."""
-    knots = np.linspace(-0.5, 0.5, ORDER + 1)
-    element = BSpline.basis_element(knots)
-    whole = PPoly.from_spline((element.t, element.c, element.k))
-    first = int(np.searchsorted(whole.x, knots[0], side="right")) - 1
-    # A basis element integrates to 1 / ORDER of its support.
-    base = PPoly(whole.c[:, first : first + ORDER] * ORDER, knots, extrapolate=False)
-    kernels = []
-    for derivative in range(3):
-        low, high = base.derivative(derivative), base.derivative(derivative + 2)
-        coefficients = low.c.copy()
-        coefficients[-high.c.shape[0] :] -= 0.5 * _MU2 * high.c
-        kernels.append(PPoly(coefficients, knots, extrapolate=False))
-    together = np.zeros((ORDER, ORDER, 4))
-    for column, part in enumerate((base, *kernels)):
-        together[-part.c.shape[0] :, :, column] = part.c
-    return base, Kernel((kernels[0], kernels[1], kernels[2])), PPoly(together, knots, extrapolate=False)
+    derivatives = [_base()]
+    for _ in range(4):
+        derivatives.append(derivatives[-1].derived())
+    each = [part.coefficients for part in derivatives]
+    together = _Pieces(np.concatenate([each[0], *(each[k] - 0.5 * _MU2 * each[k + 2] for k in range(3))], axis=2))
+    return together.alone(0), Kernel((together.alone(1), together.alone(2), together.alone(3))), together
 
 
 _BASE, SPLINE, _SPLINE_TOGETHER = _unit_kernels()

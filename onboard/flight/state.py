@@ -1,9 +1,9 @@
 """Serialises the estimator's object tree as data (JSON and arrays), without executable content.
 
 Only values are written: numbers, text, arrays, containers, and the attributes of instances of our own numerical
-classes. Parts that a new object of the same kind has anyway and that are not values (vehicle file, Pinocchio model,
-types, functions) are referred to by their place in that new object. Nothing is imported, and no constructor,
-``__setstate__`` or ``__reduce__`` is called, when a state is read.
+classes. Parts that a new object of the same kind has anyway and that never change (vehicle file, models, types,
+functions, arrays that cannot be written to) are referred to by their place in that new object. Nothing is imported, and
+no constructor, ``__setstate__`` or ``__reduce__`` is called, when a state is read.
 """
 
 import contextlib
@@ -14,8 +14,9 @@ import math
 import sys
 import zipfile
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from enum import Enum
+from itertools import chain
 from typing import IO, Any, Literal
 
 import numpy as np
@@ -23,12 +24,15 @@ import pydantic
 from numpy.typing import NDArray
 
 from onboard.dynamics.vehicle import VehicleModel
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
 
 FORMAT = 3
 _ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "devices", "flight")
 _PACKAGES = tuple(f"onboard.{room}." for room in _ROOMS)
+_MODELS = (VehicleModel, ImuPredictor)  # of ours, the same all flight
 _TREE, _DATA = "tree", "data"
 _PLAIN = (bool, int, float, str, type(None))
+_KINDS = frozenset(_PLAIN)
 _SEQUENCES: dict[str, type] = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
 
 
@@ -57,7 +61,7 @@ class Places:
         if isinstance(thing, _PLAIN) or id(thing) in self._seen:
             return
         self._seen[id(thing)] = thing
-        if not _is_data(thing):
+        if not _is_data(thing) or (isinstance(thing, np.ndarray) and not thing.flags.writeable):
             self.at[place], self._place[id(thing)] = thing, place
         for name, part in _parts(thing):
             self._walk(part, f"{place}/{name}")
@@ -91,14 +95,14 @@ def _is_data(thing: object) -> bool:
     if isinstance(thing, Enum) or (isinstance(thing, tuple) and hasattr(thing, "_fields")):
         return True
     values = (np.ndarray, np.generic, bytes, list, tuple, dict, set, frozenset, deque, slice)
-    return kind in values or isinstance(thing, np.generic) or (_is_ours(kind) and kind is not VehicleModel)
+    return kind in values or isinstance(thing, np.generic) or (_is_ours(kind) and kind not in _MODELS)
 
 
 class _Writer:
     def __init__(self, places: Places) -> None:
         self._places, self._number = places, dict[int, int]()
         self._kept: list[object] = []  # so that no number is given twice
-        self.arrays: list[memoryview] = []  # their bytes, to be written before anything changes them
+        self.arrays: list[memoryview] = []  # their bytes, to be copied before anything changes them
         self._end = 0
 
     def node(self, thing: object) -> Any:
@@ -113,6 +117,11 @@ class _Writer:
         self._number[id(thing)] = len(self._kept)
         self._kept.append(thing)
         return self._new(thing)
+
+    def _items(self, things: Collection[object]) -> list[Any]:
+        if {type(item) for item in things} == {tuple} and _KINDS.issuperset(map(type, chain.from_iterable(things))):  # type: ignore[arg-type]
+            return [["plain", item] for item in things]
+        return [self.node(item) for item in things]
 
     def _array(self, array: NDArray[Any]) -> list[Any]:
         """Dtype, order, shape and place in the data."""
@@ -137,11 +146,11 @@ class _Writer:
             case slice():
                 node = ["slice", [self.node(end) for end in (thing.start, thing.stop, thing.step)]]
             case deque():
-                node = ["deque", thing.maxlen, [self.node(item) for item in thing]]
+                node = ["deque", thing.maxlen, self._items(thing)]
             case dict():
                 node = ["dict", [[self.node(key), self.node(value)] for key, value in thing.items()]]
             case list() | tuple() | set() | frozenset() if kind.__name__ in _SEQUENCES:
-                node = [kind.__name__, [self.node(item) for item in thing]]
+                node = [kind.__name__, self._items(thing)]
             case tuple():
                 node = ["record", _name(kind), [self.node(item) for item in thing]]
             case _ if _is_data(thing):
@@ -264,14 +273,12 @@ def write(file: IO[bytes], thing: object, places: Places) -> None:
     """
     writer = _Writer(places)
     tree = json.dumps({"format": FORMAT, "root": writer.node(thing)}).encode()
-    with zipfile.ZipFile(file, "w") as container:  # as np.savez writes it, without its copies of the data
-        for name, parts in ((_TREE, [memoryview(tree)]), (_DATA, writer.arrays)):
+    with zipfile.ZipFile(file, "w") as container:  # as np.savez writes it, in few and large pieces
+        for name, content in ((_TREE, tree), (_DATA, b"".join(writer.arrays))):
             with container.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                size = sum(part.nbytes for part in parts)
-                about = {"descr": "|u1", "fortran_order": False, "shape": (size,)}
+                about = {"descr": "|u1", "fortran_order": False, "shape": (len(content),)}
                 np.lib.format.write_array_header_1_0(entry, about)
-                for part in parts:
-                    entry.write(part)
+                entry.write(content)
 
 
 def from_bytes(data: bytes, places: Places) -> Any:

@@ -46,6 +46,7 @@ class PulseTrain:
         self._cycle_ns = code.cycle_sync_periods() * sync_period_ns
         rise_ns = code.sync_numbers() * sync_period_ns + code.dither_ns()
         self._rise_ns = np.concatenate([rise_ns, rise_ns + self._cycle_ns])
+        self._rise_ns.setflags(write=False)  # half a megabyte that checkpoints need not hold
         self._last: tuple[int, int] | None = None  # (number of the pulse, edge_ns)
         self._recent: deque[int] = deque(maxlen=self.EDGES_HELD)
         self._strangers = 0

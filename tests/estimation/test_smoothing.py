@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
+from scipy.interpolate import BSpline
 
 from onboard.estimation.errors import RowError
-from onboard.estimation.smoothing import Response, SmoothingWindow, correlation_inflation, smooth
+from onboard.estimation.smoothing import ORDER, SPLINE, Response, SmoothingWindow, correlation_inflation, smooth
 
 WIDTH = 0.1
 A_BILLIONTH = 1e-9
@@ -16,6 +17,16 @@ A_BILLIONTH = 1e-9
 def uneven(rng, duration=1.0, period=0.005, jitter=0.3):
     t = np.arange(0, duration, period)
     return t + rng.uniform(-jitter, jitter, t.size) * period
+
+
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_the_kernel_is_the_b_spline_less_half_its_second_moment_times_its_curvature(derivative):
+    element = BSpline.basis_element(np.linspace(-0.5, 0.5, ORDER + 1))
+    u = np.linspace(-0.499, 0.499, 997)
+    second_moment = 1.0 / (12.0 * ORDER)
+    truth = ORDER * (element.derivative(derivative)(u) - 0.5 * second_moment * element.derivative(derivative + 2)(u))
+    np.testing.assert_allclose(SPLINE.parts[derivative](u), truth, atol=A_BILLIONTH * np.abs(truth).max())
+    assert (SPLINE.parts[derivative](np.array([-0.6, 0.51, 3.0])) == 0.0).all()
 
 
 @pytest.mark.parametrize("derivative", [0, 1, 2])

@@ -51,6 +51,18 @@ def test_values_come_back_with_their_kinds_and_what_they_share() -> None:
     assert back["e"] is GateReason.CONTACT
 
 
+def test_what_cannot_be_written_to_is_not_written_but_found_in_the_new_object() -> None:
+    sealed, loose = np.arange(1000.0), np.arange(1000.0)
+    sealed.setflags(write=False)
+    places = Places([sealed, loose])
+    data = to_bytes([sealed, loose], places)
+    assert loose.nbytes < len(data) < 1.5 * loose.nbytes
+    back = from_bytes(data, places)
+    assert back[0] is sealed
+    assert back[1] is not loose
+    assert (back[1] == loose).all()
+
+
 class _Foreign:
     pass
 

@@ -1,22 +1,36 @@
-"""States that a filter was in, to go back to one: covariances are kept as triangles, which halves a checkpoint."""
+"""States that a filter was in, to go back to one.
+
+They are most of a checkpoint: covariances are kept as triangles, and of the older states every fourth.
+"""
 
 from collections import deque
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
+
+_EVERY = 8  # of the newest batches, from which nearly all changes are gone back; of those before one in _OF
+_OF = 4
+
+
+class _Kept(NamedTuple):
+    number: int  # of the batch
+    state: FloatArray  # (p,)
+    triangle: FloatArray  # (p (p + 1) / 2,)
 
 
 class Snapshots:
     """The newest states.
 
     Args:
-        most: kept.
+        most: of the newest that can be gone back to, itself or one shortly before it.
     """
 
     def __init__(self, most: int) -> None:
-        self._kept: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=most)
+        self._most, self._newest = most, -1
+        self._kept: deque[_Kept] = deque()
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -27,11 +41,17 @@ class Snapshots:
 
     def append(self, state: FloatArray, covariance: FloatArray) -> None:
         """Keep a state, (p,), and its covariance, (p, p)."""
-        self._kept.append((state, covariance.ravel()[_upper(len(state))]))
+        self._newest += 1
+        self._kept.append(_Kept(self._newest, state, covariance.ravel()[_upper(len(state))]))
+        if len(self._kept) > _EVERY and self._kept[-1 - _EVERY].number % _OF:
+            del self._kept[-1 - _EVERY]
+        if len(self._kept) > 1 and self._newest - self._kept[1].number >= self._most - 1:
+            self._kept.popleft()
 
     def back(self, batches: int) -> tuple[FloatArray, FloatArray]:
-        """State and covariance so many before the newest; the oldest one kept where that is not."""
-        state, triangle = self._kept[max(0, len(self._kept) - 1 - batches)]
+        """State and covariance so many before the newest, or of the next older one; the oldest where there is none."""
+        wanted = self._newest - batches
+        _, state, triangle = next((one for one in reversed(self._kept) if one.number <= wanted), self._kept[0])
         p = len(state)
         upper = np.zeros((p, p))
         upper.flat[_upper(p)] = triangle

@@ -22,3 +22,13 @@ def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(
             np.testing.assert_array_equal(covariance, covariances[number])
     snapshots.clear()
     assert len(snapshots) == 0
+
+
+def test_of_older_states_every_fourth_is_kept_and_the_next_older_one_is_given():
+    snapshots = Snapshots(28)
+    for number in range(100):
+        snapshots.append(np.array([float(number)]), np.eye(1))
+    given = [int(snapshots.back(batches)[0][0]) for batches in range(28)]
+    assert given[:8] == list(range(99, 91, -1))
+    assert all(99 - batches - 4 < number <= 99 - batches for batches, number in enumerate(given))
+    assert len(snapshots) <= 14
