@@ -1,7 +1,7 @@
 """Spoilt copies of DYMAFLEX flights: is a verdict of ``heft identify`` ever good while the truth is far outside?
 
 Run ``python -m bench.spoilt_flights LOG ...`` with logs of ``heft hil dymaflex --log LOG`` beside which their truth is
-(LOG.truth.json). Each log is spoilt in one stream for the whole flight and identified, from its onboard answer.
+(LOG.truth.json). Each log is spoilt in one stream, or cut, and identified, from its onboard answer.
 A copy is *wrong* where the truth of a quantity lies beyond its 99.9 % interval. Exit code 1: good and wrong.
 """
 
@@ -27,6 +27,7 @@ from onboard.recording.writer import LogWriter
 
 Spoil = Callable[[str, Rows], None]
 _IMU, _IMU_2, _CELL = "imu_base", "imu_2", "load_cell"
+_FIELDS = {_IMU: ("gyro_raw", "accel_raw"), _IMU_2: ("gyro_raw", "accel_raw")}  # of other channels: value_raw
 _ANSWERS = ("estimate", "event_estimation")
 
 
@@ -56,12 +57,27 @@ def _late(channel: str, delay_s: float, name: str, rows: Rows) -> None:
     """Readings of an instrument by its neighbours so much earlier, at unchanged stamps, within each batch."""
     if name != channel:
         return
-    field = "value_raw" if "value_raw" in (rows.dtype.names or ()) else "gyro_raw"
     stamps = rows["host_ns"].astype(np.float64)
-    for one in (field, "accel_raw") if field == "gyro_raw" else (field,):
+    for one in _FIELDS.get(channel, ("value_raw",)):
         values = rows[one].astype(np.float64).reshape(len(rows), -1)
         moved = [np.interp(stamps - 1e9 * delay_s, stamps, column) for column in values.T]
         rows[one] = np.rint(np.stack(moved, axis=1)).reshape(rows[one].shape)
+
+
+def _clipped(channel: str, field: str, share: float, name: str, rows: Rows) -> None:
+    """Readings beyond a share of the largest are that."""
+    if name == channel:
+        about = np.median(rows[field], axis=0)
+        most = share * np.abs(rows[field] - about).max()
+        rows[field] = np.clip(rows[field], about - most, about + most)
+
+
+def _stuck(channel: str, share: float, name: str, rows: Rows) -> None:
+    """An instrument repeats its reading after a share of the flight."""
+    if name == channel:
+        for field in _FIELDS.get(channel, ("value_raw",)):
+            first = int(share * len(rows))
+            rows[field][first:] = rows[field][first]
 
 
 def spoils() -> dict[str, Spoil]:
@@ -76,9 +92,15 @@ def spoils() -> dict[str, Spoil]:
         made[f"{words} yz swapped"] = partial(_permuted, field, [0, 2, 1])
     for joint in ("joint_2", "joint_4"):
         made[f"{joint} 10 ms late"] = partial(_late, joint, 0.01)
+        made[f"{joint} clipped at 70 %"] = partial(_clipped, joint, "value_raw", 0.7)
+        made[f"{joint} stuck from mid-flight"] = partial(_stuck, joint, 0.5)
         made[f"{joint} x 1.03"] = partial(_scaled, joint, "value_raw", 1.03, None)
         made[f"{joint} sign"] = partial(_scaled, joint, "value_raw", -1.0, None)
-    made["IMU 10 ms late"] = partial(_late, _IMU, 0.01)
+    for words, channel in (("IMU", _IMU), ("IMU 2", _IMU_2), ("cell", _CELL)):
+        made[f"{words} 10 ms late"] = partial(_late, channel, 0.01)
+        made[f"{words} stuck from mid-flight"] = partial(_stuck, channel, 0.5)
+        for field in _FIELDS.get(channel, ("value_raw",)):
+            made[f"{words} {field} clipped at 50 %"] = partial(_clipped, channel, field, 0.5)
     for factor in (0.0, 0.5, 0.95, 1.05, -1.0):  # dead at 0
         made[f"cell x {factor:g}"] = partial(_scaled, _CELL, "value_raw", factor, None)
     made["cell + 2 N from mid-flight"] = partial(_stepped, _CELL, "value_raw", 2.0)
@@ -88,8 +110,21 @@ def spoils() -> dict[str, Spoil]:
     return made
 
 
-def spoilt(log: LogReader, spoil: Spoil, out: Path, channels: Sequence[str]) -> Path:
-    """A copy of a log with a stream spoilt; batches of a channel are joined for delays."""
+CUTS = {  # what is left: of which channels, and between which shares of the flight
+    "cut to the first half": ("", 0.0, 0.5),
+    "cut to the last half": ("", 0.5, 1.0),
+    "cut to the last 5 %": ("", 0.95, 1.0),
+    "IMU cut to the first half": (_IMU, 0.0, 0.5),
+    "IMU cut to the last half": (_IMU, 0.5, 1.0),
+    "IMU 2 cut to the first half": (_IMU_2, 0.0, 0.5),
+    "cell cut to the first half": (_CELL, 0.0, 0.5),
+    "joint_2 cut to the first half": ("joint_2", 0.0, 0.5),
+}
+
+
+def spoilt(log: LogReader, spoil: Spoil, out: Path, channels: Sequence[str], cut: str = "") -> Path:
+    """A copy of a log with a stream spoilt or cut; batches of a channel are joined for delays."""
+    only, begin, end = CUTS.get(cut, ("", 0.0, 1.0))
     kept: dict[str, list[Rows]] = {}
     for name, rows in log.batches(channels):
         kept.setdefault(name, []).append(rows)
@@ -97,6 +132,8 @@ def spoilt(log: LogReader, spoil: Spoil, out: Path, channels: Sequence[str]) -> 
         for name, parts in kept.items():
             rows = np.concatenate(parts)
             spoil(name, rows)
+            if only in ("", name):
+                rows = rows[int(begin * len(rows)) : int(end * len(rows))]
             writer.register(name, rows.dtype)
             for first in range(0, len(rows), 2000):
                 writer.write(name, rows[first : first + 2000])
@@ -116,11 +153,11 @@ def main() -> int:
         log = LogReader(path)
         truth = json.loads(Path(f"{path}.truth.json").read_text())["quantities"]
         channels = [*vehicle.channels, *(() if arguments.alone else _ANSWERS)]
-        for name, spoil in spoils().items():
+        for name, spoil in [*spoils().items(), *((cut, spoils()["as flown"]) for cut in CUTS)]:
             if arguments.only not in name:
                 continue
             with tempfile.TemporaryDirectory() as directory:
-                copy = spoilt(log, spoil, Path(directory) / "copy.mcap", channels)
+                copy = spoilt(log, spoil, Path(directory) / "copy.mcap", channels, name)
                 (found,) = identify(vehicle, [copy]).logs
             off = {
                 one.name: (one.value - truth[one.name]) / (WIDER * (one.high - one.value))
@@ -132,7 +169,7 @@ def main() -> int:
             failed += wrong and found.verdict.level == "good"
             told = f"{worst} at {off[worst]:+.1f} of its 99.9 % interval" if off else "no answer"
             said = f"{'WRONG ' if wrong else ''}{told}; {found.verdict.text[:170]}"
-            print(f"{path.name:14}{name:20}{found.verdict.level:11}{said}", flush=True)
+            print(f"{path.name:14}{name:30}{found.verdict.level:11}{said}", flush=True)
     print(f"good and wrong: {failed}")
     return int(failed > 0)
 

@@ -31,9 +31,9 @@ from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation
 from onboard.flight.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
 from onboard.flight.roles import roles_of
 from onboard.flight.signals import CYCLIC_LEFT, cyclic_functions
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.recursive import BATCH_TICKS
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.quantities import BODY
 

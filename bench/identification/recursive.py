@@ -22,10 +22,11 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import VehicleModel
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.recursive import BATCH_TICKS, RecursiveExiddm, SOLVED_AT_s
+from onboard.identification.exiddm.recursive import RecursiveExiddm, SOLVED_AT_s
 from onboard.identification.exiddm.ticks import Ticks
 
 Floats = NDArray[np.float64]
@@ -62,7 +63,7 @@ def estimator(
 ) -> RecursiveExiddm:
     """One that knows nothing yet."""
     predictor = ImuPredictor(model, "imu_base", signals.period_s, signals.samples, covariance, imu_prior)
-    return RecursiveExiddm(predictor, "imu_base", case.PAYLOAD_SIGMA, held)
+    return RecursiveExiddm(predictor, case.PAYLOAD_SIGMA, held)
 
 
 def unscented(online: RecursiveExiddm, ticks: Ticks) -> tuple[BodyEstimate, float]:

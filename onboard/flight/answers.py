@@ -101,6 +101,7 @@ WHY = channels.QUANTITY["why"].itemsize
 
 _HYPOTHESES = {
     "left_out": "{} contradicts the other instruments: estimates without it",
+    "absent": "{} has no readings that can be used: estimates without it",
     "taken_back": "{} no longer contradicts the other instruments: estimates with it",
     "release_contradicted": "a reported release of the payload is rejected: {}",
     "capture_contradicted": "a reported capture of the payload is rejected: {}",

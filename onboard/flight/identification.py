@@ -130,13 +130,14 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
         further = further_instruments(vehicle, roles, imu_prior)
-        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, covariance, imu_prior, geometry, further)
+        priors = covariance, imu_prior, geometry, further
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0])
         known = None
         if settings.carried:
             known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
         step_ticks = max(1, round(1e-3 * settings.step_ms * settings.row_rate_hz))
         told = asked.held_at_start, asked.false_alarms_per_hour, known
-        exiddm = RecursiveExiddm(predictor, roles.imu.frame, payload_sigma, *told, step_ticks)
+        exiddm = RecursiveExiddm(predictor, payload_sigma, *told, step_ticks)
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
     return ExiddmIdentifier(exiddm), model

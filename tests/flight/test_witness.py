@@ -74,7 +74,7 @@ def told(log: Path, channel: str, spoil: Callable[[Rows], None]) -> tuple[list[s
     estimator.process = spoilt
     for name, rows in feed(estimator, reader):
         if "code" in (rows.dtype.names or ()):
-            texts += [row["text"].decode() for row in rows if row["code"] in (b"left_out", b"taken_back")]
+            texts += [row["text"].decode() for row in rows if row["code"] in (b"left_out", b"absent", b"taken_back")]
         elif name == "quantity":
             masses += [row.copy() for row in rows if row["name"] == b"m_payload"]
     return texts, masses[-1]
@@ -119,6 +119,38 @@ def test_a_second_imu_of_a_wrong_scale_is_left_out(flown: Result) -> None:
     texts, mass = told(flown.flown.log, "imu_2", spoil)
     assert texts == ["imu_2 contradicts the other instruments: estimates without it"]
     assert_weak(mass, "imu_2")
+
+
+def test_a_first_imu_whose_scale_changes_in_flight_is_left_out(flown: Result) -> None:
+    start_ns = int(LogReader(flown.flown.log).read("imu_base")["host_ns"][0])
+
+    def spoil(rows: Rows) -> None:
+        late = rows["host_ns"] > start_ns + 14_000_000_000
+        rows["gyro_raw"][late] = np.rint(0.7 * rows["gyro_raw"][late])
+
+    texts, mass = told(flown.flown.log, "imu_base", spoil)
+    assert texts == ["imu_base contradicts the other instruments: estimates without it"]
+    assert_weak(mass, "imu_base")
+
+
+def test_a_first_imu_of_swapped_axes_is_left_out(flown: Result) -> None:
+    def spoil(rows: Rows) -> None:
+        rows["gyro_raw"] = rows["gyro_raw"][:, [1, 0, 2]]
+
+    texts, mass = told(flown.flown.log, "imu_base", spoil)
+    assert texts == ["imu_base contradicts the other instruments: estimates without it"]
+    assert_weak(mass, "imu_base")
+
+
+def test_without_readings_of_the_first_imu_the_second_one_is_enough(flown: Result) -> None:
+    def spoil(rows: Rows) -> None:
+        rows["gyro_raw"], rows["accel_raw"] = 5, 7
+
+    texts, mass = told(flown.flown.log, "imu_base", spoil)
+    assert texts == ["imu_base has no readings that can be used: estimates without it"]
+    assert mass["why"] == b"without imu_base, which gives no readings"
+    assert abs(mass["value"] - MASS_kg) < 3.0 * mass["sigma"]
+    assert mass["sigma"] < 0.006 * MASS_kg
 
 
 def test_on_the_ground_it_is_as_well_known_with_the_same_instruments(flown: Result) -> None:

@@ -7,7 +7,7 @@ window and nothing held does not; a capture, if nothing held explains the window
 from onboard.identification.change import Change
 from onboard.identification.exiddm.window import Hypothesis
 
-KINDS = {  # of a detected change, by what was held before and what explains the window after it
+_KINDS = {  # of a detected change, by what was held before and what explains the window after it
     (True, Hypothesis.NOTHING): "ejection",
     (True, Hypothesis.SAME): "contact",
     (True, Hypothesis.NEW): "instrument",
@@ -15,10 +15,26 @@ KINDS = {  # of a detected change, by what was held before and what explains the
     (False, Hypothesis.NEW): "capture",
 }
 
-AFTER_A_CHANGE = {  # hypotheses in the order in which they are tried, by whether a payload was held
+_AFTER_A_CHANGE = {  # hypotheses in the order in which they are tried, by whether a payload was held
     True: (Hypothesis.NOTHING, Hypothesis.SAME, Hypothesis.NEW),
     False: (Hypothesis.NOTHING, Hypothesis.NEW),
 }
+
+
+def kind_of(before: bool, hypothesis: Hypothesis, instrument: bool = False) -> str:
+    """What a detected change was.
+
+    Args:
+        before: a payload was held.
+        hypothesis: explains the window after it.
+        instrument: an instrument was found to be wrong, and is left out of that window.
+    """
+    return "instrument" if instrument and hypothesis is not Hypothesis.NEW else _KINDS[before, hypothesis]
+
+
+def after_a_change(held: bool, known: bool = True) -> tuple[Hypothesis, ...]:
+    """Hypotheses in the order in which they are tried; ``known``: there is an estimate of what was held."""
+    return tuple(one for one in _AFTER_A_CHANGE[held] if known or one is not Hypothesis.SAME)
 
 
 class Claim:

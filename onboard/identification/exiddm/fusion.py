@@ -6,8 +6,10 @@ at the end takes no part. An instrument whose innovation is improbable is refuse
 in a row it is accused. A load cell's innovation is also regressed on what it should read, over windows of batches: an
 error of its scale that the noise of the joints hides in a batch. A payload that is caught looks alike, and a cell sees
 it before the first IMU does, so the filter leaves the accused out only if the same payload explains a window without
-it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once. The first instrument
-is always used: what contradicts the model there is a change, which the filter detects.
+it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once. The reference, the
+first IMU in use, is not tested so: what contradicts the model there is a change, which the filter detects. Where it is
+itself the wrong one, a window is explained without it (:mod:`onboard.identification.exiddm.trials`), and the next IMU
+becomes the reference. One that gives no readings for a second is left out as well.
 """
 
 from collections import deque
@@ -25,6 +27,8 @@ _IMPROBABLE = 1e-9  # chance of an instrument's innovation in a batch below whic
 _CONTRADICTS_BATCHES = 5  # refused in a row: it is left out
 _PATIENCE_BATCHES = 6  # for which an instrument must stand accused: those in which a change is detected
 _AGREES_BATCHES = 100  # in a row: it is used again
+_HARDLY = 0.5  # share of the ticks in which the reference has to be there
+_ABSENT_BATCHES = 10  # in a row: it is left out
 _GAIN_WINDOWS = (5, 10, 20)  # batches
 _GAIN_SIGMAS, _GAIN_STATED = 6.0, 5.0  # of a window's scale error: of its standard error, and of the stated sigma
 
@@ -45,19 +49,33 @@ class Fusion:
         lines: of each in a tick's measurement.
 
     Attributes:
-        left_out: instruments that contradict the others, in the order in which they were found.
+        left_out: instruments that contradict the others or are absent, in the order in which they were found.
+        absent: those left out that give no readings.
         refused: one in use that was refused for several batches in a row; None if none was.
     """
 
     def __init__(self, names: Sequence[str], lines: Sequence[slice]) -> None:
         self.names, self._lines = tuple(names), tuple(lines)
         self.left_out: list[int] = []
+        self._imus = [k for k, own in enumerate(lines) if own.stop - own.start == lines[0].stop]
         self.refused: Accusation | None = None
         self._accusing = 0  # batches in a row
         self._refused, self._agreed = [0] * len(self.names), [0] * len(self.names)
+        self.absent: set[int] = set()
+        self._missing = 0  # batches in a row without the reference
         self._barred: set[int] = set()  # never used again
         self._gains = [deque[tuple[float, float]](maxlen=max(_GAIN_WINDOWS)) for _ in self.names]
         self._news: list[Change] = []
+
+    @property
+    def imus(self) -> list[int]:
+        """IMUs in use."""
+        return [k for k in self._imus if k not in self.left_out]
+
+    @property
+    def reference(self) -> int:
+        """The IMU that is always used, whose innovations are tested for changes: the first one in use."""
+        return self.imus[0]
 
     @property
     def order(self) -> list[int]:
@@ -67,7 +85,23 @@ class Fusion:
     @property
     def contradicting(self) -> tuple[str, ...]:
         """Names of what is left out."""
-        return tuple(self.names[k] for k in self.left_out)
+        return tuple(self.names[k] for k in self.left_out if k not in self.absent)
+
+    def rivals(self, accused: int) -> list[int]:
+        """Instruments of which one is wrong: of IMUs that contradict each other it can be either."""
+        return [accused, *(k for k in self.imus if k != accused)] if accused in self.imus else [accused]
+
+    def doubted(self, *, longer: bool) -> list[int]:
+        """Instruments that may be wrong where a window, or a longer one than before, is not explained by all."""
+        imus = self.imus if len(self.imus) > 1 else []
+        return imus + [k for k in self.order if longer and k not in self.left_out and k not in self._imus]
+
+    def expect(self, measured: FloatArray) -> None:
+        """Do without IMUs that have measured in less than half of some ticks, (n, lines), if another has in more."""
+        there = {k: float(np.isfinite(measured[:, self._lines[k].start]).mean()) for k in self.imus}
+        absent = [k for k in there if there[k] < _HARDLY]
+        for k in absent if len(absent) < len(there) else ():
+            self.leave_out(k, for_good=False, kind="absent")
 
     def forget(self) -> None:
         """Clear the windows after a reset of the filter."""
@@ -82,14 +116,16 @@ class Fusion:
             return None
         return accused._replace(batches=accused.batches and accused.batches + _PATIENCE_BATCHES)
 
-    def leave_out(self, instrument: int, *, for_good: bool = True) -> None:
-        """Do not use an instrument from now on, or until it has agreed for long enough."""
+    def leave_out(self, instrument: int, *, for_good: bool = True, kind: str = "left_out") -> None:
+        """Do not use an instrument from now on, or until it has agreed for long enough; ``kind``: of the event."""
         if for_good:
             self._barred.add(instrument)
         if instrument not in self.left_out:
             self.left_out.append(instrument)
             self._refused[instrument] = self._agreed[instrument] = 0
-            self._news.append(Change("left_out", np.nan, np.nan, np.nan, self.names[instrument]))
+            if kind == "absent":
+                self.absent.add(instrument)
+            self._news.append(Change(kind, np.nan, np.nan, np.nan, self.names[instrument]))
 
     def rows(self, order: Sequence[int], ticks: int) -> IndexArray:
         """Places of a batch's lines, (ticks x lines,), instrument by instrument."""
@@ -114,7 +150,7 @@ class Fusion:
     def improbable(
         self, order: Sequence[int], innovation: FloatArray, there: BoolArray, known: Sequence[int] = ()
     ) -> int | None:
-        """The first of the instruments in ``order``, but the very first, whose innovation is improbable.
+        """The first of the instruments in ``order``, but the reference, whose innovation is improbable.
 
         Args:
             order: in which the innovation has them.
@@ -127,7 +163,7 @@ class Fusion:
             own = self._lines[k]
             e = innovation[at : (at := at + len(there) * (own.stop - own.start))]
             freedom = int(there[:, own].sum())
-            if k and k not in known and freedom and chdtrc(freedom, float(e @ e)) < _IMPROBABLE:
+            if k != self.reference and k not in known and freedom and chdtrc(freedom, float(e @ e)) < _IMPROBABLE:
                 return k
         return None
 
@@ -138,8 +174,13 @@ class Fusion:
             refused: instruments with an improbable innovation.
             seen: which instruments measured at all, (instruments,).
         """
-        for k in range(1, len(self.names)):
-            if not seen[k]:
+        reference, others = self.reference, any(seen[k] for k in self.imus)
+        self._missing = self._missing + 1 if others and not seen[reference] else 0
+        if self._missing >= _ABSENT_BATCHES:
+            self._missing = 0
+            self.leave_out(reference, for_good=False, kind="absent")
+        for k in range(len(self.names)):
+            if k == self.reference or not seen[k]:
                 continue
             self._refused[k] = self._refused[k] + 1 if k in refused else 0
             self._agreed[k] = 0 if k in refused else self._agreed[k] + 1
@@ -147,6 +188,7 @@ class Fusion:
                 self.refused = Accusation(k, self._refused[k], for_good=False)
             elif k in self.left_out and k not in self._barred and self._agreed[k] >= _AGREES_BATCHES:
                 self.left_out.remove(k)
+                self.absent.discard(k)
                 self._barred.add(k)  # the next time it stays out
                 self._news.append(Change("taken_back", np.nan, np.nan, np.nan, self.names[k]))
 

@@ -91,14 +91,18 @@ class ImuPredictor:
         imu_prior: on instrument errors; the clock rate error is taken for none.
         geometry: prior on places of IMU and joints, and on encoder errors.
         further: instruments besides that IMU.
+        name: of that IMU.
 
     Attributes:
         names: of the p parameters.
         sigma: (p,) before the flight; NaN for rate and payload, of which nothing is known.
         biases: where each bias stands in the state, and where its drift.
         further: instruments besides the first IMU.
+        instruments: names of all, the first IMU first, load cells last.
+        imu_frames: of the IMUs, by their numbers among the instruments.
         lines: of what is predicted by instrument, the first IMU first.
-        of_further: where the errors of each further instrument stand in the state: of a cell its scale alone.
+        of_each: where the errors of each instrument stand in the state.
+        of_further: the same of each further instrument, of a cell its scale alone.
         stated: (p,) as ``sigma``, of biases as they may be after their drift.
         wandering: where the delays stand that wander, and the correlation time of each.
         changing: where rate and biases stand, the only elements of the state that change from tick to tick.
@@ -117,9 +121,12 @@ class ImuPredictor:
         imu_prior: ImuPrior,
         geometry: GeometryPrior = EXACT_GEOMETRY,
         further: Sequence[Further] = (),
+        name: str = "imu",
     ) -> None:
         self.vehicle, self.period_s = vehicle, period_s
         self.further = tuple(sorted(further, key=lambda one: isinstance(one, FurtherCell)))
+        self.instruments = (name, *(one.name for one in self.further))
+        self.imu_frames = imu_frame, *(one.frame for one in self.further if not isinstance(one, FurtherCell))
         self._links = UncertainLinks(vehicle, link_covariance)
         halves = [np.asarray(np.linalg.cholesky(block), np.float64) for block in self._links.covariances]
         self._basis = block_diag(*halves) if halves else np.zeros((0, 0))  # of the links, one sigma long each
@@ -149,6 +156,10 @@ class ImuPredictor:
             self._imus.append(_Imu(*vehicle.pose_in_base(one.frame), one.samples, errors, place))
             if np.isfinite(one.delay_memory_s):
                 self.wandering += [(at, one.delay_memory_s) for at in layout.estimated(f"delay_s {one.name}").tolist()]
+        self.of_each = [
+            layout.estimated(*imu_blocks(imu_prior), "imu_place"),
+            *(_named(layout, f"_{one.name}") for one in self.further),
+        ]
         self.of_further = [
             _named(layout, f"scale_{one.name}" if isinstance(one, FurtherCell) else f"_{one.name}")
             for one in self.further
@@ -178,9 +189,9 @@ class ImuPredictor:
         for bias_at, drift_at in self.biases:
             self.stated[bias_at] = np.hypot(self.sigma[bias_at], DRIFT_MEMORY_s * self.sigma[drift_at])
 
-    def rate_in_base(self, rate_S: FloatArray) -> FloatArray:
-        """A rate in the IMU's axes, (3,), in those of the base: ``w_B = R_BS w_S``."""
-        return np.asarray(self._imus[0].R_BS @ rate_S, np.float64)
+    def rate_in_base(self, rate_S: FloatArray, imu: int = 0) -> FloatArray:
+        """A rate in an IMU's axes, (3,), in those of the base: ``w_B = R_BS w_S``."""
+        return np.asarray(self._imus[imu].R_BS @ rate_S, np.float64)
 
     def joint_noise(self, q: FloatArray, joint_sigma: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of the joints' noise on the prediction, one sigma, (n, m).
@@ -341,22 +352,24 @@ class ImuPredictor:
         return self._links.chi(state[PAYLOAD], self._basis @ state[self._in_links])
 
 
-def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray) -> FloatArray:
+def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray, imu: int = 0) -> FloatArray:
     """Rate of the base at the first tick, (3,), by least squares on the first gyro readings, with all else of a state.
 
     Args:
         predictor: of the IMU.
         ticks: in succession, :data:`FIRST_TICKS` + 2 of them at least.
         state: (p,).
+        imu: whose readings.
     """
+    rate = slice(predictor.lines[imu].start, predictor.lines[imu].start + 3)
     state, some = state.copy(), ticks.part(slice(0, FIRST_TICKS + 2))
-    seen = np.isfinite(some.measured[1:-1, :3]).all(axis=1)
+    seen = np.isfinite(some.measured[1:-1, rate]).all(axis=1)
     if not seen.any():
         return np.zeros(3)
-    state[RATE] = predictor.rate_in_base(some.measured[1:-1, :3][seen].mean(axis=0))
+    state[RATE] = predictor.rate_in_base(some.measured[1:-1, rate][seen].mean(axis=0), imu)
     predicted = predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic)
-    gap = some.measured[1:-1, :3] - predicted.values[:, :3]
-    J = predicted.jacobian[seen, :3, RATE].reshape(-1, 3)
+    gap = some.measured[1:-1, rate] - predicted.values[:, rate]
+    J = predicted.jacobian[seen, rate, RATE].reshape(-1, 3)
     return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)
 
 

@@ -34,8 +34,8 @@ class Innovation(NamedTuple):
     ticks: int
 
     @property
-    def of_first_imu(self) -> FloatArray:
-        """``e`` of the first IMU, (b, 6)."""
+    def of_reference(self) -> FloatArray:
+        """``e`` of the reference IMU, which comes first, (b, 6)."""
         return self.e[: 6 * self.ticks].reshape(-1, 6)
 
 
@@ -94,50 +94,68 @@ class Innovations:
                 continue
             own = self._lines[k]
             first, used = used, used + len(there) * (own.stop - own.start)
-            if k and seen[k]:
+            if k != fusion.reference and seen[k]:
                 e = innovation.e[first:used]
                 misfit.add(fusion.names[k], float(e @ e), int(there[:, own].sum()))
         fusion.judged(refused, seen)
         return innovation, used
 
-    def contradicting(self, innovation: Innovation, state: FloatArray, covariance: FloatArray) -> Accusation | None:
+    def contradicting(
+        self, innovation: Innovation, used: int, state: FloatArray, covariance: FloatArray
+    ) -> Accusation | None:
         """An instrument in use that contradicts the others.
 
         The sigma of a correction's estimate about zero is ``(prior variance - posterior variance)^(1/2)`` (Hausman,
         Econometrica 46, 1978): of the scale of a cell it tells what the other instruments make of it long before it is
         many of its stated sigmas.
+
+        Args:
+            innovation: of a batch.
+            used: its lines that were, which come first.
+            state: (p,) after it.
+            covariance: of that.
         """
         fusion, predictor = self._fusion, self._predictor
-        if fusion.refused is not None:
-            return fusion.refused
-        for k, at, effect in zip(self.cells, self._scales, innovation.scales.T, strict=True):
-            along, squares = float(effect @ innovation.e), float(effect @ effect)
+        if (refused := fusion.refused) is not None:
+            misled = refused.instrument in fusion.imus and self.misled(state)
+            return refused._replace(batches=0) if misled else refused
+        e, effects = innovation.e[:used], innovation.scales[:used].T
+        for k, at, effect in zip(self.cells, self._scales, effects, strict=True):
+            along, squares = float(effect @ e), float(effect @ effect)
             batches = fusion.off_scale(k, along, squares, float(predictor.sigma[at]))
             if batches and k not in fusion.left_out:
-                return Accusation(k, 0 if self._has_misled(k, state) else batches, for_good=True)
-        for k, own in enumerate(predictor.of_further, 1):
+                return Accusation(k, 0 if self.misled(state, k) else batches, for_good=True)
+        for k, own in enumerate([predictor.of_each[0], *predictor.of_further]):
+            if k in fusion.left_out or fusion.imus == [k]:
+                continue
             moved = predictor.stated[own] ** 2
             if k in self.cells:
                 moved = np.maximum(moved - np.diag(covariance)[own], _LEAST_TOLD * moved)
-            if k not in fusion.left_out and (state[own] ** 2 > FARTHEST**2 * moved).any():
+            if (state[own] ** 2 > FARTHEST**2 * moved).any():
                 return Accusation(k, 0, for_good=True)
         return None
 
-    def _has_misled(self, instrument: int, state: FloatArray) -> bool:
-        """Whether another correction is larger than stated: the instrument has been wrong for longer than it shows."""
-        stated, end = self._predictor.stated, f"_{self._fusion.names[instrument]}"
-        others = np.array([not name.endswith(end) for name in self._predictor.names])
-        known = others & np.isfinite(stated) & (stated > 0.0)
+    def misled(self, state: FloatArray, but: int | None = None) -> bool:
+        """Whether a correction is larger than stated: an instrument has been wrong for longer than it shows.
+
+        Args:
+            state: (p,).
+            but: an instrument whose own corrections do not count, nor do those of what is left out.
+        """
+        stated = self._predictor.stated
+        known = np.isfinite(stated) & (stated > 0.0)
+        for k in [*self._fusion.left_out, *([] if but is None else [but])]:
+            known[self._predictor.of_each[k]] = False
         return bool((np.abs(state[known]) > DOUBTFUL * stated[known]).any())
 
     def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> None:
-        """Add chi-squared of the first IMU, of each of its instruments and of both together, to the misfit."""
+        """Add chi-squared of the reference IMU, of each of its instruments and of both together, to the misfit."""
         lines = 6 * innovation.ticks
-        rows = np.arange(lines).reshape(-1, 6)[there[:, 0]]
+        rows = np.arange(lines).reshape(-1, 6)[there[:, self._lines[self._fusion.reference].start]]
         if not rows.size:
             return
         e = innovation.e[rows.ravel()]
-        misfit.add("imu", float(e @ e), e.size)
+        misfit.add(self._fusion.names[self._fusion.reference], float(e @ e), e.size)
         for instrument, own in (("gyro", rows[:, :3].ravel()), ("accelerometer", rows[:, 3:].ravel())):
             L = innovation.L[own, :lines]
             r = L @ innovation.e[:lines]

@@ -186,14 +186,16 @@ class ExiddmIdentifier:
         """Too many outliers, a payload replaced without a release, corrections or innovations larger than stated."""
         if refusal := self._refusal():
             return Findings((refusal,))
-        state, stated = self.exiddm.state, self.exiddm.predictor.stated
+        predictor, fusion, state = self.exiddm.predictor, self.exiddm.fusion, self.exiddm.state
         if state is None:
             return Findings()
-        names, out = self.exiddm.predictor.names, tuple(f"_{name}" for name in self.exiddm.fusion.contradicting)
-        known = [k for k in np.flatnonzero(np.isfinite(stated) & (stated > 0.0)) if not names[k].endswith(out)]
+        stated, names = predictor.stated, predictor.names
+        out = np.concatenate([[], *(predictor.of_each[k] for k in fusion.left_out)])
+        known = [k for k in np.flatnonzero(np.isfinite(stated) & (stated > 0.0)) if k not in out]
         off = {name: ratio for name, ratio in self.exiddm.misfit.by_instrument().items() if ratio > _WORST_MISFIT}
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
-        doubts += [f"without {name}, which contradicts the others" for name in self.exiddm.fusion.contradicting]
+        doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]
+        doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}), tuple(doubts))
@@ -206,12 +208,11 @@ class ExiddmIdentifier:
             return f"{share:.0%} of the ticks contradict the others; check the IMU and the joints"
         if self.exiddm.exchanged:
             return _EXCHANGED
-        left_out = self.exiddm.fusion.contradicting
+        left_out, unexplained = self.exiddm.fusion.contradicting, self._unexplained()
         if len(left_out) > 1:
-            return f"{' and '.join(left_out)} contradict the first IMU and the joints"
-        if self.exiddm.unexplained:
-            return _CONTRADICTED
-        unexplained = self._unexplained()
+            return f"{' and '.join(left_out)} contradict the other instruments and the joints"
+        if self.exiddm.undecided or self.exiddm.unexplained:
+            return self.exiddm.undecided or _CONTRADICTED
         if unexplained >= _MOST_UNEXPLAINED:
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
         return ""

@@ -12,14 +12,8 @@ contact), a payload where nothing was held (a capture), or another payload witho
 
 The effect of the joints' noise, mainly gear transmission error, is added to the IMU's noise.
 
-The work of a call is bounded: per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve
-is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound. A
-call that comes late brings more ticks, but no more work than their filter steps: else it would be the reason why the
-next one is later. A window is solved by :meth:`RecursiveExiddm.work`, so that what ticks give without it is told
-first; ticks that waited for it are processed there, too.
+The work of a call is bounded (:mod:`onboard.identification.exiddm.bounded_work`).
 """
-
-from collections import deque
 
 import numpy as np
 
@@ -27,7 +21,8 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
-from onboard.identification.exiddm.claims import AFTER_A_CHANGE, KINDS, Claim
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS, STEP_WORK, BoundedWork
+from onboard.identification.exiddm.claims import Claim, after_a_change, kind_of
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
@@ -35,25 +30,23 @@ from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.snapshots import Snapshots
 from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.trials import Choice, Trials, unchanged
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
-BATCH_TICKS = 10
+_WINDOWS_s = *SOLVED_AT_s, SOLVED_AGAIN_AT_s  # the longest where two IMUs contradict each other
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
-WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
-_STEP_WORK = 50  # ticks in whose prediction's time a filter step is done
 _SNAPSHOTS = 28  # batches of states kept, to restore the one before a change
 
 
-class RecursiveExiddm:
+class RecursiveExiddm(BoundedWork):
     """Recursive estimate of a payload.
 
     Args:
         predictor: of the vehicle's IMU.
-        imu_frame: the frame it measures in.
         payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
         held: a payload is held at the start.
         false_alarms_per_hour: of the change detector, at most.
@@ -71,7 +64,8 @@ class RecursiveExiddm:
         exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
             the model changed, and the estimate contradicts what was known before.
         unexplained: windows in which a longer stretch contradicted a shorter one, since the filter's last steps.
-        lines: coherent lines in the first IMU's innovations.
+        undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
+        lines: coherent lines in the reference IMU's innovations.
         fusion: the instruments, and which of them are left out.
         misfit: of the innovations of ``gyro``, ``accelerometer`` and ``imu`` (both together) since the last window.
     """
@@ -79,31 +73,30 @@ class RecursiveExiddm:
     def __init__(
         self,
         predictor: ImuPredictor,
-        imu_frame: str,
         payload_sigma: FloatArray,
         held: bool,
         false_alarms_per_hour: float = 0.1,
         known: tuple[FloatArray, FloatArray] | None = None,
         call_ticks: int = BATCH_TICKS,
     ) -> None:
+        super().__init__(call_ticks)
         self.predictor = predictor
-        self.payload_sigma, self._imu_frame = np.asarray(payload_sigma, np.float64), imu_frame
+        self.payload_sigma = np.asarray(payload_sigma, np.float64)
         self.held: bool | None = held
         self._before: bool | None = held
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
-        self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
-        self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
         self._solve: WindowSolve | None = None  # under way
         self._asked: tuple[Ticks, tuple[Hypothesis, ...], tuple[int, ...]] | None = None  # solve it next, without some
         self._none = self._pending = Ticks.none(len(predictor.vehicle.joints), predictor.lines[-1].stop)
         p = len(predictor.names)
         self.state: FloatArray | None = None
         self.covariance = np.zeros((p, p))
-        self.exchanged, self.ticks_used, self.glitches, self.unexplained = False, 0, 0, 0
+        self.exchanged, self.undecided = False, ""
+        self.ticks_used = self.glitches = self.unexplained = 0
         self.changes: list[Change] = []
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
-        self.fusion = Fusion(("imu", *(one.name for one in predictor.further)), predictor.lines)
+        self.fusion = Fusion(predictor.instruments, predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._innovations = Snapshots(_SNAPSHOTS), Innovations(predictor, self.fusion)
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
@@ -113,41 +106,6 @@ class RecursiveExiddm:
             self.held, self._before, hypotheses = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
         self._initial = mean, covariance
         self._open(hypotheses, mean, covariance)
-
-    def update(self, ticks: Ticks) -> None:
-        """Takes ticks, in so many calls as they make that do not come late, and does the work."""
-        for first in range(0, len(ticks.time_s), self._call_ticks):
-            self.take(ticks.part(slice(first, first + self._call_ticks)))
-            self.work()
-
-    def take(self, ticks: Ticks) -> None:
-        """Takes ticks; processes them in whole batches, the newest tick after its successor, up to a window.
-
-        Over a gap of the joints the momentum is kept with an inflated covariance; after a long gap it is re-estimated.
-        """
-        known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
-        if known.any():
-            self._inbox.append(ticks.part(known))
-        steps = _STEP_WORK * len(ticks.time_s) // BATCH_TICKS  # of as many ticks as these
-        self._due += max(WORK * min(len(ticks.time_s), self._call_ticks), steps)
-        self._do(max(self._due - steps, 0), solves=False)
-
-    def told(self, held: bool, time_s: float) -> None:
-        """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known.
-
-        It is a claim that the motion can contradict (:mod:`onboard.identification.exiddm.claims`).
-        """
-        self._inbox.append((held, time_s))
-        self._do(0, solves=False)
-
-    def work(self) -> None:
-        """Solve the window that is due, and take the ticks that wait for it, as far as :data:`WORK` goes."""
-        self._do(0, solves=True)
-        self._due = min(self._due, 0)
-
-    def finish(self) -> None:
-        """Do all that is left to be done."""
-        self._do(-np.inf, solves=True)
 
     @property
     def holds(self) -> bool:
@@ -164,26 +122,15 @@ class RecursiveExiddm:
         """A window's solve is under way; ticks wait for it."""
         return self._solve is not None or self._asked is not None
 
-    def _do(self, least_due: float, *, solves: bool) -> None:
-        while self.solving or self._inbox:
-            if not self.solving and not isinstance(told := self._inbox[0], Ticks):
-                self._inbox.popleft()
-                self._announced(*told)
-            elif self._due <= least_due or (self.solving and not solves):
-                return
-            elif self.solving:
-                self._go_on()
-            else:
-                self._take()
-
     def _go_on(self) -> None:
         """Begin to solve the window that is asked for, or do one prediction of it."""
         if self._solve is None:
             assert self._asked is not None
             (ticks, hypotheses, without), self._asked = self._asked, None
             seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *without], ticks.measured))
-            given = self.payload_sigma, seen, self._prior, hypotheses, self._start
-            self._solve = WindowSolve(self.predictor, self._imu_frame, *given)
+            imu = next(k for k in self.fusion.imus if k not in without)
+            given = self.payload_sigma, seen, self._prior, hypotheses, self._start, imu
+            self._solve = WindowSolve(self.predictor, *given)
         else:
             self._due -= self._solve.advance()
         if self._solve.over:
@@ -224,6 +171,8 @@ class RecursiveExiddm:
         """Begin a window with this prior and an unknown rate."""
         self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
+        self._window = self._none
+        self._trials: Trials | None = None  # without an instrument each
         self._stepped: Ticks | None = None  # ticks of the window and of the steps since
         self._accused: Accusation | None = None  # the window is solved without it
         self._pending = self._none
@@ -233,12 +182,15 @@ class RecursiveExiddm:
         self.fusion.forget()
         self._snapshots.clear()
 
-    def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int) -> None:
-        """Begin a window with what was known so many batches ago."""
+    def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int | None) -> None:
+        """Begin a window with what was known so many batches ago; None: before the first tick."""
         now = self._prior if self.state is None else (self.state, self.covariance)
-        prior = self._snapshots.back(batches_back) if len(self._snapshots) else now
+        if batches_back is None:
+            now = self._initial
+        elif len(self._snapshots):
+            now = self._snapshots.back(batches_back)
         self.state, self.held, self.ticks_used = None, None, 0
-        self._open(hypotheses, *prior)
+        self._open(hypotheses, *now)
 
     def _wanted(self) -> int:
         """Ticks until there is something to do."""
@@ -246,16 +198,20 @@ class RecursiveExiddm:
         return whole - len(self._pending.time_s)
 
     def _window_ticks(self) -> int:
-        return round(SOLVED_AT_s[self._solves] / self.predictor.period_s)
+        return round(_WINDOWS_s[self._solves] / self.predictor.period_s)
 
-    def _begin_window(self, without: tuple[int, ...] = ()) -> None:
-        """Ask for the window; where it is not explained, again without one of the further instruments each."""
-        if self._accused is not None:
-            without = (self._accused.instrument,)
-        elif not without:
-            self._doubted = [k for k in self.fusion.order[1:] if self._solves and k not in self.fusion.left_out]
-        self._without = without
-        self._asked = self._pending.part(slice(-self._window_ticks(), None)), self._hypotheses, without
+    def _begin_window(self) -> None:
+        """Ask for the window; where one instrument is accused, without each that may be the wrong one."""
+        self._window = self._pending.part(slice(-self._window_ticks(), None))
+        self.fusion.expect(self._window.measured)
+        self._trials = None if self._accused is None else Trials(self.fusion.rivals(self._accused.instrument))
+        self._ask()
+
+    def _ask(self) -> None:
+        """Ask for the window with all instruments, or without the next one that is doubted."""
+        without = None if self._trials is None else self._trials.next()
+        hypotheses = self._hypotheses if without is None or self._solves else unchanged(self._hypotheses)
+        self._asked = self._window, hypotheses, () if without is None else (without,)
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
@@ -265,17 +221,42 @@ class RecursiveExiddm:
                 self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
             assert self.state is not None
             self._snapshots.append(self.state, self.covariance)
+            return
+        if self._trials is not None:
+            self._trials.take(found)
         elif found is not None:
-            for instrument in self._without:
-                self.fusion.leave_out(instrument, for_good=self._accused is None or self._accused.for_good)
-            self._accused = None
             self._explained(found)
-        elif self._accused is not None:
-            self._acquit()
-        elif self._doubted:
-            self._begin_window((self._doubted.pop(0),))
+            return
         else:
+            self._trials = Trials(self.fusion.doubted(longer=self._solves > 0))
+        if self._trials.next() is not None:
+            self._ask()
+        else:
+            self._judge(self._trials.choice)
+
+    def _judge(self, choice: Choice | None) -> None:
+        """Leave out the instrument without which the window is explained, if that is one, or one much better."""
+        accused = self._accused
+        if choice is None and accused is not None:
+            self._acquit()
+        elif choice is None or (accused is None and not choice.clear):
             self._not_explained()
+        elif not choice.clear and self._solves + 1 < len(_WINDOWS_s):
+            self._solves += 1  # wait for a longer window
+        else:
+            self.undecided = self.undecided or choice.doubt(self.fusion.names)
+            self._accused = None
+            self._do_without(choice, for_good=accused is None or accused.for_good)
+
+    def _do_without(self, choice: Choice, *, for_good: bool) -> None:
+        """Go on from the window without an instrument; anew, if what was known before may come from a reference."""
+        was_reference, begun = choice.instrument == self.fusion.reference, self._prior[0] is self._initial[0]
+        self.fusion.leave_out(choice.instrument, for_good=for_good)
+        self._explained(choice.found, instrument=True)
+        if was_reference and not begun and (not self.held or self._innovations.misled(choice.found.state)):
+            window, self._asked = self._window, None
+            self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
+            self._pending = window
 
     def _not_explained(self) -> None:
         """The contact may not be over; estimates of the other unknowns are kept."""
@@ -288,10 +269,11 @@ class RecursiveExiddm:
         self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
         self._pending = ticks.part(slice(-self._window_ticks(), None))
 
-    def _explained(self, solved: Solved) -> None:
+    def _explained(self, solved: Solved, *, instrument: bool = False) -> None:
+        """Take in a solved window; ``instrument``: an instrument was wrong, and is left out of it."""
         ticks, hypothesis = self._pending.part(slice(-self._window_ticks(), None)), solved.hypothesis
         if self._suspected is not None:
-            self.changes.append(self._suspected._replace(kind=KINDS[bool(self._before), hypothesis]))
+            self.changes.append(self._suspected._replace(kind=kind_of(bool(self._before), hypothesis, instrument)))
             self._suspected = None
         self.changes += self._claim.settle(hypothesis, float(ticks.time_s[-1]))
         if len(self._hypotheses) > 1:
@@ -306,7 +288,7 @@ class RecursiveExiddm:
             self._start = None
             if self._claim.held:  # is anything held at all?
                 self._hypotheses = (Hypothesis.NOTHING,)
-                self._asked = ticks, self._hypotheses, ()
+                self._begin_window()
             else:
                 self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
@@ -323,7 +305,7 @@ class RecursiveExiddm:
 
     def _step(self) -> None:
         assert self.state is not None
-        ticks, self._due = self._pending, self._due - _STEP_WORK
+        ticks, self._due = self._pending, self._due - STEP_WORK
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
@@ -333,26 +315,28 @@ class RecursiveExiddm:
             return
         batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
         state, covariance = self.state, self.covariance
-        there, suspect = self.fusion.whole(batch.measured), False
+        there, suspect, used = self.fusion.whole(batch.measured), False, 0
         innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
-        base = np.flatnonzero(there[:, 0])  # ticks with the first IMU
+        own = self.predictor.lines[self.fusion.reference]
+        base = np.flatnonzero(there[:, own.start])  # ticks with the reference
         if base.size:
-            verdict = self._detector.check((innovation.of_first_imu[base] ** 2).sum(axis=1))
+            verdict = self._detector.check((innovation.of_reference[base] ** 2).sum(axis=1))
             if verdict.alarm:
                 self._alarm(verdict.score, verdict.batches)
                 return
             suspect = verdict.suspect
             if verdict.glitches.any() and not suspect:
                 self.glitches += int(verdict.glitches.sum())
-                there[base[verdict.glitches], :6] = False
+                there[base[verdict.glitches], own] = False
                 innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
             self._innovations.judge(innovation, there, self.misfit)
-            self.lines.add(innovation.of_first_imu[there[:, 0]].ravel(), there[:, 0])
+            use = there[:, own.start]
+            self.lines.add(innovation.of_reference[use].ravel(), use)
         if not suspect:
             innovation, used = self._innovations.agreeing(batch, there, covariance, innovation, self.misfit)
             W, e = innovation.W[:used], innovation.e[:used]
             state, covariance = state + W.T @ e, covariance - W.T @ W
-            self.ticks_used += int(there[:, 0].sum())
+            self.ticks_used += int(there[:, own.start].sum())
         self.state, self.covariance = self.predictor.carried(predicted, self.state, state, covariance)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
@@ -363,27 +347,24 @@ class RecursiveExiddm:
                 return
         self._snapshots.append(self.state, self.covariance)
         if not suspect:
-            self._compare(innovation)
+            self._compare(innovation, used)
 
-    def _compare(self, innovation: Innovation) -> None:
+    def _compare(self, innovation: Innovation, used: int) -> None:
         """Begin a window without an instrument that contradicts the others over some time."""
         assert self.state is not None
-        accused = self.fusion.standing(self._innovations.contradicting(innovation, self.state, self.covariance))
+        accused = self.fusion.standing(self._innovations.contradicting(innovation, used, self.state, self.covariance))
         if accused is not None:
             self._before = bool(self.held)
-            if not accused.batches:
-                self._snapshots.clear()
-                self.state, self._prior = None, self._initial
             kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW
-            self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.batches + 1)
+            self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.batches + 1 if accused.batches else None)
             self._accused = accused
 
     def _acquit(self) -> None:
         """The window contradicts the payload without the accused instrument too: it is a change that it has shown."""
-        self._accused = None
+        self._accused, self._solves = None, 0
         self._suspected = Change("change", float(self._pending.time_s[-1]), float(self._pending.time_s[0]), np.nan)
         self.changes.append(self._suspected)
-        self._hypotheses = AFTER_A_CHANGE[bool(self._before)]
+        self._hypotheses = after_a_change(bool(self._before), self._prior[0] is not self._initial[0])
         self._begin_window()
 
     def _alarm(self, score: float, batches: int) -> None:
@@ -391,12 +372,13 @@ class RecursiveExiddm:
         self._claim.held = None
         self._before, self._suspected = bool(self.held), Change("change", now_s, now_s - back_s, score)
         self.changes.append(self._suspected)
-        self._reopen(AFTER_A_CHANGE[bool(self.held)], batches + 1)
+        self._reopen(after_a_change(bool(self.held)), batches + 1)
 
     def _bridge(self, after: Ticks) -> None:
         """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
         gap_s = float(after.time_s[0] - self._pending.time_s[0])
-        rates = np.linalg.norm(self._pending.measured[:, :3], axis=1)
+        own = self.predictor.lines[self.fusion.reference]
+        rates = np.linalg.norm(self._pending.measured[:, own][:, :3], axis=1)
         rates = rates[np.isfinite(rates)]
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, *self._prior)

@@ -42,15 +42,15 @@ class Ticks(NamedTuple):
         angles, shown = np.zeros((0, joints)), np.zeros((0, lines))
         return Ticks(np.zeros(0), angles, angles, angles, shown, shown, np.zeros((0, 2, joints)), np.zeros((0, 3, 0)))
 
-    def flight(self, period_s: float, samples: int) -> FlightSignals:
+    def flight(self, period_s: float, samples: int, imu: slice = slice(6)) -> FlightSignals:
         """As one flight, every tick with the median noise.
 
         Args:
             period_s: between ticks.
             samples: of the IMU in each tick.
+            imu: its lines.
         """
-        spread = np.nanmedian(self.sigma, axis=0)
-        rate, force = self.measured[:, :3], self.measured[:, 3:6]
+        spread, (rate, force) = np.nanmedian(self.sigma[:, imu], axis=0), np.hsplit(self.measured[:, imu], 2)
         return FlightSignals(period_s, self.q, self.dq, self.ddq, rate, force, spread[:3], spread[3:6], samples)
 
 

@@ -124,6 +124,7 @@ class WholeFlight:
         self.further = predictor.further
         self.instruments = tuple(one for one in _instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
+        self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)
         self.segments = [one for one in segments if len(one.ticks.time_s) >= _SHORTEST_TICKS]
         self._begin_s = min((float(one.ticks.time_s[0]) for one in self.segments), default=0.0)
         end_s = max((float(one.ticks.time_s[-1]) for one in self.segments), default=0.0)
@@ -179,7 +180,7 @@ class WholeFlight:
         x[: self._constants] = constants
         for k, one in enumerate(self.segments):
             at = self._constants + 3 * k
-            x[at : at + 3] = first_rate(self._predictor, one.ticks, self._state(x, k))
+            x[at : at + 3] = first_rate(self._predictor, one.ticks, self._state(x, k), self._imu)
         return x
 
     def widen(self, parameters: IndexArray, factor: float) -> None:

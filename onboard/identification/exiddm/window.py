@@ -68,6 +68,7 @@ class Solved(NamedTuple):
     covariance: FloatArray  # (p, p) of that
     used: int  # ticks
     glitches: int
+    strained: float  # squares of the deviations from the prior, and what the residuals' exceed chance by
 
 
 class WindowSolve:
@@ -79,25 +80,26 @@ class WindowSolve:
 
     Args:
         predictor: of the IMU.
-        imu_frame: the frame it measures in.
         payload_sigma: of a payload of which nothing is known, (10,).
         ticks: the window, in succession.
         prior: of the state at its first tick, without the rate: mean (p,) and covariance (p, p).
         hypotheses: in the order in which they are tried.
         start: (p,) the state at the first tick as it was found before; None: guesses are made.
+        imu: the one of which guesses are made.
     """
 
     def __init__(
         self,
         predictor: ImuPredictor,
-        imu_frame: str,
         payload_sigma: FloatArray,
         ticks: Ticks,
         prior: tuple[FloatArray, FloatArray],
         hypotheses: tuple[Hypothesis, ...],
         start: FloatArray | None,
+        imu: int = 0,
     ) -> None:
-        self._predictor, self._imu_frame, self._payload_sigma = predictor, imu_frame, payload_sigma
+        self._predictor, self._payload_sigma = predictor, payload_sigma
+        self._imu, self._own = imu, predictor.lines[imu]
         self._ticks, self._prior, self._given = ticks, prior, start
         self._sigma = ticks.sigma
         self.over = False
@@ -156,7 +158,7 @@ class WindowSolve:
     def _begin(self) -> None:
         """Go on to the next hypothesis, or end."""
         use = np.isfinite(self._ticks.measured[1:-1])  # (n, m)
-        if not self._left or use[:FIRST_TICKS, 0].sum() < FIRST_TICKS // 2:
+        if not self._left or use[:FIRST_TICKS, self._own.start].sum() < FIRST_TICKS // 2:
             self.over, self._descent = True, None
             return
         self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
@@ -191,7 +193,7 @@ class WindowSolve:
             x = self._problem.mean.copy()
             x[PAYLOAD] = self._guesses.pop(0)
             try:
-                x[RATE] = first_rate(self._predictor, self._ticks, x)
+                x[RATE] = first_rate(self._predictor, self._ticks, x, self._imu)
             except np.linalg.LinAlgError:  # a prediction that is not finite
                 self._next_guess()
             else:
@@ -259,10 +261,12 @@ class WindowSolve:
         if not chance > _EXPLAINED:
             self._begin()
             return
-        start, F = self._problem.state(fitted.x), whole.transition
-        used, glitches, covariance = int(self._use[:, 0].sum()), self._glitches, F @ fitted.covariance @ F.T
+        start, F, use = self._problem.state(fitted.x), whole.transition, self._use
+        used, glitches, covariance = int(use[:, self._own.start].sum()), self._glitches, F @ fitted.covariance @ F.T
+        squares = float(whole.squares.sum())
+        strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), _GOOD_FIT)))
         end = whole.state + F @ (fitted.x - self._at)
-        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches)
+        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained)
         self.over, self._descent = True, None
 
     def _guessed(self) -> Iterator[FloatArray]:
@@ -270,8 +274,9 @@ class WindowSolve:
         if self._hypothesis is not Hypothesis.NEW:
             yield self._prior[0][PAYLOAD] if self._hypothesis is Hypothesis.SAME else np.zeros(10)
             return
-        vehicle, signals = self._predictor.vehicle, self._ticks.flight(self._predictor.period_s, 1)
-        rough = partial(rough_payload, vehicle, self._imu_frame, signals, ROUGH_WIDTH_s, self._payload_sigma)
+        vehicle, signals = self._predictor.vehicle, self._ticks.flight(self._predictor.period_s, 1, self._own)
+        frame = self._predictor.imu_frames[self._imu]
+        rough = partial(rough_payload, vehicle, frame, signals, ROUGH_WIDTH_s, self._payload_sigma)
         yield from (standard_of(guess) for guess in guesses(rough))
 
 

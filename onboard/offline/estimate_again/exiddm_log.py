@@ -23,11 +23,11 @@ from onboard.flight.estimation import SUFFIX
 from onboard.flight.estimator import Estimator
 from onboard.flight.identification import build_exiddm
 from onboard.identification.change import Change
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.parts import halves
-from onboard.identification.exiddm.recursive import BATCH_TICKS
 from onboard.identification.exiddm.stated import freely, leans_on
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
@@ -154,7 +154,7 @@ class _Flight:
         Raises:
             EstimationError, ModelError: as :meth:`WholeFlight.fit`.
         """
-        names = ["the first IMU", *(one.name for one in self._online.further)]
+        names = self._online.exiddm.predictor.instruments
         told = {at for at, name in enumerate(names) if name in known.left_out}
         hardly = {at: share for at, share in self._shares().items() if share < HARDLY}
         exiddm = self._online.exiddm
@@ -187,11 +187,13 @@ class _Flight:
         return made.plus(several, doubts), made.passes
 
     def _shares(self) -> dict[int, float]:
-        """Of the ticks with any instrument, those with each further one, by its number."""
+        """Of the ticks with any instrument, those with each one that is not the only IMU, by its number."""
         seen = np.isfinite(self._ticks.measured)
         ticks = max(1, int(seen.any(axis=1).sum()))
-        lines = self._online.exiddm.predictor.lines
-        return {at: float(seen[:, own].all(axis=1).sum() / ticks) for at, own in enumerate(lines) if at}
+        predictor = self._online.exiddm.predictor
+        shares = {at: float(seen[:, own].all(axis=1).sum() / ticks) for at, own in enumerate(predictor.lines)}
+        others = [shares[at] for at in range(1, len(predictor.imu_frames))]
+        return shares if max(others, default=0.0) >= HARDLY else {at: share for at, share in shares.items() if at}
 
     def _segments(self, changes: Sequence[Change]) -> list[Segment]:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""

@@ -24,6 +24,51 @@ def test_lines_are_ordered_by_instrument_and_those_left_out_come_last(fusion: Fu
     assert fusion.news() == []
 
 
+def test_without_the_first_imu_the_second_one_is_the_reference(fusion: Fusion) -> None:
+    assert fusion.rivals(0) == [0, 1]
+    assert fusion.rivals(1) == [1, 0]
+    assert fusion.rivals(2) == [2]
+    assert fusion.doubted(longer=False) == [0, 1]
+    assert fusion.doubted(longer=True) == [0, 1, 2]
+    assert fusion.reference == 0
+    fusion.leave_out(0)
+    assert fusion.reference == 1
+    assert fusion.order == [1, 2, 0]
+    assert fusion.rivals(2) == fusion.doubted(longer=True) == [2]
+    e = np.full(13 * TICKS, 5.0)
+    assert fusion.improbable([1, 2, 0], e, np.ones((TICKS, 13), np.bool_)) == 2
+
+
+def test_an_imu_without_readings_is_left_out_if_there_is_another_and_used_again(fusion: Fusion) -> None:
+    for _ in range(9):
+        fusion.judged([], np.array([False, True, True]))
+    assert fusion.reference == 0
+    fusion.judged([], np.array([False, True, True]))
+    assert fusion.reference == 1
+    assert fusion.absent == {0}
+    assert fusion.contradicting == ()
+    for _ in range(20):
+        fusion.judged([], np.array([False, False, True]))
+    assert fusion.reference == 1
+    for _ in range(100):
+        fusion.judged([], np.array([True, True, True]))
+    assert fusion.reference == 0
+    assert not fusion.absent
+    assert [(change.kind, change.what) for change in fusion.news()] == [("absent", "imu"), ("taken_back", "imu")]
+
+
+@pytest.mark.parametrize(("silent", "reference"), [((0,), 1), ((1,), 0), ((0, 1), 0), ((), 0)])
+def test_in_a_window_an_imu_without_readings_is_not_expected(
+    fusion: Fusion, silent: tuple[int, ...], reference: int
+) -> None:
+    measured = np.zeros((100, 13))
+    for k in silent:
+        measured[40:, 6 * k : 6 * k + 6] = np.nan
+    fusion.expect(measured)
+    assert fusion.reference == reference
+    assert fusion.absent == (set(silent) if len(silent) == 1 else set())
+
+
 def test_half_an_imu_is_none(fusion: Fusion) -> None:
     measured = np.zeros((2, 13))
     measured[0, 7] = measured[1, 12] = np.nan

@@ -14,12 +14,13 @@ from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.flight.state import Places, from_bytes, to_bytes
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS, WORK
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, GeometryPrior, JointPrior
-from onboard.identification.exiddm.recursive import BATCH_TICKS, WORK, RecursiveExiddm
+from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.quantities import Findings
 from tests.dynamics.free_flyer_twin import BOX, URDF, twin
@@ -53,7 +54,7 @@ def online(signals, held=True, imu_prior=BIASES, links=(), geometry=EXACT_GEOMET
         if name in links
     }
     predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, imu_prior, geometry)
-    return RecursiveExiddm(predictor, "imu_base", WIDE, held)
+    return RecursiveExiddm(predictor, WIDE, held)
 
 
 def same_bits(a, b):

@@ -1,0 +1,95 @@
+"""Ticks and announcements that wait for a filter, and the bound on what it does in one call.
+
+Per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve
+is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound. A
+call that comes late brings more ticks, but no more work than their filter steps: else it would be the reason why the
+next one is later. A window is solved by :meth:`BoundedWork.work`, so that what ticks give without it is told
+first; ticks that waited for it are processed there, too.
+"""
+
+from abc import ABC, abstractmethod
+from collections import deque
+
+import numpy as np
+
+from onboard.identification.exiddm.ticks import Ticks
+
+BATCH_TICKS = 10
+WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
+STEP_WORK = 50  # ticks in whose prediction's time a filter step is done
+
+
+class BoundedWork(ABC):
+    """What waits, and how much of it may be done now.
+
+    Args:
+        call_ticks: ticks of a call that does not come late.
+    """
+
+    def __init__(self, call_ticks: int) -> None:
+        self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
+        self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
+
+    @property
+    @abstractmethod
+    def solving(self) -> bool:
+        """A window's solve is under way; ticks wait for it."""
+
+    @abstractmethod
+    def _announced(self, held: bool, time_s: float) -> None:
+        """Take in an announcement."""
+
+    @abstractmethod
+    def _take(self) -> None:
+        """Take ticks from the inbox, up to the next piece of work, and do or begin it."""
+
+    @abstractmethod
+    def _go_on(self) -> None:
+        """Do a piece of the solve under way."""
+
+    def update(self, ticks: Ticks) -> None:
+        """Takes ticks, in so many calls as they make that do not come late, and does the work."""
+        for first in range(0, len(ticks.time_s), self._call_ticks):
+            self.take(ticks.part(slice(first, first + self._call_ticks)))
+            self.work()
+
+    def take(self, ticks: Ticks) -> None:
+        """Takes ticks; processes them in whole batches, the newest tick after its successor, up to a window.
+
+        Over a gap of the joints the momentum is kept with an inflated covariance; after a long gap it is re-estimated.
+        """
+        known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
+        if known.any():
+            self._inbox.append(ticks.part(known))
+        steps = STEP_WORK * len(ticks.time_s) // BATCH_TICKS  # of as many ticks as these
+        self._due += max(WORK * min(len(ticks.time_s), self._call_ticks), steps)
+        self._do(max(self._due - steps, 0), solves=False)
+
+    def told(self, held: bool, time_s: float) -> None:
+        """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known.
+
+        It is a claim that the motion can contradict (:mod:`onboard.identification.exiddm.claims`).
+        """
+        self._inbox.append((held, time_s))
+        self._do(0, solves=False)
+
+    def work(self) -> None:
+        """Solve the window that is due, and take the ticks that wait for it, as far as :data:`WORK` goes."""
+        self._do(0, solves=True)
+        self._due = min(self._due, 0)
+
+    def finish(self) -> None:
+        """Do all that is left to be done."""
+        self._do(-np.inf, solves=True)
+
+    def _do(self, least_due: float, *, solves: bool) -> None:
+        while self.solving or self._inbox:
+            if not self.solving and not isinstance(told := self._inbox[0], Ticks):
+                self._inbox.popleft()
+                self._announced(*told)
+            elif self._due <= least_due or (self.solving and not solves):
+                return
+            elif self.solving:
+                self._go_on()
+            else:
+                self._take()
