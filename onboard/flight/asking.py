@@ -219,7 +219,7 @@ class Asking:
         found = choose(known.covariance, roots, library.durations_s, known.asked, allowed)
         expected = found.ratio * known.widened**0.5
         stalled = len(self._ratios) >= _FEWEST and now > _LITTLE * self._ratios[-_FEWEST]
-        if (expected > _LITTLE * now and self._since_change >= _FEWEST) or stalled:
+        if now > 1.0 and ((expected > _LITTLE * now and self._since_change >= _FEWEST) or stalled):
             why = self._hopeless(known, roots, allowed, between)
             if not why and stalled:
                 told = _most(shares(known.covariance, known.asked, library.unknowns))
