@@ -16,8 +16,8 @@ from onboard.estimation.arrays import FloatArray
 
 WINDOW: Final = 1
 AHEAD: Final = 1.5  # SYNC periods from a sample to the middle of the interval in which its torque is in force
-BANDWIDTH_RAD_S, DAMPING = 20.0, 1.25  # of the loops, with nothing in the gripper
-_FASTEST: Final = 62.0  # 1/s, of the rate loops all together: half a radian in the 8 ms from a sample to its torque
+BANDWIDTH_RAD_S, DAMPING = 30.0, 1.25  # of the loops, with nothing in the gripper
+_FASTEST: Final = 100.0  # 1/s, of the rate loops all together: 46 deg of phase in the 8 ms from a sample to its torque
 SLOW_RAD_S = 8.0  # while the drives' own inertia is guessed
 
 

@@ -27,6 +27,7 @@ PERIOD_MS: Final = 4.0
 _STEP_NS: Final = 1_000_000
 _QUICK_STOP_RAD_S2: Final = 10.0
 _SLACK_RAD: Final = 0.02
+_ENABLED_S: Final = 15.0  # until then the drives have to be enabled
 _SETTLED_S: Final = 0.5  # held before the first trial
 _TWO_PI: Final = 2.0 * np.pi
 
@@ -156,9 +157,11 @@ class Trials:
         self._master: TorqueMaster = master
         self._keep(self._bus.start(bench.now_ns))
         self._master.arm()
-        self._go_on(lambda: self._hold is not None, 15.0)
+        self._go_on(lambda: self._hold is not None, _ENABLED_S)
         if self._hold is None:
-            raise RuntimeError(f"the drives cannot be enabled: {self._master.stopped_by or self.warnings[-1:]}")
+            why = self._master.stopped_by or ", ".join(self.warnings) or "they do not answer"
+            self.close()
+            raise RuntimeError(f"the drives cannot be enabled: {why}")
         self._go_on(lambda: False, _SETTLED_S)
 
     @property

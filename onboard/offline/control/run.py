@@ -201,6 +201,8 @@ def run(vehicle: config.Vehicle, bench: Bench, asked: Asked, told: Callable[[Tri
     names = tuple(joint.name for joint in model.joints)
     wired, limits = wires(vehicle, names), joint_limits(vehicle, model)
     effort = limits.effort
+    if asked.adopted is not None and VehicleModel(asked.adopted, model.spec).joints != model.joints:
+        raise ValueError("the URDF that was identified has other joints than the vehicle's; give that of this vehicle")
     guessed = Drives(_LEAST_INERTIA * effort, _FRICTION * effort, _FRICTION * effort)
     made = Run(
         vehicle.file.vehicle.name, asked.controller, names, asked.model_error, asked.noise_rad, asked.factor, guessed

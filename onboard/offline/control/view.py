@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -10,6 +11,9 @@ from rich.text import Text
 
 from onboard.offline.control.run import COMPUTED, Run, Stage, Trial
 from onboard.offline.report.theme import CYCLE, figures, subplots
+
+_GROWS = 1.005  # of the error in a trial, from which on it is said
+_SHORT = {Stage.BEFORE: "payload unknown", Stage.AFTER: "payload identified"}
 
 
 def render(made: Run) -> RenderableType:
@@ -59,7 +63,7 @@ def told(made: Run) -> list[str]:
         within = made.predicted[made.predicted[:, 0] <= 1.0, 1]
         known = "identified" if made.of(Stage.AFTER) else "no"
         lines.append(f"by the model with {known} payload a trial leaves at most {within.max():.2f} up to 1 Hz")
-        if slow[1] >= 1.0:
+        if slow[1] >= _GROWS:
             lines.append(f"! at {slow[0]:.1f} Hz the error would grow {slow[1]:.2f} times a trial")
     after = made.of(Stage.AFTER)
     if learned and after:
@@ -79,7 +83,7 @@ def draw(made: Run, path: Path) -> None:
         tip.semilogy(number, [1e3 * trial.tip_rms_m for trial in trials], "o-", label=made.controller, color=CYCLE[0])
         for other, color in ((Stage.BEFORE, CYCLE[1]), (Stage.AFTER, CYCLE[2])):
             if other is not stage and made.of(other):
-                tip.axhline(1e3 * made.of(other)[0].tip_rms_m, color=color, label=f"computed torque: {other}")
+                tip.axhline(1e3 * made.of(other)[0].tip_rms_m, color=color, label=f"computed torque, {_SHORT[other]}")
         each = np.array([np.sqrt((trial.flown.error**2).mean(axis=0)) for trial in trials if len(trial.flown.error)])
         for place, name in enumerate(made.joints):
             if len(each):
@@ -90,5 +94,9 @@ def draw(made: Run, path: Path) -> None:
         joints.set_title("joints, rms error, mrad")
         for axes in (tip, joints):
             axes.set_xlabel("trial")
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
             axes.legend(loc="best", fontsize=7.0)
         drawn.savefig(path, facecolor="white")

@@ -182,6 +182,11 @@ def test_a_drive_that_faults_ends_the_trials(directory):
     assert max(abs(rate) for rate in world.vehicle.rates_rad_s) < 1e-3
 
 
+def test_a_drive_in_fault_before_the_start_is_named(directory):
+    with pytest.raises(RuntimeError, match="cannot be enabled: drive_1 is in fault"):
+        fly(directory, Asked("learning_pi", 1, **SHORT), faults=[Fault("trip", "drive_1", 0.02)])
+
+
 def test_a_vehicle_whose_base_is_moved_is_refused(directory):
     with pytest.raises(ValueError, match="prescribed"):
         fly(directory, Asked("learning_pi", 1), base="prescribed")
