@@ -39,7 +39,7 @@ _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further gues
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _FEW = 0.03  # largest share of outliers
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
-_HOPELESS_AFTER = 5  # iterations from a guess after which it is judged whether they can get there
+_HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
 _NEAR = 1e-5  # damping of the first step from a minimum of other ticks or other sigmas
 
 
