@@ -10,7 +10,6 @@ it, or which tolerances are left.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from drivers.records import Batch, Severity, event
 from onboard import channels, config
@@ -287,6 +286,8 @@ class Asking:
 
 def _motion(library: Library, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Angle, rate and acceleration of a segment at its coarse ticks, (n, joints) each."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - 12 MB of each process of an estimator that never asks
+
     ticks = int(library.ticks[k])
     spline = CubicSpline(library.time_s[:ticks], library.q[k, :ticks], bc_type="clamped")
     at = np.arange(library.cyclic.shape[1]) / library.ticks_hz

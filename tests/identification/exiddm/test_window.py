@@ -19,7 +19,7 @@ def held():
 def solved(predictor, ticks, hypothesis):
     """The solve at its end, and how many ticks it has predicted."""
     prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
-    solve, predicted = WindowSolve(predictor, "imu_base", WIDE, ticks, prior, (hypothesis,), None), 0
+    solve, predicted = WindowSolve(predictor, WIDE, ticks, prior, (hypothesis,), None), 0
     while not solve.over:
         predicted += solve.advance()
     return solve, predicted
