@@ -22,8 +22,8 @@ from onboard.channels import Act
 from onboard.cli import main
 from onboard.config import packaged
 from onboard.config.segments import read
-from onboard.flight.asking import Asking
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.asking import Asking
+from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.segment_choice import Asked, choose
 from onboard.offline.tables import truth

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from bench.clock_sensors import START_NS, CountingImu, Elapsed, Floats, Hands, WarmingClock
 from drivers.records import Rows
 from hil_sim.buses.in_process import in_process
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.modbus_load_cell import ModbusLoadCellTwin
-from hil_sim.devices.mpu6050 import Mpu6050Twin
-from hil_sim.devices.nimu import NimuTwin
-from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
-from hil_sim.devices.qsb import QsbTwin
-from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.devices.sync_box import SyncBox
+from hil_sim.devices.canopen.encoder406 import Encoder406
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
+from hil_sim.devices.serial_line.nimu import NimuTwin
+from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
+from hil_sim.devices.serial_line.qsb import QsbTwin
+from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config
+from onboard.flight.acquire.devices import open_devices
 from onboard.flight.clocks import timebase_of
-from onboard.flight.devices import open_devices
 
 MS = 1_000_000
 LAG_NS = 200 * MS

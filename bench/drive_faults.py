@@ -27,10 +27,10 @@ from drivers.records import Batch
 from hil_sim.arm_rig import BUS, START_NS, ArmRig, Motor
 from hil_sim.faults import Fault, FaultKind
 from onboard import config
-from onboard.flight.acquisition import Acquisition
-from onboard.flight.arming import Arming
-from onboard.flight.devices import OpenDevices, open_devices
-from onboard.flight.publisher import Publisher
+from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.acquire.arming import Arming
+from onboard.flight.acquire.devices import OpenDevices, open_devices
+from onboard.flight.acquire.publisher import Publisher
 
 PERIOD_S = 0.005
 BEGIN_S = 1.4  # about when the motion begins: boot, set-up, enabling, blending

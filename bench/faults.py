@@ -37,14 +37,15 @@ from hil_sim.faults import FaultError, FaultKind
 from hil_sim.mission import open_in_process
 from hil_sim.scenario.load import load
 from onboard import config
-from onboard.flight import hil, rings
-from onboard.flight.acquisition import Acquisition
-from onboard.flight.devices import open_devices
-from onboard.flight.directories import scratch
-from onboard.flight.expected import expected
-from onboard.flight.flight_log import open_simulated_recorder
-from onboard.flight.publisher import Publisher
+from onboard.flight import hil
+from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.acquire.devices import open_devices
+from onboard.flight.acquire.expected import expected
+from onboard.flight.acquire.publisher import Publisher
 from onboard.flight.simulated import RECORDING_STEPS, VirtualClock, step_ns
+from onboard.flight.store import rings
+from onboard.flight.store.directories import scratch
+from onboard.flight.store.flight_log import open_simulated_recorder
 from onboard.offline.views import mission_table
 from onboard.offline.views.accounts import Account, accounts, render
 from onboard.offline.views.info import info

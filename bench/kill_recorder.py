@@ -26,9 +26,10 @@ import numpy as np
 
 from drivers import records
 from drivers.records import Rows
-from onboard.flight import directories, harvest, manifest, workers
-from onboard.flight.realtime import UNCHANGED
-from onboard.flight.rings import SECONDS_KEPT
+from onboard.flight.store import directories, harvest, manifest
+from onboard.flight.store.rings import SECONDS_KEPT
+from onboard.flight.supervise import workers
+from onboard.flight.supervise.realtime import UNCHANGED
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble
 from onboard.ring import RingReader, RingWriter
@@ -127,7 +128,7 @@ def campaign(folder: Path, kills: int, seed: int, longest_s: float = 0.8) -> Cam
         pass
     manifest.Manifest(directory, log, "dymaflex", STORAGE, Preamble(f"kill-{seed}")).save()
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["onboard.flight.workers", "onboard.flight.flight_log"])
+    context.set_forkserver_preload(["onboard.flight.supervise.workers", "onboard.flight.store.flight_log"])
     acquisition = context.Process(target=acquire, args=(directory,))
     acquisition.start()
     try:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from onboard import config
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.estimate_again.replay import Pass, steps
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader

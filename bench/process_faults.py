@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from onboard.flight.harvest import harvest
+from onboard.flight.store.harvest import harvest
 from onboard.offline.views.info import info
 
 TARGETS = {"recorder": "heft-record", "estimator": "heft-estimate", "acquisition": "heft-acquire"}

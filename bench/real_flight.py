@@ -16,7 +16,7 @@ import tomli_w
 
 import hil_sim.scenario
 from onboard import config
-from onboard.flight import manifest
+from onboard.flight.store import manifest
 
 WORKERS = {"heft-record": "recording", "heft-estimate": "estimation", "heft-acquire": "acquisition"}
 START_S = 90.0  # beside the time that a long mission takes to be integrated

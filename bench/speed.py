@@ -31,9 +31,10 @@ from hil_sim.buses.media import I2cBus
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import Mission, open_in_process
 from onboard import config
-from onboard.flight import flight_log, hil
-from onboard.flight.acquisition import Acquisition
-from onboard.flight.estimation import EstimationWorker
+from onboard.flight import hil
+from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.estimate.estimation import EstimationWorker
+from onboard.flight.store import flight_log
 from onboard.recording.recorder import Recorder
 
 MISSIONS = ("rocksat", "dymaflex")

@@ -394,7 +394,7 @@ if [ -z "$dry" ]; then
     runuser -u heft -- "$prefix/.venv/bin/python" -c '
 import pathlib, sys
 from onboard import config
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 try:
     Estimator(config.load(pathlib.Path(sys.argv[1])))
 except (ValueError, LookupError) as error:

@@ -9,7 +9,7 @@ from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.devices import registry, wiring
 from hil_sim.devices.emulator import Bench, Emulator, Twin
-from hil_sim.devices.sync_box import SYNC_COB_ID
+from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.faults import DeviceFaults, FaultError
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.bus_tables import CanBusTable, PulseLineTable

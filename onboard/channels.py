@@ -67,7 +67,7 @@ REQUEST = np.dtype(
 HEALTH = np.dtype(  # a second of a real flight; NaN and -1: unknown
     [
         *_HEAD,
-        ("status_word", "<u4"),  # onboard.flight.health_status.Status, of the last second
+        ("status_word", "<u4"),  # onboard.flight.health.status.Status, of the last second
         ("status_latched", "<u4"),  # all bits since the start
         ("rows", "<u8"),  # of all devices, since the start
         ("rows_hz", "<f4"),

@@ -7,6 +7,7 @@ import ast
 import io
 import sys
 import tokenize
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -28,7 +29,10 @@ CLOCKS = {
     *(f"datetime.datetime.{name}" for name in ("now", "utcnow", "today")),
     "datetime.date.today",
 }
-RUNNERS = ("onboard/flight/runner*.py", "onboard/flight/workers.py", "hil_sim/serve*.py", "onboard/cli/*", "bench/*")
+RUNNERS = (
+    *("onboard/flight/supervise/runner*.py", "onboard/flight/supervise/workers.py"),
+    *("hil_sim/serve*.py", "onboard/cli/*", "bench/*"),
+)
 CLOCK_READERS = ("drivers/transports/*", *RUNNERS)
 PRINTERS = ("onboard/cli/*", "bench/*")
 
@@ -117,6 +121,11 @@ LAYERS = {  # each room may import those before it, and itself
         *("twins", "mission", "serve", "kernel"),
     ),
 }
+FLIGHT = (  # each room of it may import those before it
+    *("clocks", "store", "acquire", "estimate", "health", "supervise", "check"),
+    *("simulated", "hil", "bench", "trials"),
+)
+MOST_MODULES = 30  # in a room
 MATHEMATICS = ("estimation", "dynamics", "regressor", "identification", "control")  # import nothing else of onboard
 
 
@@ -131,6 +140,14 @@ def rooms_stand_on_those_before_them(path: str, source: str) -> list[str]:
     judged = OURS if top == "onboard" and room in MATHEMATICS else ordered
     names = [i for i in imports(path, source) if within(i.name, *judged)]
     return [f"{path}:{i.line}: {i.name}" for i in names if not within(i.name, *below)]
+
+
+def rooms_of_the_flight_stand_on_those_before_them(path: str, source: str) -> list[str]:
+    room = path.removeprefix("onboard/flight/").split("/")[0].removesuffix(".py")
+    if not path.startswith("onboard/flight/") or room not in FLIGHT:
+        return []
+    beyond = tuple(f"onboard.flight.{name}" for name in FLIGHT[FLIGHT.index(room) + 1 :])
+    return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, *beyond)]
 
 
 def simulator_knows_the_ports_only(path: str, source: str) -> list[str]:
@@ -246,6 +263,7 @@ RULES: tuple[Rule, ...] = (
     transports_alone_open_buses,
     estimation_is_pure,
     rooms_stand_on_those_before_them,
+    rooms_of_the_flight_stand_on_those_before_them,
     simulator_knows_the_ports_only,
     flight_code_knows_no_simulator,
     strangers_use_different_dynamics,
@@ -274,6 +292,14 @@ def test_files_of_the_bench_stay_short() -> None:
     assert [broken for path in paths for broken in files_stay_short(path.name, path.read_text(encoding="utf-8"))] == []
 
 
+def test_no_room_is_crowded(package_sources: dict[str, str]) -> None:
+    rooms = Counter(PurePosixPath(path).parent.as_posix() for path in package_sources)
+    assert {room: count for room, count in rooms.items() if count > MOST_MODULES} == {}
+    assert {room for room in rooms if room.startswith("onboard/flight/")} == {
+        f"onboard/flight/{name}" for name in FLIGHT if f"onboard/flight/{name}" in rooms
+    }
+
+
 def test_no_two_rooms_import_each_other(package_sources: dict[str, str]) -> None:
     assert rooms_in_a_cycle(package_sources) == []
 
@@ -287,7 +313,7 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (transports_alone_open_buses, "drivers/mpu6050/device.py", "import smbus2"),
     (transports_alone_open_buses, "drivers/canopen_pdo/device.py", "from can.interfaces import virtual"),
     (transports_alone_open_buses, "drivers/qsb/device.py", "import serial.tools.list_ports"),
-    (transports_alone_open_buses, "onboard/flight/acquisition.py", "from gpiod.line import Edge"),
+    (transports_alone_open_buses, "onboard/flight/acquire/acquisition.py", "from gpiod.line import Edge"),
     (estimation_is_pure, "onboard/estimation/rls.py", "from onboard.dynamics import rows"),
     (estimation_is_pure, "onboard/estimation/rls.py", "from .. import ring"),
     (estimation_is_pure, "onboard/estimation/rls.py", "import drivers.records"),
@@ -298,25 +324,30 @@ BREACHES: list[tuple[Rule, str, str]] = [
     (rooms_stand_on_those_before_them, "onboard/dynamics/vehicle.py", "from onboard.regressor import rows"),
     (
         rooms_stand_on_those_before_them,
-        "onboard/flight/estimator.py",
+        "onboard/flight/estimate/estimator.py",
         "def f():\n    from onboard.offline import views",
     ),
     (rooms_stand_on_those_before_them, "onboard/devices/qsb.py", "from onboard.config import Vehicle"),
     (rooms_stand_on_those_before_them, "hil_sim/plants/world.py", "from hil_sim.sensing import analog"),
+    (
+        rooms_of_the_flight_stand_on_those_before_them,
+        "onboard/flight/acquire/publisher.py",
+        "from onboard.flight.estimate import signals",
+    ),
     (rooms_stand_on_those_before_them, "hil_sim/twins.py", "from hil_sim import mission"),
     (rooms_stand_on_those_before_them, "onboard/regressor/rows.py", "from ..flight import modes"),
     (rooms_stand_on_those_before_them, "onboard/regressor/rows.py", "from drivers import records"),
-    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "from drivers.mpu6050 import registers"),
-    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "from drivers import records"),
-    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "import drivers"),
-    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050.py", "import drivers.ports_of_call"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050/chip.py", "from drivers.mpu6050 import registers"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050/chip.py", "from drivers import records"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050/chip.py", "import drivers"),
+    (simulator_knows_the_ports_only, "hil_sim/devices/mpu6050/chip.py", "import drivers.ports_of_call"),
     (simulator_knows_the_ports_only, "hil_sim/plants/rocket_arm.py", "from onboard.config import load"),
-    (flight_code_knows_no_simulator, "onboard/flight/runner.py", "def f():\n    import hil_sim.serve"),
+    (flight_code_knows_no_simulator, "onboard/flight/supervise/runner.py", "def f():\n    import hil_sim.serve"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "from hil_sim import serve"),
     (flight_code_knows_no_simulator, "onboard/cli/flying.py", "if True:\n    import hil_sim"),
     (strangers_use_different_dynamics, "hil_sim/plants/rocket_arm.py", "import pinocchio as pin"),
     (strangers_use_different_dynamics, "onboard/regressor/rows.py", "from mujoco import MjModel"),
-    (only_the_command_line_prints, "onboard/flight/runner.py", "print('tick')"),
+    (only_the_command_line_prints, "onboard/flight/supervise/runner.py", "print('tick')"),
     (only_the_command_line_prints, "hil_sim/serve.py", "def f():\n    print()"),
     (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time\ntime.monotonic_ns()"),
     (only_transports_and_runners_read_clocks, "onboard/ring.py", "import time as t\nt.time()"),
@@ -338,6 +369,11 @@ BREACHES: list[tuple[Rule, str, str]] = [
 ]
 
 INNOCENT: list[tuple[Rule, str, str]] = [
+    (
+        rooms_of_the_flight_stand_on_those_before_them,
+        "onboard/flight/supervise/workers.py",
+        "from onboard.flight.estimate import signals\nfrom onboard.flight.supervise import modes",
+    ),
     (drivers_import_nothing_of_ours, "drivers/mpu6050/device.py", "from drivers import ports\nfrom ..errors import X"),
     (drivers_import_nothing_of_ours, "onboard/ring.py", "import onboard"),
     (transports_alone_open_buses, "drivers/transports/i2c.py", "import smbus2"),
@@ -356,7 +392,7 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     ),
     (
         simulator_knows_the_ports_only,
-        "hil_sim/devices/mpu6050.py",
+        "hil_sim/devices/mpu6050/chip.py",
         "from drivers.ports import Edge\nfrom .. import faults",
     ),
     (simulator_knows_the_ports_only, "hil_sim/buses/media.py", "from drivers import ports"),
@@ -365,7 +401,11 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     (only_the_command_line_prints, "onboard/cli/looking.py", "print()"),
     (only_the_command_line_prints, "onboard/offline/report.py", "console.print()\nprint_table()"),
     (only_transports_and_runners_read_clocks, "drivers/transports/i2c.py", "import time\ntime.monotonic_ns()"),
-    (only_transports_and_runners_read_clocks, "onboard/flight/runner_real.py", "import time\ntime.monotonic_ns()"),
+    (
+        only_transports_and_runners_read_clocks,
+        "onboard/flight/supervise/runner_real.py",
+        "import time\ntime.monotonic_ns()",
+    ),
     (
         only_transports_and_runners_read_clocks,
         "onboard/ring.py",

@@ -23,7 +23,7 @@ from bench.fuzzing.laws import leading
 from onboard import config
 from onboard.config.errors import ConfigError
 from onboard.dynamics.errors import ModelError
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.bring_in.errors import ImportFileError
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.offline.export.dump import dump

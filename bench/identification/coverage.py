@@ -28,9 +28,9 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation, smooth
-from onboard.flight.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import CYCLIC_LEFT, cyclic_functions
+from onboard.flight.estimate.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import CYCLIC_LEFT, cyclic_functions
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier

@@ -12,7 +12,7 @@ import can
 from can.interfaces import BACKENDS
 from can.interfaces.virtual import VirtualBus
 
-from hil_sim.devices.can_wire import WireFrame
+from hil_sim.devices.canopen.can_wire import WireFrame
 
 _away: set[str] = set()  # channels whose adapter is pulled out
 

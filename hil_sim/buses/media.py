@@ -15,8 +15,8 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from hil_sim.devices.can_wire import Babbler, CanTalker, CanWire, WireFrame, is_process_data
-from hil_sim.devices.sync_line import EdgeCapture
+from hil_sim.devices.canopen.can_wire import Babbler, CanTalker, CanWire, WireFrame, is_process_data
+from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _EDGE: Final = struct.Struct("<qI")  # edge_ns, line_sequence

@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil_sim.devices.serial_wire import Heard, LineFormat, SerialStation, SerialWire
+from hil_sim.devices.serial_line.serial_wire import Heard, LineFormat, SerialStation, SerialWire
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after two status bytes

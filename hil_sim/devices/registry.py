@@ -1,4 +1,4 @@
-"""Finds every emulator: in the modules of ``hil_sim.devices``, and by entry points of other packages.
+"""Finds every emulator: in the modules of ``hil_sim.devices`` and its rooms, and by entry points of other packages.
 
 A package that is installed beside heft names its emulators in its ``pyproject.toml``, by their kind::
 
@@ -31,8 +31,8 @@ def kind_of(table: object) -> str | None:
 
 
 def _packaged() -> Iterator[tuple[str, type[Emulator]]]:
-    for found in pkgutil.iter_modules(devices.__path__, f"{devices.__name__}."):
-        if found.name != __name__:
+    for found in pkgutil.walk_packages(devices.__path__, f"{devices.__name__}."):
+        if not found.ispkg and found.name != __name__:
             module = importlib.import_module(found.name)
             for table in vars(module).values():
                 kind = kind_of(table)

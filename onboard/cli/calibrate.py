@@ -172,7 +172,7 @@ def _device(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> str:
         ConfigError: none is, or it is not there.
     """
     from onboard import config
-    from onboard.flight.roles import roles_of
+    from onboard.flight.estimate.roles import roles_of
 
     roles = roles_of(vehicle)
     by_role = {
@@ -194,7 +194,7 @@ def _device(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> str:
 def _recorded(arguments: argparse.Namespace, vehicle: "config.Vehicle", device: str) -> Path:
     """A log of the devices, step by step, or of a simulated bench."""
     from onboard.flight import bench
-    from onboard.flight.roles import roles_of
+    from onboard.flight.estimate.roles import roles_of
 
     if arguments.at:
         raise ValueError("--at says which stretches of a log to use: give --log as well")
@@ -316,7 +316,7 @@ def _bifilar(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", devic
 
 
 def _balance(a: argparse.Namespace, log: "LogReader", v: "config.Vehicle", device: str, at: "Sequence[Span]") -> Any:
-    from onboard.flight.roles import roles_of
+    from onboard.flight.estimate.roles import roles_of
     from onboard.offline.calibrate.balance import calibrate_balance, rig
     from onboard.offline.calibrate.readings import readings
 
@@ -335,8 +335,8 @@ def _angles_deg(a: argparse.Namespace, vehicle: "config.Vehicle", device: str) -
     """
     import math
 
-    from onboard.flight.identification import build_model
-    from onboard.flight.roles import roles_of
+    from onboard.flight.estimate.identification import build_model
+    from onboard.flight.estimate.roles import roles_of
 
     if a.angles_deg:
         return tuple(a.angles_deg)

@@ -12,7 +12,7 @@ from onboard.cli.common import FAILED, NOT_READY, OK, Commands, bus_and_url, loa
 
 if TYPE_CHECKING:
     from onboard import config
-    from onboard.flight.checkout_checks import Outcome
+    from onboard.flight.check.checkout_checks import Outcome
 
 _MOVE_S, _DRY_RUN_S = 20.0, 10.0
 
@@ -93,8 +93,9 @@ class _Console:
 
 
 def _walk(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
-    from onboard.flight import checkout, workers
-    from onboard.flight.estimator import Estimator
+    from onboard.flight.check import checkout
+    from onboard.flight.estimate.estimator import Estimator
+    from onboard.flight.supervise import workers
 
     directory = Path(vehicle.file.recording.directory)
 
@@ -116,9 +117,9 @@ def _dry_run(vehicle: "config.Vehicle", seconds: float) -> "Outcome":
     """Fly the whole app for some seconds, and look at its log."""
     from onboard.cli import messages
     from onboard.cli.common import next_log
-    from onboard.flight import runner
-    from onboard.flight.checkout_checks import Outcome, look_at
-    from onboard.flight.runner_processes import FlightError
+    from onboard.flight.check.checkout_checks import Outcome, look_at
+    from onboard.flight.supervise import runner
+    from onboard.flight.supervise.runner_processes import FlightError
     from onboard.recording.reader import LogReader
 
     log = next_log(vehicle.file.recording.directory, f"{vehicle.file.vehicle.name}-checkout")

@@ -83,7 +83,7 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
 
 def next_log(directory: str, name: str) -> Path:
     """The first ``NAME-NNN.mcap`` that is not there, and that no flight whose rings wait for their log has."""
-    from onboard.flight import manifest
+    from onboard.flight.store import manifest
 
     taken = {flight.log for flight in manifest.waiting()}
     paths = (Path(directory) / f"{name}-{n:03d}.mcap" for n in range(1, 100_000))

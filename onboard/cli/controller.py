@@ -90,7 +90,7 @@ def _identify_in_flight(arguments: argparse.Namespace, vehicle: "config.Vehicle"
 def _run(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any]) -> "Run":
     from hil_sim.driven_world import DrivenWorld, Wired
     from onboard.dynamics.errors import ModelError
-    from onboard.flight.identification import build_model
+    from onboard.flight.estimate.identification import build_model
     from onboard.flight.trials import PERIOD_MS
     from onboard.offline.control import run
     from onboard.offline.control.adopted import adopted_urdf

@@ -54,8 +54,8 @@ def add(commands: Commands) -> None:
 def _fly(arguments: argparse.Namespace) -> int:
     from onboard import config
     from onboard.cli import messages
-    from onboard.flight import runner
-    from onboard.flight.runner_processes import FlightError
+    from onboard.flight.supervise import runner
+    from onboard.flight.supervise.runner_processes import FlightError
 
     urls = dict(bus_and_url(text) for text in arguments.url)
     vehicle, plan = config.with_mission(load_vehicle(arguments.vehicle), arguments.until, arguments.segments), None
@@ -105,8 +105,9 @@ def _with_drives(
         vehicle = vehicle.model_copy(update={"arm": arguments.arm, "own_motion": motion})
     if drive is None or not drive.armed or not (vehicle.arm or drive.phase is not None):
         return vehicle
-    from onboard.flight import preflight, workers  # Pinocchio comes with them, which a supervisor does without
-    from onboard.flight.estimator import Estimator
+    from onboard.flight.check import preflight
+    from onboard.flight.estimate.estimator import Estimator
+    from onboard.flight.supervise import workers  # Pinocchio comes with them, which a supervisor does without
 
     if vehicle.motion is None and vehicle.segments_path is None:
         raise ValueError(f"{vehicle.label}: no motion to drive: give --motion, or [drive] motion")

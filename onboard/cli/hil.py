@@ -61,7 +61,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         raise ValueError(f"heft hil simulates with MuJoCo ({error}): pip install mujoco") from error
     from onboard import config
     from onboard.flight import hil
-    from onboard.flight.runner_processes import FlightError
+    from onboard.flight.supervise.runner_processes import FlightError
     from onboard.offline.tables import truth
     from onboard.offline.views import mission_table
 

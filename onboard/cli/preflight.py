@@ -31,8 +31,9 @@ def add(commands: Commands) -> None:
 
 
 def _preflight(arguments: argparse.Namespace) -> int:
-    from onboard.flight import preflight, workers
-    from onboard.flight.estimator import Estimator
+    from onboard.flight.check import preflight
+    from onboard.flight.estimate.estimator import Estimator
+    from onboard.flight.supervise import workers
 
     minutes: float = arguments.minutes
     if not 0.0 < minutes < 1e6:

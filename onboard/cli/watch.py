@@ -78,7 +78,7 @@ def _play(path: Path, speed: float) -> int:
 
 
 def _live() -> int:
-    from onboard.flight import manifest
+    from onboard.flight.store import manifest
     from onboard.offline.views.watch import Board
 
     flights = manifest.running()

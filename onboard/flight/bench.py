@@ -14,13 +14,14 @@ from types import TracebackType
 from drivers.records import CAN_SYNC, Severity, event
 from onboard import config
 from onboard.devices.base import BusDevice
-from onboard.flight import rings, simulated
-from onboard.flight.acquisition import Acquisition
-from onboard.flight.devices import open_devices
-from onboard.flight.directories import scratch
-from onboard.flight.flight_log import open_simulated_recorder
+from onboard.flight import simulated
+from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.acquire.devices import open_devices
+from onboard.flight.acquire.publisher import Publisher
 from onboard.flight.hil import World
-from onboard.flight.publisher import Publisher
+from onboard.flight.store import rings
+from onboard.flight.store.directories import scratch
+from onboard.flight.store.flight_log import open_simulated_recorder
 
 BEGIN, END = "bench_begin", "bench_end"  # events: what the operator holds still, from when to when
 PAUSE_S = 1e-3

@@ -15,16 +15,18 @@ from typing import Any, NamedTuple, Protocol
 
 from onboard import config
 from onboard.channels import Act
-from onboard.flight import rings, runner, simulated
-from onboard.flight.acquisition import Acquisition
-from onboard.flight.devices import open_devices
-from onboard.flight.directories import scratch
-from onboard.flight.estimation import EstimationWorker, create_rings
-from onboard.flight.estimator import Estimator
-from onboard.flight.expected import expected
-from onboard.flight.flight_log import open_simulated_recorder
-from onboard.flight.publisher import Publisher
-from onboard.flight.runner_processes import FlightError
+from onboard.flight import simulated
+from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.acquire.devices import open_devices
+from onboard.flight.acquire.expected import expected
+from onboard.flight.acquire.publisher import Publisher
+from onboard.flight.estimate.estimation import EstimationWorker, create_rings
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.store import rings
+from onboard.flight.store.directories import scratch
+from onboard.flight.store.flight_log import open_simulated_recorder
+from onboard.flight.supervise import runner
+from onboard.flight.supervise.runner_processes import FlightError
 
 Progress = Callable[[float], None]
 OVER_NS = 2_000_000_000  # after a goal is met, or given up

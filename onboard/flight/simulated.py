@@ -5,8 +5,8 @@ import gc
 from collections.abc import Callable, Iterable, Iterator
 from math import ceil, gcd
 
-from onboard.flight.acquisition import Acquisition
-from onboard.flight.estimation import EstimationWorker
+from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.estimate.estimation import EstimationWorker
 from onboard.recording.recorder import Recorder
 
 STEP_NS = 5_000_000  # at most

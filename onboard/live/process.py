@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from onboard.flight import manifest
+from onboard.flight.store import manifest
 from onboard.live.server import LiveServer, parse_address
 
 _LOOK_S = 0.02

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from onboard import cli
 from onboard.config.vehicle import Realtime
-from onboard.flight import runner_processes
+from onboard.flight.supervise import runner_processes
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from onboard.flight.runner_forks import ForkServer
+from onboard.flight.supervise.runner_forks import ForkServer
 from tests.flight.missions import Result, fly
 
 

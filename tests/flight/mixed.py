@@ -7,21 +7,21 @@ import numpy as np
 
 from drivers.records import Batch, Rows
 from hil_sim.buses.in_process import in_process
-from hil_sim.devices.arm_controller import ArmController
-from hil_sim.devices.drive402 import Drive402
-from hil_sim.devices.dsc_load_cell import DscLoadCellTwin
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.modbus_load_cell import ModbusLoadCellTwin
-from hil_sim.devices.mpu6050 import Mpu6050Twin
-from hil_sim.devices.nimu import NimuTwin
-from hil_sim.devices.node_frame import FrameNode, NodeChannel, ValueType
-from hil_sim.devices.qsb import QsbTwin
-from hil_sim.devices.serial_wire import LineFormat
-from hil_sim.devices.sync_box import SyncBox
+from hil_sim.devices.canopen.arm_controller import ArmController
+from hil_sim.devices.canopen.drive402 import Drive402
+from hil_sim.devices.canopen.encoder406 import Encoder406
+from hil_sim.devices.canopen.loadcell404 import LoadCell404
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
+from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
+from hil_sim.devices.serial_line.nimu import NimuTwin
+from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
+from hil_sim.devices.serial_line.qsb import QsbTwin
+from hil_sim.devices.serial_line.serial_wire import LineFormat
+from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.scenario.bus_tables import CanBusTable, I2cBusTable, PulseLineTable, SerialBusTable
 from onboard import config
-from onboard.flight.devices import OpenDevices, open_devices
+from onboard.flight.acquire.devices import OpenDevices, open_devices
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu
 
 COUNT_RAD = 2.0 * np.pi / 500_000

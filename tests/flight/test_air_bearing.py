@@ -15,7 +15,7 @@ from onboard import cli, config
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.urdf import with_bodies
 from onboard.estimation.gates import GateReason
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify

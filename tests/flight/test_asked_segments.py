@@ -7,7 +7,7 @@ from hil_sim.arm_rig import START_NS
 from hil_sim.faults import Fault
 from onboard.channels import REQUEST, Act
 from onboard.config.segments import Library, to_bytes
-from onboard.flight.arming import REQUESTS
+from onboard.flight.acquire.arming import REQUESTS
 from onboard.ring import RingWriter
 from tests.flight.test_driving import MS, Bench
 

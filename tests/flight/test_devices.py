@@ -8,10 +8,10 @@ from drivers.records import EVENT, GAP, Severity
 from onboard.devices.base import BusDevice
 from onboard.devices.buses import PulseDevice, PulseOutputDevice
 from onboard.devices.registry import DEVICES as DEVICES_BY_KIND
-from onboard.flight import rings
 from onboard.flight.clocks import timebase_of
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import SignalSmoother
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import SignalSmoother
+from onboard.flight.store import rings
 from tests.flight.mixed import DEVICES, MixedWorld, angle, force_n, vehicle
 from tests.hil_sim.devices.twin_bench import MS, START_NS
 

@@ -17,10 +17,10 @@ from hil_sim.arm_rig import BUS, START_NS, ArmRig, Motor
 from hil_sim.faults import Fault
 from onboard import config
 from onboard.config.driving import joint_ranges, read_motion, resampled
-from onboard.flight.acquisition import Acquisition
-from onboard.flight.arming import Arming
-from onboard.flight.devices import open_devices
-from onboard.flight.publisher import Publisher
+from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.acquire.arming import Arming
+from onboard.flight.acquire.devices import open_devices
+from onboard.flight.acquire.publisher import Publisher
 
 MS = 1_000_000
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'

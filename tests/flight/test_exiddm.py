@@ -13,8 +13,8 @@ from onboard import config
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.estimation.gates import GateReason
-from onboard.flight.estimator import Estimator
-from onboard.flight.identification import build_exiddm
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.offline.bring_in.importer import import_recordings
 from onboard.offline.estimate_again.feed import feed

@@ -14,13 +14,13 @@ from onboard import config
 from onboard.config.estimation import Estimation
 from onboard.devices.cia406 import Cia406Device
 from onboard.estimation.gates import GateReason
-from onboard.flight.history import History
-from onboard.flight.identification import METHODS
-from onboard.flight.phases import PhaseTrack
-from onboard.flight.publisher import Publisher
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import ChannelAtTicks, SignalSmoother
-from onboard.flight.zeroing import Zeroing
+from onboard.flight.acquire.publisher import Publisher
+from onboard.flight.estimate.history import History
+from onboard.flight.estimate.identification import METHODS
+from onboard.flight.estimate.phases import PhaseTrack
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import ChannelAtTicks, SignalSmoother
+from onboard.flight.estimate.zeroing import Zeroing
 from onboard.ring import RingReader, RingWriter
 from onboard.timebase.specs import FollowerChannel, ProducerChannel, RecordedChannel
 from onboard.timebase.timebase import Timebase

@@ -16,7 +16,7 @@ from PIL import Image
 
 from drivers import records
 from onboard import cli, config
-from onboard.flight.identification import build_identifier
+from onboard.flight.estimate.identification import build_identifier
 from onboard.offline.report import report, theme, zoom
 from onboard.offline.report.alone import alone
 from onboard.offline.report.flight_data import SweepData

@@ -12,8 +12,8 @@ from rich.console import Console
 from drivers import records
 from onboard import cli, config
 from onboard.estimation.gates import GateReason
-from onboard.flight import host
-from onboard.flight.estimator import Estimator
+from onboard.flight.check import host
+from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.estimate_again import replay as replay_module
 from onboard.offline.estimate_again.replay import replay
 from onboard.offline.views import mission_table as table

@@ -14,13 +14,13 @@ import pytest
 
 from drivers.records import Rows
 from onboard import cli, config
-from onboard.flight.answers import change_event
-from onboard.flight.estimation import SUFFIX
-from onboard.flight.estimator import Estimator
-from onboard.flight.identification import build_model
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import ChannelAtTicks
-from onboard.flight.witness import RateWitness
+from onboard.flight.estimate.answers import change_event
+from onboard.flight.estimate.estimation import SUFFIX
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import ChannelAtTicks
+from onboard.flight.estimate.witness import RateWitness
 from onboard.identification.change import Change
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.feed import feed

@@ -25,8 +25,8 @@ from hil_sim.buses.i2c_socket import I2cSocket
 from hil_sim.buses.media import I2cBus
 from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.can_wire import WireFrame
-from hil_sim.devices.mpu6050 import Mpu6050Twin
+from hil_sim.devices.canopen.can_wire import WireFrame
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.serve import open_sockets
 from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, FlatImu, RateClock, SmallMission
 

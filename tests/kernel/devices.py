@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from hil_sim.buses.media import Bus, CanBus, I2cBus, PulseLine
 from hil_sim.buses.realtime import MissionServer
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.mpu6050 import Mpu6050Twin
-from hil_sim.devices.sync_box import SyncBox
+from hil_sim.devices.canopen.encoder406 import Encoder406
+from hil_sim.devices.canopen.loadcell404 import LoadCell404
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from hil_sim.devices.sync.sync_box import SyncBox
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.kernel.server import open_nodes
 from tests.hil_sim.devices.twin_bench import BUSES

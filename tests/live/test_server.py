@@ -20,7 +20,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from drivers import records
-from onboard.flight import directories, manifest
+from onboard.flight.store import directories, manifest
 from onboard.live import process
 from onboard.live.server import LiveServer, parse_address
 from onboard.recording.segmented import Preamble

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 
 TEXT = config.packaged("rocksat").read_text()
 MIXED = (Path(__file__).parents[1] / "flight" / "mixed.toml").read_text(encoding="utf-8")

@@ -16,8 +16,8 @@ import numpy as np
 
 from bench.kill_recorder import RATES_HZ, rows_of
 from drivers.records import EVENT, Severity, event
-from onboard.flight import manifest
-from onboard.flight.flight_log import open_recorder
+from onboard.flight.store import manifest
+from onboard.flight.store.flight_log import open_recorder
 from onboard.recording.reader import LogReader
 from onboard.recording.segmented import Preamble
 from onboard.ring import RingWriter

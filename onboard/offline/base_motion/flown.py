@@ -8,11 +8,11 @@ from onboard import config
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
-from onboard.flight.answers import change_of
-from onboard.flight.estimation import SUFFIX
-from onboard.flight.estimator import Estimator
-from onboard.flight.identification import METHODS, build_model
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.answers import change_of
+from onboard.flight.estimate.estimation import SUFFIX
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import METHODS, build_model
+from onboard.flight.estimate.roles import roles_of
 from onboard.identification.change import Change
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of

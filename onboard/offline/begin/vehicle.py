@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 
 from onboard import config
 from onboard.config import schema
-from onboard.flight.identification import build_online
+from onboard.flight.estimate.identification import build_online
 from onboard.offline.begin import devices, drawing
 from onboard.offline.begin.devices import NewDevice
 from onboard.offline.begin.drawing import Drawn

@@ -12,8 +12,8 @@ from onboard.dynamics.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.bifilar import BifilarSwing, Suspension, inertia_tensor, swing
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.identification import build_model
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.roles import roles_of
 from onboard.offline.calibrate.readings import Readings, Span, still
 from onboard.offline.calibrate.result import Calibration, Change, Found, rounded, two_digits
 

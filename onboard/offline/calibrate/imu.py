@@ -17,7 +17,7 @@ from onboard.estimation.calibration.imu import (
     turns,
 )
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.roles import roles_of
 from onboard.offline.calibrate.allan import Allan, allan_deviation
 from onboard.offline.calibrate.place import Place
 from onboard.offline.calibrate.readings import Readings, Span, still

@@ -18,10 +18,10 @@ from onboard.dynamics.errors import ModelError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
-from onboard.flight.answers import change_of, instrument_of
-from onboard.flight.estimation import SUFFIX
-from onboard.flight.estimator import Estimator
-from onboard.flight.identification import build_exiddm
+from onboard.flight.estimate.answers import change_of, instrument_of
+from onboard.flight.estimate.estimation import SUFFIX
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.change import Change
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further

@@ -10,8 +10,8 @@ import numpy as np
 from drivers.records import Batch
 from onboard import config
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimator import Estimator
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.roles import roles_of
 from onboard.offline.tables.source import Interleaved
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader

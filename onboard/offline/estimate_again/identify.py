@@ -15,10 +15,10 @@ from drivers.records import Rows
 from onboard import config
 from onboard.config.checks import check
 from onboard.dynamics.urdf import with_bodies
-from onboard.flight.answers import Answers
-from onboard.flight.estimator import Estimator
-from onboard.flight.identification import build_model
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.answers import Answers
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.roles import roles_of
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate

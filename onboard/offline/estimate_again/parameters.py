@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onboard import config
-from onboard.flight.identification import NAMING_SEED, build_identifier, build_model
+from onboard.flight.estimate.identification import NAMING_SEED, build_identifier, build_model
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.mechanics.counts import Counted, counted
 from onboard.regressor.base_parameters import BaseParameters, base_parameters

@@ -13,9 +13,9 @@ from scipy.special import ndtri
 from onboard import config
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.flight.estimator import Estimator
-from onboard.flight.identification import build_planar, exiddm_prior, samples_per_tick
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.identification import build_planar, exiddm_prior, samples_per_tick
+from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit
 from onboard.identification.exiddm.imu_errors import ImuPrior

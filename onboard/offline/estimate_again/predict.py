@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from onboard import config
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.rows.held_out import HeldOutFit, prediction
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onboard import config
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.estimate_again.replay import Pass, steps
 from onboard.offline.tables.progress import follow
 from onboard.offline.tables.vehicle_file import vehicle_of

@@ -16,7 +16,7 @@ from rich.progress import Progress
 
 from drivers.records import Batch, Rows
 from onboard import config
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.tables.progress import follow
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader

@@ -21,7 +21,7 @@ from scipy.special import ndtri
 from drivers.records import Rows
 from onboard import config
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.identification import build_online
+from onboard.flight.estimate.identification import build_online
 from onboard.identification.rows.identifier import Identifier, Start
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader

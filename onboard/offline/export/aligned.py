@@ -17,7 +17,7 @@ from onboard import config
 from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.roles import roles_of
 from onboard.offline.export import opener
 from onboard.offline.export.dump import DumpResult, begin
 from onboard.offline.tables.columns import TIME_FIELD, Column, time_columns

@@ -5,7 +5,7 @@ from enum import IntEnum, IntFlag
 
 from drivers.records import SampleStatus, Severity
 from onboard.estimation.gates import GateReason
-from onboard.flight.health_status import MEANINGS
+from onboard.flight.health.status import MEANINGS
 from onboard.offline.tables.columns import Times
 from onboard.offline.tables.flight_tables import FlightTables
 from onboard.offline.tables.meaning import Meaning

@@ -21,7 +21,7 @@ from drivers.records import Rows
 from onboard.devices import si
 from onboard.devices.roles import ANGLE
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.roles import roles_of
 from onboard.offline.export.aligned import aligned
 from onboard.offline.export.dump import DumpResult, begin
 from onboard.offline.tables.columns import TIME_FIELD, Column

@@ -16,8 +16,8 @@ from onboard.config.estimation import JointKeys
 from onboard.devices.base import BusDevice, ImuDevice
 from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.errors import UnknownFrameError
-from onboard.flight.identification import build_model
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.roles import roles_of
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
 from onboard.offline.foresee.foresee import foresee

@@ -18,9 +18,9 @@ from onboard.dynamics.payload import body_jacobian, standard_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import correlation_inflation
-from onboard.flight.identification import build_exiddm, channels_of
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import CYCLIC_LEFT, kernel_of
+from onboard.flight.estimate.identification import build_exiddm, channels_of
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import CYCLIC_LEFT, kernel_of
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier

@@ -13,9 +13,9 @@ from onboard.dynamics.payload import body_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import Response, SmoothingWindow
-from onboard.flight.identification import build_model
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import kernel_of
+from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import kernel_of
 from onboard.identification.quantities import BODY, Findings, QuantityEstimate
 from onboard.identification.verdict import Level, standing
 from onboard.regressor.rows import BaseMotion

@@ -19,9 +19,9 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons
 from onboard.estimation.smoothing import correlation_inflation
-from onboard.flight.identification import build_identifier
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import kernel_of
+from onboard.flight.estimate.identification import build_identifier
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import kernel_of
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.verdict import Level
 from onboard.offline.foresee.plan import (

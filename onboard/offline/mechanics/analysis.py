@@ -14,7 +14,7 @@ from onboard.dynamics.mechanics.inverse_kinematics import TipMotion, follow, str
 from onboard.dynamics.mechanics.reaction import reaction
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.identification import build_model
+from onboard.flight.estimate.identification import build_model
 from onboard.offline.mechanics.counts import closed_forms
 
 

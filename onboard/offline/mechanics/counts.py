@@ -20,7 +20,7 @@ from onboard.dynamics.mechanics.base_parameter_count import (
 from onboard.dynamics.mechanics.chain import Chain, chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
-from onboard.flight.identification import NAMING_SEED
+from onboard.flight.estimate.identification import NAMING_SEED
 from onboard.regressor.base_parameters import SampledMotion, base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from onboard import config
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.identification import build_model
+from onboard.flight.estimate.identification import build_model
 from onboard.offline.foresee.foresee import foresee
 from onboard.offline.foresee.plan import Foreseen, Plan, plan_of
 from onboard.offline.planning.bound import TICK_HZ, Bound, FreeBound, RowsBound

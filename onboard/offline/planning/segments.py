@@ -14,7 +14,7 @@ from onboard import config
 from onboard.config.segments import Library
 from onboard.dynamics.inertia import RigidBody
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.identification import build_model
+from onboard.flight.estimate.identification import build_model
 from onboard.identification.exiddm.segment_choice import reduced
 from onboard.offline.foresee.plan import plan_of
 from onboard.offline.planning.bound import TICK_HZ, FreeBound

@@ -15,8 +15,8 @@ from onboard.devices.roles import Roles
 from onboard.dynamics.errors import ModelError
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.identification import KERNELS_PER_BLOCK, build_online
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.identification import KERNELS_PER_BLOCK, build_online
+from onboard.flight.estimate.roles import roles_of
 from onboard.identification.rows.identifier import Identifier
 from onboard.offline.report.streams import Intervals, Spectrum
 from onboard.offline.tables import truth as true

@@ -1,6 +1,6 @@
 """Section of a report: how the flight computer, the workers and the streams stood."""
 
-from onboard.flight.health_status import words
+from onboard.flight.health.status import words
 from onboard.offline.report import html
 from onboard.offline.report.html import Cell
 from onboard.offline.views.health import PROCESSES, HealthSummary

@@ -22,7 +22,7 @@ from onboard.dynamics.payload import BodyEstimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleSpec
 from onboard.dynamics.vehicle import VehicleModel as Model
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from onboard import config
-from onboard.flight.flight_log import VEHICLE_ATTACHMENT
+from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
 from onboard.recording.reader import LogReader
 
 MOST_NAME_BYTES = 255  # of a file, by Linux

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.records import Rows
-from onboard.flight.health_status import standing, words
+from onboard.flight.health.status import standing, words
 
 PROCESSES = ("acquisition", "estimation", "recording", "supervisor", "others")
 _NEEDED = {"status_word", "status_latched", "rows_hz", "estimator_lag_s", "computer_idle_percent"}

@@ -14,7 +14,7 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.identification import build_identifier
+from onboard.flight.estimate.identification import build_identifier
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.verdict import Level

@@ -18,7 +18,7 @@ from rich.text import Text
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
 from onboard import channels
 from onboard.estimation.gates import GateReason
-from onboard.flight.health_status import standing
+from onboard.flight.health.status import standing
 from onboard.identification.verdict import Level
 from onboard.offline.views.health import PROCESSES, is_health
 from onboard.offline.views.standing import is_withdrawn, shown, standing_of

@@ -4,7 +4,7 @@ import math
 from typing import Literal
 
 from hil_sim.devices.emulator import Bench, MeasuringEmulator, Twin
-from hil_sim.devices.serial_twin import SerialTwin
+from hil_sim.devices.serial_line.serial_twin import SerialTwin
 from hil_sim.faults import INPUT_KINDS, FaultyScalar
 from hil_sim.sensing.sensors import EncoderSensor
 

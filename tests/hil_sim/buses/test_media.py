@@ -14,7 +14,7 @@ from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
-from hil_sim.devices.can_wire import WireFrame
+from hil_sim.devices.canopen.can_wire import WireFrame
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, SmallMission
 

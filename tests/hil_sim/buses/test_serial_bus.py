@@ -10,11 +10,11 @@ from hypothesis import given
 
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial, VirtualSerial, install_serial
-from hil_sim.devices.dsc_load_cell import DscLoadCellTwin
-from hil_sim.devices.nimu import NimuTwin
-from hil_sim.devices.qsb import QsbTwin
-from hil_sim.devices.serial_twin import SerialTwin
-from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
+from hil_sim.devices.serial_line.nimu import NimuTwin
+from hil_sim.devices.serial_line.qsb import QsbTwin
+from hil_sim.devices.serial_line.serial_twin import SerialTwin
+from hil_sim.devices.serial_line.serial_wire import LineFormat
 from hil_sim.faults import NO_FAULTS, Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock, StairImu

@@ -11,7 +11,7 @@ from adafruit_mpu6050 import MPU6050, Bandwidth, ClockSource, GyroRange, Range, 
 from smbus2 import SMBus
 
 from hil_sim.buses.i2c_dev import install_i2c
-from hil_sim.devices.mpu6050 import Mpu6050Twin
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.devices.circuitpython_i2c import SmbusI2c
 from tests.hil_sim.devices.twin_bench import MS, START_NS, RateClock

@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from hil_sim.devices.arm_controller import ArmController
-from hil_sim.devices.canopen_node import CanopenNode
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.loadcell404 import LoadCell404
+from hil_sim.devices.canopen.arm_controller import ArmController
+from hil_sim.devices.canopen.canopen_node import CanopenNode
+from hil_sim.devices.canopen.encoder406 import Encoder406
+from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, CanRig
 

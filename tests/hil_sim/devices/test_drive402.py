@@ -18,7 +18,7 @@ from hypothesis import given
 
 from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.media import CanBus
-from hil_sim.devices.drive402 import Drive402
+from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import START_NS, Analog, CanRig
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.mpu6050 import Mpu6050Twin
-from hil_sim.devices.mpu6050_map import FactoryTrim
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from hil_sim.devices.mpu6050.registers import FactoryTrim
 from hil_sim.faults import Fault, FaultKind, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, StairImu
 

@@ -11,8 +11,8 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.qsb import TICK_512_HZ, TICK_1900_US, QsbTwin
-from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.serial_line.qsb import TICK_512_HZ, TICK_1900_US, QsbTwin
+from hil_sim.devices.serial_line.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock

@@ -4,7 +4,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.devices.quadrature import QuadratureCounter
+from hil_sim.devices.serial_line.quadrature import QuadratureCounter
 
 X4_FREE, X2_FREE, X1_FREE = 0x03, 0x02, 0x01
 SINGLE, LIMITED, MODULO = 0x04, 0x08, 0x0C

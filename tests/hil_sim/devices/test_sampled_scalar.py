@@ -2,7 +2,7 @@
 
 import pytest
 
-from hil_sim.devices.sampled_scalar import SampledScalar
+from hil_sim.devices.serial_line.sampled_scalar import SampledScalar
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, RateClock
 
 

@@ -8,7 +8,7 @@ import pytest
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
 from canopen.profiles.p402 import BaseNode402
 
-from hil_sim.devices.servo402 import ServoDrive402
+from hil_sim.devices.canopen.servo402 import ServoDrive402
 from hil_sim.faults import Fault, FaultPlan
 from hil_sim.plants.servo_axis import ServoAxis
 from tests.hil_sim.devices.test_drive402 import dictionary, mask, network

@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.sync_box import SyncBox, de_bruijn, pulse_places
-from hil_sim.devices.sync_line import EdgeCapture
+from hil_sim.devices.canopen.encoder406 import Encoder406
+from hil_sim.devices.sync.sync_box import SyncBox, de_bruijn, pulse_places
+from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, CanRig, RateClock
 

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil_sim.buses.media import CanBus, I2cBus
-from hil_sim.devices.arm_controller import ArmController
-from hil_sim.devices.can_wire import Babbler, CanWire
-from hil_sim.devices.encoder406 import Encoder406
-from hil_sim.devices.loadcell404 import LoadCell404
-from hil_sim.devices.mpu6050 import Mpu6050Twin
-from hil_sim.devices.sync_box import SyncBox
-from hil_sim.devices.sync_line import EdgeCapture
+from hil_sim.devices.canopen.arm_controller import ArmController
+from hil_sim.devices.canopen.can_wire import Babbler, CanWire
+from hil_sim.devices.canopen.encoder406 import Encoder406
+from hil_sim.devices.canopen.loadcell404 import LoadCell404
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from hil_sim.devices.sync.sync_box import SyncBox
+from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import (
     EFFECTS,
     NO_FAULTS,

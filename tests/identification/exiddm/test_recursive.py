@@ -13,7 +13,7 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.flight.state import Places, from_bytes, to_bytes
+from onboard.flight.estimate.state import Places, from_bytes, to_bytes
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS, WORK
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior

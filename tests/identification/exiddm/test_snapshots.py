@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from onboard.flight.state import Places, from_bytes, to_bytes
+from onboard.flight.estimate.state import Places, from_bytes, to_bytes
 from onboard.identification.exiddm.snapshots import Snapshots
 
 

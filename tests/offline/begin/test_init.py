@@ -9,8 +9,8 @@ import jsonschema
 import pytest
 
 from onboard import cli, config
-from onboard.flight.identification import build_online
-from onboard.flight.roles import roles_of
+from onboard.flight.estimate.identification import build_online
+from onboard.flight.estimate.roles import roles_of
 from onboard.offline.begin.vehicle import ENCODERS, IMUS, LOAD_CELLS, Wanted, make
 
 

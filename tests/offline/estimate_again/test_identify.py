@@ -12,7 +12,7 @@ from bench import spoilt_throws
 from drivers.records import IMU, SCALAR
 from onboard import cli, config
 from onboard.dynamics.inertia import RigidBody, parallel_axis, symmetric
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.rows.free_body import FREE_BODY, whole_body
 from onboard.identification.verdict import Level
 from onboard.offline.bring_in.importer import import_recordings

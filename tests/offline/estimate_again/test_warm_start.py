@@ -8,8 +8,8 @@ import pytest
 from hil_sim.plants import free_flyer
 from onboard import cli, config
 from onboard.estimation.rls import SquareRootRls
-from onboard.flight.estimator import Estimator
-from onboard.flight.flight_log import preamble
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.store.flight_log import preamble
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.feed import feed

@@ -14,9 +14,9 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.smoothing import SmoothingWindow
-from onboard.flight.identification import build_exiddm, exiddm_prior
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import cyclic_functions, kernel_of
+from onboard.flight.estimate.identification import build_exiddm, exiddm_prior
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import cyclic_functions, kernel_of
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.verdict import Level

@@ -12,7 +12,7 @@ from onboard import config
 from onboard.cli import main
 from onboard.config import ConfigError
 from onboard.dynamics.kinematics import link_motions
-from onboard.flight.identification import build_model
+from onboard.flight.estimate.identification import build_model
 from onboard.offline.foresee.foresee import foresee
 from onboard.offline.foresee.plan import plan_of
 from onboard.offline.planning import limits

@@ -8,8 +8,8 @@ from onboard.channels import Act
 from onboard.cli import main
 from onboard.config.mission import goals_of
 from onboard.config.segments import Library, read, to_bytes
-from onboard.flight.asking import Asking
-from onboard.flight.estimator import Estimator
+from onboard.flight.estimate.asking import Asking
+from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.offline.tables import truth

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from drivers.records import Batch
 from onboard import channels, cli
-from onboard.flight.health_status import Status
+from onboard.flight.health.status import Status
 from onboard.offline.report.flight_data import gather
 from onboard.offline.report.health import health
 from onboard.offline.views.health import HealthSummary

@@ -11,7 +11,7 @@ from drivers.records import Batch, Severity
 from onboard import channels, cli
 from onboard.cli import watch as watching
 from onboard.estimation.gates import GateReason
-from onboard.flight import manifest
+from onboard.flight.store import manifest
 from onboard.offline.views.watch import Board, trend
 from onboard.recording.writer import LogWriter
 from onboard.ring import RingReader, RingWriter

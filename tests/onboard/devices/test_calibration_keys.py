@@ -6,9 +6,9 @@ import pytest
 from drivers.records import IMU, SCALAR
 from onboard import config
 from onboard.devices import si
-from onboard.flight.identification import build_model
-from onboard.flight.roles import roles_of
-from onboard.flight.signals import _values
+from onboard.flight.estimate.identification import build_model
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import _values
 from onboard.offline.tables.columns import columns
 from onboard.offline.tables.meaning import Meaning
 

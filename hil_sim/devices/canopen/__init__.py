@@ -1,0 +1,1 @@
+"""Simulated CANopen devices and the CAN wire."""

@@ -1,0 +1,1 @@
+"""The simulated InvenSense MPU-6050."""

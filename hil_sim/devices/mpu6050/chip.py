@@ -1,0 +1,389 @@
+"""Simulated InvenSense MPU-6050 behind its I2C interface (RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4).
+
+Samples are made lazily, in one vectorised call to the physics, when the chip is addressed or 50 ms have gathered. A
+transfer is an instant: all that it reads belongs to its START, which is what the chip's shadow registers promise for a
+burst over 0x3B..0x48 (RM 4.18).
+
+Where the documents are silent: the sample grid restarts at the next tick of the internal rate after a write that
+changes the rate or wakes the chip; DEVICE_RESET keeps the chip busy for 1 ms, in which writes are lost; INT_STATUS bits
+set whatever INT_ENABLE says, which gates the pin only; standby and disabled sensors hold their last word; CLKSEL 4 to 7
+stop the chip, as nothing is wired to CLKIN; oscillator and gyro settling times are zero; offset registers are
+stored without effect.
+"""
+
+import errno
+import os
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil_sim.devices.mpu6050 import registers as reg
+from hil_sim.devices.mpu6050.ahead import Grid, SamplesAhead
+from hil_sim.devices.mpu6050.fifo import TwinFifo
+from hil_sim.devices.mpu6050.fsync import FsyncLatch
+from hil_sim.faults import NO_FAULTS, DeviceFaults, FaultError, FaultKind, FaultyClock, FaultyImu, garbled
+from hil_sim.sensing.analog import ChipClock, ImuAnalog
+
+_RESET_NS = 1_000_000
+_FAST_TICK_NS = 125_000  # 8 kHz: DLPF_CFG 0 and 7
+_SLOW_TICK_NS = 1_000_000
+_HIGHEST_REGISTER = 0x7F
+_LAZY_NS = 50_000_000
+_SECOND_NS = 1_000_000_000
+_CONVERTING = (reg.CONFIG, reg.ACCEL_CONFIG, reg.GYRO_CONFIG, reg.PWR_MGMT_1, reg.PWR_MGMT_2)
+
+
+class Mpu6050Twin:
+    """One chip.
+
+    Args:
+        analog: Its sensing elements.
+        clock: Its gyro-referenced oscillator (CLKSEL 1 to 3).
+        start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
+        address: 7-bit address, 0x68 or 0x69 by the AD0 pin.
+        faults: What breaks.
+        rc_clock: Its internal 8 MHz oscillator (CLKSEL 0); None: as good as ``clock``.
+        trim: Factory self-test codes.
+        self_test_error: Relative deviation of the self-test response from the factory's; beyond 0.14 is a failed chip.
+
+    Raises:
+        FaultError: a fault that this chip cannot have.
+    """
+
+    def __init__(
+        self,
+        analog: ImuAnalog,
+        clock: ChipClock,
+        start_ns: int,
+        *,
+        address: int = 0x68,
+        faults: DeviceFaults = NO_FAULTS,
+        rc_clock: ChipClock | None = None,
+        trim: reg.FactoryTrim | None = None,
+        self_test_error: float = 0.0,
+    ) -> None:
+        self.address = address
+        self._faults = faults.require(
+            FaultKind.OFF,
+            FaultKind.RESET,
+            FaultKind.STUCK,
+            FaultKind.SATURATED,
+            FaultKind.WRONG,
+            FaultKind.DELAYED,
+            FaultKind.GARBAGE,
+            FaultKind.INTERMITTENT,
+            FaultKind.SLOW,
+            FaultKind.CLOCK_JUMP,
+            FaultKind.NACK,
+            FaultKind.TIMEOUT,
+            FaultKind.WHO_AM_I,
+            FaultKind.PULSE_DROP,
+            FaultKind.PULSE_SPURIOUS,
+        )
+        self._analog = FaultyImu(analog, faults, start_ns)
+        if any(w.kind is FaultKind.CLOCK_JUMP and w.value > 0.0 for w in faults.windows):
+            raise FaultError(
+                f"{faults.device} counts samples and no time, its clock cannot be put forward; give a negative value."
+            )
+        self._healthy = clock
+        self._pll: ChipClock = FaultyClock(clock, faults)
+        self._rc: ChipClock = FaultyClock(rc_clock or clock, faults)
+        self._rng = faults.rng()
+        self._start_ns = start_ns
+        self._trim = trim or reg.FactoryTrim()
+        self._self_test_gain = 1.0 + self_test_error
+        self._cycles = deque(faults.power_cycles())
+        self._off_until_ns = 0
+        self._now_ns = self._settled_ns = start_ns
+        self._fsync = FsyncLatch()
+        self._fifo = TwinFifo()
+        self._made = 0  # samples
+        self._ahead = SamplesAhead(self._analog, self._convert)
+        self._grid = 0  # counts the restarts of the sample grid
+        self._shown = 0  # samples from the first to the last read out of the data registers as new
+        self._last_shown: tuple[int, int, float] | None = None  # its grid, its number, its mission time
+        self._true_period = (0, 1.0)  # a sample period of its own clock, ns, and how long it is, s
+        self._power_up(start_ns)
+
+    @property
+    def produced(self) -> int:
+        """Samples written to the FIFO since it was last enabled."""
+        self._settle(self._now_ns)
+        return self._fifo.produced[-1]
+
+    @property
+    def sampled(self) -> int:
+        """Sample periods from the first to the last sample written to the FIFO, those in which it was off included.
+
+        While the chip is reset, asleep or without supply it makes none, or others: what counts is those it would have
+        made at the rate at which the FIFO was filled before.
+        """
+        self._settle(self._now_ns)
+        return sum(self._fifo.produced) + self._fifo.between
+
+    @property
+    def shown(self) -> int:
+        """Samples from the first to the last read as new: INT_STATUS, which says so, and the words in one transfer."""
+        return self._shown
+
+    @property
+    def produced_by_enable(self) -> tuple[int, ...]:
+        """Samples written to the FIFO in each of the periods in which it was enabled, the current one last."""
+        self._settle(self._now_ns)
+        return tuple(self._fifo.produced[1:])
+
+    @property
+    def fifo_fill(self) -> int:
+        """Bytes waiting in the FIFO."""
+        self._settle(self._now_ns)
+        return len(self._fifo)
+
+    def fsync(self, edge_ns: int, high_ns: int) -> None:
+        """The FSYNC pin goes high at ``edge_ns`` for ``high_ns``.
+
+        Raises:
+            ValueError: the edge lies before a sample that is already made; advance the source of the pulses first.
+        """
+        if self._faults.active(FaultKind.PULSE_DROP, edge_ns) is None:
+            self._mark(edge_ns, high_ns)
+
+    def _mark(self, edge_ns: int, high_ns: int) -> None:
+        rise_s = (edge_ns - self._start_ns) * 1e-9
+        if rise_s < self._last_s:
+            raise ValueError(
+                f"FSYNC rose at {rise_s:.6f} s and the sample of {self._last_s:.6f} s is already made; "
+                "advance the pulse source before the chip."
+            )
+        self._fsync.high(rise_s, rise_s + high_ns * 1e-9)
+        if self._reg[reg.INT_PIN_CFG] & 0x04:
+            self._reg[reg.I2C_MST_STATUS] |= 0x80
+
+    def advance(self, now_ns: int) -> None:
+        """Time goes on; samples are made in batches, on a read or after 50 ms."""
+        self._now_ns = max(now_ns, self._now_ns)
+        if now_ns - self._settled_ns >= _LAZY_NS:
+            self._settle(now_ns)
+
+    def _settle(self, now_ns: int) -> None:
+        """Make every sample that is due."""
+        for edge_ns in self._faults.spurious_edges(self._settled_ns, now_ns) if self._faults else ():
+            self._mark(edge_ns, 300_000)
+        while self._cycles and self._cycles[0].down_ns <= now_ns:
+            cycle = self._cycles.popleft()
+            self._make_samples(cycle.down_ns)
+            self._off_until_ns = cycle.up_ns
+            self._power_up(cycle.down_ns)
+        if now_ns >= self._off_until_ns:
+            self._make_samples(now_ns)
+        self._settled_ns = max(now_ns, self._settled_ns)
+
+    def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
+        """One transaction: START, ``write``, repeated START when ``read_count`` > 0, that many bytes, STOP.
+
+        Raises:
+            OSError: EREMOTEIO when nothing acknowledges; the errno of a ``nack`` fault; ETIMEDOUT.
+        """
+        self._now_ns = max(now_ns, self._now_ns)
+        self._settle(self._now_ns)
+        nack = self._faults.active(FaultKind.NACK, now_ns) if self._faults else None
+        away = bool(self._faults) and self._faults.is_away(now_ns)
+        if nack is not None or away or address != self.address or now_ns < self._off_until_ns:
+            code = int(nack.value) if nack is not None and nack.value else errno.EREMOTEIO
+            raise OSError(code, os.strerror(code))
+        answer = self._exchange(write, read_count, now_ns)
+        if self._faults:
+            if self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
+                raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            if self._faults.active(FaultKind.GARBAGE, now_ns) is not None:
+                return garbled(answer, self._rng)
+        return answer
+
+    def _exchange(self, write: bytes, read_count: int, now_ns: int) -> bytes:
+        if write:
+            self._pointer = write[0] & _HIGHEST_REGISTER
+            for byte in write[1:]:
+                self._write(byte, now_ns)
+                self._step_pointer()
+        if read_count == 0:
+            return b""
+        if self._pointer == reg.FIFO_R_W:
+            return self._pop(read_count)
+        is_whole = self._pointer == reg.INT_STATUS and read_count > reg.GYRO_ZOUT_L - reg.INT_STATUS
+        if is_whole and self._reg[reg.INT_STATUS] & reg.INT_DATA_RDY:
+            self._show()
+        answer = bytearray()
+        for _ in range(read_count):
+            answer.append(self._read(now_ns))
+            self._step_pointer()
+        if self._reg[reg.INT_PIN_CFG] & 0x10:
+            self._reg[reg.INT_STATUS] = 0
+        return bytes(answer)
+
+    def _show(self) -> None:
+        """The newest sample is read; those since the last one count as of the rate that the chip now has."""
+        if self._last_shown is None:
+            self._shown = 1
+        elif self._last_shown[0] == self._grid:
+            self._shown += self._made - self._last_shown[1]
+        else:
+            self._shown += max(round((self._last_s - self._last_shown[2]) / self._period_s()), 1)
+        self._last_shown = self._grid, self._made, self._last_s
+
+    def _period_s(self) -> float:
+        """A sample period in true time."""
+        if self._true_period[0] != self._period_ns:
+            shown_ns = self._healthy.chip_ns(self._start_ns + _SECOND_NS) - self._healthy.chip_ns(self._start_ns)
+            self._true_period = self._period_ns, self._period_ns / shown_ns
+        return self._true_period[1]
+
+    def _step_pointer(self) -> None:
+        if self._pointer != reg.FIFO_R_W:
+            self._pointer = (self._pointer + 1) & _HIGHEST_REGISTER
+
+    def _power_up(self, now_ns: int) -> None:
+        self._reg = bytearray(_HIGHEST_REGISTER + 1)
+        for address, value in reg.RESET_VALUES.items():
+            self._reg[address] = value
+        self._reg[reg.SELF_TEST_X : reg.SELF_TEST_A + 1] = self._trim.registers()
+        self._fifo.power_up()
+        self._pointer = 0
+        self._busy_until_ns = 0
+        self._last = np.zeros(7, np.int16)
+        self._last_s = (now_ns - self._start_ns) * 1e-9
+        self._restart_grid(now_ns)
+
+    # Sampling
+
+    def _restart_grid(self, now_ns: int) -> None:
+        """Take rate and oscillator from the registers; the next sample falls on the next tick of the internal rate."""
+        self._grid += 1
+        power = self._reg[reg.PWR_MGMT_1]
+        clksel = power & 0x07
+        self._running = not power & 0x40 and clksel <= 3
+        self._clock = self._pll if clksel else self._rc
+        self._tick_ns = _FAST_TICK_NS if self._reg[reg.CONFIG] & 0x07 in (0, 7) else _SLOW_TICK_NS
+        if power & 0x20:  # CYCLE
+            self._tick_ns = _SLOW_TICK_NS
+            self._period_ns = reg.LP_WAKE_PERIOD_NS[self._reg[reg.PWR_MGMT_2] >> 6]
+        else:
+            self._period_ns = self._tick_ns * (1 + self._reg[reg.SMPLRT_DIV])
+        self._next_chip_ns = (self._clock.chip_ns(now_ns) // self._tick_ns + 1) * self._tick_ns
+
+    def _make_samples(self, until_ns: int) -> None:
+        if not self._running:
+            self._last_s = max(self._last_s, (until_ns - self._start_ns) * 1e-9)  # the FSYNC latch rests too
+            self._fsync.forget(self._last_s)
+            return
+        chip_ns = self._clock.chip_ns(until_ns)
+        if chip_ns < self._next_chip_ns:
+            return
+        n = (chip_ns - self._next_chip_ns) // self._period_ns + 1
+        latest_s = (until_ns - self._start_ns) * 1e-9
+        settings = self._grid, *(self._reg[address] for address in _CONVERTING)
+        is_same = not (self._faults or reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2]))
+        grid = Grid(self._next_chip_ns, self._period_ns, self._clock, settings if is_same else ())
+        times_s, counts = self._ahead.next(int(n), grid, latest_s)  # (n,), (n, 7)
+        self._next_chip_ns += n * self._period_ns
+        self._made += int(n)
+        self._fsync.latch(counts, times_s, self._last_s, reg.SYNC_COLUMN[self._reg[reg.CONFIG] >> 3 & 7])
+        self._last = counts[-1]
+        self._last_s = float(times_s[-1])
+        self._fsync.forget(self._last_s)
+        self._reg[reg.ACCEL_XOUT_H : reg.GYRO_ZOUT_L + 1] = self._last.astype(">i2").tobytes()
+        self._reg[reg.INT_STATUS] |= reg.INT_DATA_RDY
+        self._fill_fifo(counts, times_s)
+
+    def _convert(
+        self, ticks_ns: NDArray[np.float64], times_s: NDArray[np.float64], latest_s: float
+    ) -> NDArray[np.int16]:
+        accel_lsb = reg.ACCEL_LSB_PER_G[self._reg[reg.ACCEL_CONFIG] >> 3 & 3]
+        gyro_lsb = reg.GYRO_LSB_PER_DPS[self._reg[reg.GYRO_CONFIG] >> 3 & 3]
+        dlpf = self._reg[reg.CONFIG] & 0x07
+        counts = self._analog.counts(times_s, accel_lsb, gyro_lsb, dlpf).copy()
+        if self._tick_ns == _FAST_TICK_NS:  # the accelerometer converts at 1 kHz and repeats
+            slow_s = np.minimum(self._clock.times_s(ticks_ns // _SLOW_TICK_NS * _SLOW_TICK_NS), latest_s)
+            counts[:, :3] = self._analog.counts(slow_s, accel_lsb, gyro_lsb, dlpf)[:, :3]
+        self._add_self_test(counts, accel_lsb, gyro_lsb)
+        held = reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2])
+        if held:
+            counts[:, held] = self._last[held]
+        return counts
+
+    def _add_self_test(self, counts: NDArray[np.int16], accel_lsb: float, gyro_lsb: float) -> None:
+        accel_on, gyro_on = self._reg[reg.ACCEL_CONFIG], self._reg[reg.GYRO_CONFIG]
+        if (accel_on | gyro_on) & 0xE0:
+            response = self._trim.response_lsb(accel_on, gyro_on, accel_lsb, gyro_lsb)
+            total = counts + np.rint(response * self._self_test_gain)
+            counts[:] = np.clip(total, -32768, 32767).astype(np.int16)
+
+    # FIFO
+
+    def _fill_fifo(self, counts: NDArray[np.int16], times_s: NDArray[np.float64]) -> None:
+        enabled = self._reg[reg.FIFO_EN]
+        if not (self._reg[reg.USER_CTRL] & 0x40 and enabled & 0xF8):
+            return
+        columns = [0, 1, 2] * (enabled >> 3 & 1) + [3] * (enabled >> 7)
+        columns += [4 + axis for axis in range(3) if enabled & 0x40 >> axis]
+        data, times = counts[:, columns].astype(">i2").tobytes(), (float(times_s[0]), float(times_s[-1]))
+        if self._fifo.fill(data, len(counts), *times, self._period_s()):
+            self._reg[reg.INT_STATUS] |= reg.INT_FIFO_OFLOW
+
+    def _pop(self, count: int) -> bytes:
+        return self._fifo.pop(count, bool(self._reg[reg.USER_CTRL] & 0x40))
+
+    # Registers
+
+    def _read(self, now_ns: int) -> int:
+        address = self._pointer
+        if address == reg.FIFO_R_W:
+            return self._pop(1)[0]
+        if address == reg.FIFO_COUNT_H:
+            return self._fifo.count_high()
+        if address == reg.FIFO_COUNT_L:
+            return self._fifo.count_low()
+        value = self._reg[address]
+        if address in (reg.INT_STATUS, reg.I2C_MST_STATUS):
+            self._reg[address] = 0
+        elif address == reg.PWR_MGMT_1 and now_ns < self._busy_until_ns:
+            value |= 0x80
+        elif address == reg.WHO_AM_I and self._faults:
+            wrong = self._faults.active(FaultKind.WHO_AM_I, now_ns)
+            value = value if wrong is None else int(wrong.value)
+        return value
+
+    def _write(self, value: int, now_ns: int) -> None:
+        address = self._pointer
+        if now_ns < self._busy_until_ns:
+            return
+        if address == reg.PWR_MGMT_1:
+            if value & 0x80:
+                self._power_up(now_ns)
+                self._pointer = address
+                self._busy_until_ns = now_ns + _RESET_NS
+                return
+            self._set_and_regrid(address, value, now_ns)
+        elif address == reg.USER_CTRL:
+            self._write_user_ctrl(value)
+        elif address == reg.FIFO_R_W:
+            if self._reg[reg.USER_CTRL] & 0x40 and self._fifo.write(bytes([value])):
+                self._reg[reg.INT_STATUS] |= reg.INT_FIFO_OFLOW
+        elif address in (reg.SMPLRT_DIV, reg.CONFIG, reg.PWR_MGMT_2):
+            self._set_and_regrid(address, value, now_ns)
+        elif address in reg.WRITABLE:
+            self._reg[address] = value
+
+    def _set_and_regrid(self, address: int, value: int, now_ns: int) -> None:
+        if self._reg[address] != value:
+            self._reg[address] = value
+            self._restart_grid(now_ns)
+
+    def _write_user_ctrl(self, value: int) -> None:
+        was_enabled = self._reg[reg.USER_CTRL] & 0x40
+        if value & 0x04 and not value & 0x40:  # FIFO_RESET acts only while the FIFO is disabled
+            self._fifo.clear()
+        if value & 0x01:  # SIG_COND_RESET clears the sensor registers
+            self._reg[reg.ACCEL_XOUT_H : reg.GYRO_ZOUT_L + 1] = bytes(14)
+        if value & 0x40 and not was_enabled:
+            self._fifo.enable()
+        self._reg[reg.USER_CTRL] = value & ~0x07

@@ -1,0 +1,50 @@
+"""``[device.NAME]`` of an MPU-6050."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from hil_sim.devices.emulator import Bench, Equivalent, MeasuringEmulator, Twin
+from hil_sim.devices.mpu6050.chip import Mpu6050Twin
+from hil_sim.scenario.sheets import Sheets
+from hil_sim.sensing.sensors import ImuSensor
+
+
+class Mpu6050Table(MeasuringEmulator):
+    """An MPU-6050. Its RC oscillator is the clock ``NAME_rc``."""
+
+    needs = "i2c"
+    quantities = ("inertial",)
+
+    kind: Literal["mpu6050"]
+    address: Annotated[int, Field(ge=0x68, le=0x69)] = 0x68
+    sync_input: bool = True
+
+    @classmethod
+    def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
+        """See ``Emulator``."""
+        table = {"address": said.get("address", 0x68), "measures": name, "at": said["frame"]}
+        clocks = {name: "gyro", f"{name}_rc": "rc"}
+        return Equivalent(table | {"sync_input": sheets.pulse}, {name: sheets.imu("mpu6050", said)}, clocks)
+
+    @property
+    def place(self) -> str:
+        """See ``Emulator``."""
+        return f"address {self.address:#04x}"
+
+    def clocks(self, name: str) -> tuple[str, ...]:
+        """See ``Emulator``."""
+        return name, f"{name}_rc"
+
+    def build(self, bench: Bench) -> Twin:
+        """See ``Emulator``."""
+        imu = Mpu6050Twin(
+            bench.sensor(ImuSensor),
+            bench.clock,
+            bench.start_ns,
+            address=self.address,
+            faults=bench.faults,
+            rc_clock=bench.clocks[f"{bench.name}_rc"],
+        )
+        return Twin(imu, lambda: imu.sampled or imu.shown, (bench.name,), pin=imu.fsync if self.sync_input else None)

@@ -1,0 +1,1 @@
+"""Simulated devices at the end of a serial line, and the line."""

@@ -1,0 +1,1 @@
+"""The simulated sync box and its pulse line."""

@@ -1,0 +1,79 @@
+"""Acquisition worker: pumps every device and publishes its rows to rings, without waiting for other workers.
+
+A device that cannot be started is reported and left out; the others continue.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from drivers.device import Device
+from drivers.errors import DriverError
+from drivers.records import Batch, Severity, event
+from onboard.flight.acquire.arming import Arming
+from onboard.flight.acquire.publisher import Expected, Publisher
+
+
+class Acquisition:
+    """Steps a set of devices. The simulated runner calls :meth:`step`; in the real one each bus has a thread.
+
+    ``arming``: arms their drives; without it nothing is driven.
+    """
+
+    def __init__(self, devices: Sequence[Device], publisher: Publisher, arming: Arming | None = None) -> None:
+        self._publisher, self._arming = publisher, arming
+        self.devices = list(devices)
+        self._due_ns = dict.fromkeys((device.name for device in devices), 0)
+
+    def start(self, now_ns: int) -> None:
+        """Set every device up; those that fail are dropped, with an event that says why."""
+        self.devices = [device for device in self.devices if self.start_device(device, now_ns)]
+
+    def start_device(self, device: Device, now_ns: int) -> bool:
+        """Set one device up; returns whether it may be pumped."""
+        try:
+            self._publisher.publish(device.start(now_ns))
+        except (DriverError, OSError) as error:
+            self._publisher.publish([event(now_ns, Severity.ERROR, "device_failed", device.name, str(error))])
+            return False
+        if self._arming is not None:
+            self._publisher.publish(self._arming.started(device, now_ns))
+        return True
+
+    def pump(self, device: Device, now_ns: int, timeout_s: float) -> None:
+        """Pump one device and publish its batches."""
+        batches = device.pump(now_ns, timeout_s)
+        self._publisher.publish(batches)
+        if self._arming is not None:
+            self._arming.see(batches)
+            self._publisher.publish(self._arming.hear(device, now_ns))
+
+    def step(self, now_ns: int) -> None:
+        """Pump every device that is due, without waiting."""
+        for device in self.devices:
+            if now_ns >= self._due_ns[device.name]:
+                self.pump(device, now_ns, 0.0)
+                self._due_ns[device.name] = now_ns + device.period_ns
+
+    def stop_device(self, device: Device, now_ns: int) -> None:
+        """Stop one device and publish its last batches."""
+        try:
+            self._publisher.publish(device.stop(now_ns))
+        except (DriverError, OSError) as error:
+            self._publisher.publish([event(now_ns, Severity.ERROR, "stop_failed", device.name, str(error))])
+
+    def stop(self, now_ns: int) -> None:
+        """Stop every device."""
+        for device in self.devices:
+            self.stop_device(device, now_ns)
+        self.finish(now_ns)
+
+    def expect(self, channels: Mapping[str, Expected], since_ns: int) -> None:
+        """Record what ``channels`` miss from ``since_ns`` to their first row as gaps."""
+        self._publisher.expect(channels, since_ns)
+
+    def finish(self, now_ns: int) -> None:
+        """Last call, when every device was stopped: what was expected and never came is a gap."""
+        self._publisher.finish(now_ns)
+
+    def report(self, batches: list[Batch]) -> None:
+        """Publish batches of the app itself."""
+        self._publisher.publish(batches)

@@ -1,0 +1,17 @@
+"""What each channel of a bus is to bring from the start of a flight on, so that what never came is a gap too."""
+
+from drivers.records import IMU, SCALAR
+from onboard import config
+from onboard.flight.acquire.publisher import Expected
+
+
+def expected(vehicle: config.Vehicle, bus: str) -> dict[str, Expected]:
+    """Of the channels of a bus; those without a rate of their own have period 0."""
+    channels: dict[str, Expected] = {}
+    for name, device in vehicle.devices_on(bus).items():
+        period_ns = 0.0 if device.tells_changes else 1e9 / vehicle.rate_hz(name)
+        within_ns = round(1e9 * device.first_row_s)
+        for place, (channel, dtype) in enumerate(device.channels(name).items()):
+            has_rate = place == 0 or dtype in (IMU, SCALAR)
+            channels[channel] = Expected(period_ns if has_rate else 0.0, within_ns)
+    return channels

@@ -1,0 +1,1 @@
+"""Before a flight: preflight, checkout, room on the disk."""

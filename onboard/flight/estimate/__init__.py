@@ -1,0 +1,1 @@
+"""Records in, answers out: the estimator of a flight, its signals, its checkpoints."""

@@ -1,0 +1,302 @@
+"""Asks for the next motion segment while the intervals are wider than wanted, and says when it is enough or hopeless.
+
+Made from what the estimator knows at its steps and from nothing else, so that a replay asks for the same. A segment is
+asked for when the arm rests in the posture of all segments. Allowed are those that keep the limits with every payload
+that the mass's interval leaves: before anything is known all masses of the library, so that the first motions are
+small. Where the motions that are allowed tell nothing more, the event says which motion would, and which limit forbids
+it, or which tolerances are left.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.records import Batch, Severity, event
+from onboard import channels, config
+from onboard.channels import Act
+from onboard.config.mission import Goal, goals_of
+from onboard.config.segments import Library
+from onboard.dynamics.errors import SignalError
+from onboard.dynamics.payload import body_jacobian, body_of
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.flight.estimate.identification import build_exiddm
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
+from onboard.identification.online import OnlineIdentifier
+from onboard.identification.quantities import Estimate
+
+_HALF = 1.959964  # of a 95 % interval, in standard deviations
+_STEADY = 10  # steps in succession with which a goal is met
+_LATE_s, _FIRST_LATE_s = 8.0, 60.0  # of an arm that is not back, or has other things to do first
+_UNMOVED = 2  # segments in which the arm has not moved
+_STILL_rad_s, _NEAR_rad = 0.01, 0.05  # an arm at rest in the posture
+_LITTLE = 0.93  # of the ratio: a segment that gains less than this may be the last
+_FEWEST = 3  # segments before it is given up
+_KEPT = 0.02  # over a limit, of it
+_ANY_RATE_rad_s = 0.1
+
+
+class _Known(NamedTuple):
+    """What is known of the payload at a step."""
+
+    covariance: FloatArray  # (p, p)
+    rate_rad_s: float  # of the base now
+    masses_kg: tuple[float, float]  # that it may have
+    asked: Asked
+    widened: float  # variance reported over that of the filter
+
+
+class Asking:
+    """Of one flight.
+
+    Args:
+        vehicle: with ``[mission]``.
+        library: its segments.
+        online: the estimator.
+        model: of the vehicle.
+
+    Raises:
+        ConfigError: the goal or the segments do not fit the vehicle.
+    """
+
+    def __init__(
+        self, vehicle: config.Vehicle, library: Library, online: OnlineIdentifier, model: VehicleModel
+    ) -> None:
+        mission = vehicle.file.mission
+        assert mission is not None
+        if not isinstance(online, ExiddmIdentifier):
+            raise config.ConfigError(f'{vehicle.label}: [mission] needs method = "exiddm" and a base that is free')
+        predictor = online.exiddm.predictor
+        if library.unknowns != tuple(predictor.names) or library.joints != tuple(j.name for j in model.joints):
+            text = "segments were made for another vehicle file: make them again with heft plan --segments"
+            raise config.ConfigError(f"{vehicle.label}: {text}")
+        self._library, self._goals, self._give_up_s = library, goals_of(mission.until), mission.give_up_s
+        self._names = online.quantity_names
+        for goal in self._goals:
+            if not goal.names(self._names):
+                known = f"mass, centre, inertia, {', '.join(self._names)}"
+                raise config.ConfigError(f"{vehicle.label}: until {goal.name}: the quantities are {known}")
+        self._text = mission.until
+        self._prior = np.diag(np.nan_to_num(predictor.sigma) ** 2)
+        self._prior[PAYLOAD, PAYLOAD] = np.diag(online.exiddm.payload_sigma**2)
+        self._prior[RATE, RATE] = _ANY_RATE_rad_s**2 * np.eye(3)
+        identifier, _ = build_exiddm(vehicle.with_row_rate(library.ticks_hz))
+        self._predictor = identifier.exiddm.predictor  # of the segments, at their coarse ticks
+        self._motions = [_motion(library, k) for k in range(len(library.names))]
+        self._own: list[FloatArray | None] = [None] * len(library.names)  # roots about what is known
+        self._turn = 0  # segment that is linearised next
+        self._ratios: list[float] = []  # at each request
+        self._number = self._since_change = self._met = self._unmoved = 0
+        self._over = self._moved = False
+        self._held_s: float | None = None  # since when a payload is
+        self._until_s = self._late_s = -np.inf  # of the segment that is played: when it is over, and at the latest
+        self._changes = 0
+
+    def step(
+        self, now_ns: int, time_s: float, joints: FloatArray, rate: FloatArray, online: OnlineIdentifier
+    ) -> list[Batch]:
+        """A REQUEST and its event, where there is something to say.
+
+        Args:
+            now_ns: time of the step.
+            time_s: of its last tick.
+            joints: angle and rate at its last tick, (2, joints).
+            rate: of the base by its gyro, (3,), rad/s.
+            online: the estimator.
+        """
+        assert isinstance(online, ExiddmIdentifier)
+        exiddm = online.exiddm
+        if len(exiddm.changes) != self._changes:  # another payload, or none: all begins anew
+            self._changes, self._since_change, self._met = len(exiddm.changes), 0, 0
+            self._over, self._held_s, self._ratios = False, None, []
+            self._own = [None] * len(self._own)
+        if exiddm.held is False or self._over:
+            return []
+        self._held_s = time_s if self._held_s is None else self._held_s
+        estimate = online.estimate()
+        known = self._known(exiddm, estimate, float(np.linalg.norm(rate)))
+        now = known.asked.ratio(known.widened * known.covariance[PAYLOAD, PAYLOAD])
+        usable = exiddm.settled() and not online.findings().against
+        self._met = self._met + 1 if usable and self._is_met(estimate, known.asked) else 0
+        if self._met >= _STEADY:
+            self._over = True
+            took = f"{time_s - self._held_s:.0f} s after the payload was held, {self._since_change} segments"
+            return self._say(now_ns, time_s, Act.MET, "", now, now, f"{self._text}: known {took}")
+        self._linearise(exiddm)
+        self._moved |= bool((np.abs(joints[1]) > _STILL_rad_s).any())
+        rests = time_s >= self._until_s and self._rests(joints) and bool(np.isfinite(rate).all())
+        why = self._stuck(time_s - self._held_s, time_s, rests=rests)
+        if why:
+            return self._give_up(now_ns, time_s, now, why)
+        return self._ask(now_ns, time_s, known, now) if rests else []
+
+    def _linearise(self, exiddm: RecursiveExiddm) -> None:
+        """What the next segment in turn tells, about what is known now; one a step."""
+        if exiddm.state is None or not exiddm.holds or not exiddm.state[PAYLOAD][0] > 0.0:
+            return
+        k, self._turn = self._turn, (self._turn + 1) % len(self._own)
+        now = self._predictor.predict(*self._motions[k], exiddm.state, self._library.cyclic[k])
+        if now.moderate:
+            whitened = now.jacobian / self._library.sigma[k][:, :, None]
+            self._own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self._prior)))
+
+    def _stuck(self, held_s: float, time_s: float, *, rests: bool) -> str:
+        """Why nothing more is asked for, whatever is known; empty where that is not so."""
+        if held_s > self._give_up_s:
+            return f"{self._give_up_s:g} s are over (give_up_s)"
+        if not rests:
+            late = held_s > _FIRST_LATE_s and time_s > self._late_s
+            return "the arm does not rest in the posture of the segments" if late else ""
+        if self._unmoved >= _UNMOVED:
+            return "the arm does not move when it is asked to: is it armed, have its drives stopped?"
+        return ""
+
+    def _rests(self, joints: FloatArray) -> bool:
+        """Whether the arm is where segments begin."""
+        q, dq = joints
+        return bool(np.abs(q - self._library.posture).max() < _NEAR_rad and np.abs(dq).max() < _STILL_rad_s)
+
+    def _known(self, exiddm: RecursiveExiddm, estimate: Estimate, rate: float) -> _Known:
+        masses = self._library.masses
+        body = estimate.quantities[0]
+        if exiddm.state is None or not exiddm.held or not exiddm.state[PAYLOAD][0] > 0.0:
+            middle = float(np.sqrt(masses[0] * masses[-1]))
+            side = (middle / 1000.0) ** (1.0 / 3.0)  # of a cube of water
+            payload = np.array([middle, 0, 0, 0, *np.array([1.0, 0, 1.0, 0, 0, 1.0]) * middle * side**2 / 6.0])
+            return _Known(self._prior, rate, (masses[0], masses[-1]), self._asked(payload), 1.0)
+        covariance = exiddm.predictor.aged(exiddm.covariance, round(3.0 / exiddm.predictor.period_s))
+        spread = float(np.sqrt(exiddm.covariance[PAYLOAD.start, PAYLOAD.start]))
+        wide = (body.sigma / spread) ** 2 if body.supported else 1.0
+        between = (max(body.low, 0.0), body.high) if body.supported else (masses[0], masses[-1])
+        return _Known(covariance, rate, between, self._asked(exiddm.state[PAYLOAD]), wide)
+
+    def _asked(self, payload: FloatArray) -> Asked:
+        """Rows and targets of what is asked, about a payload's standard parameters, (10,)."""
+        try:
+            D, (mass, _, inertia) = body_jacobian(payload), body_of(payload)
+        except SignalError:
+            D, mass, inertia = np.eye(10), float(payload[0]), np.eye(3)
+        half_trace = 0.5 * abs(float(np.trace(inertia)))
+        radius = float(np.sqrt(half_trace / mass))
+        rows: list[int] = []
+        targets: list[float] = []
+        for goal in self._goals:
+            for name in goal.names(self._names):
+                at = self._names.index(name)
+                size = (mass, *[radius] * 3, *[half_trace] * 6)[at]
+                rows.append(at)
+                targets.append(_target(goal, size) / _HALF)
+        return Asked(D[rows], np.array(targets))
+
+    def _is_met(self, estimate: Estimate, asked: Asked) -> bool:
+        own = dict(zip(self._names, estimate.quantities, strict=True))
+        names = [name for goal in self._goals for name in goal.names(self._names)]
+        return all(
+            own[name].supported and own[name].sigma <= target for name, target in zip(names, asked.targets, strict=True)
+        )
+
+    def _ask(self, now_ns: int, time_s: float, known: _Known, now: float) -> list[Batch]:
+        library = self._library
+        low, high = known.masses_kg
+        if high > 1.25 * library.masses[-1] and self._since_change >= _FEWEST:
+            text = f"it may weigh {high:.3g} kg, and the segments are for {library.masses[-1]:.3g} kg at most"
+            return self._give_up(now_ns, time_s, now, text)
+        first = max(int(np.searchsorted(library.masses, low, side="right")) - 1, 0)
+        last = min(int(np.searchsorted(library.masses, high)), len(library.masses) - 1)
+        between = slice(min(first, last), last + 1)
+        rate = library.base_rate[:, between].max(axis=1) + known.rate_rad_s
+        fits = (library.excess[:, between].max(axis=1) <= _KEPT) & (rate <= library.most)
+        allowed = np.flatnonzero(fits)
+        at = int(np.argmin(np.abs(np.log(library.masses / np.sqrt(max(low, 1e-3) * max(high, 2e-3))))))
+        both = zip(library.roots[:, at], self._own, strict=True)
+        roots = [np.asarray(one, np.float64) if own is None else own for one, own in both]
+        if not len(allowed):
+            return self._give_up(now_ns, time_s, now, self._forbidding(known, np.arange(len(rate)), between))
+        found = choose(known.covariance, roots, library.durations_s, known.asked, allowed)
+        expected = found.ratio * known.widened**0.5
+        stalled = len(self._ratios) >= _FEWEST and now > _LITTLE * self._ratios[-_FEWEST]
+        if now > 1.0 and ((expected > _LITTLE * now and self._since_change >= _FEWEST) or stalled):
+            why = self._hopeless(known, roots, allowed, between)
+            if not why and stalled:
+                told = _most(shares(known.covariance, known.asked, library.unknowns))
+                why = f"the last {_FEWEST} segments have told nothing that was not known; most is by {told}"
+            if why:
+                return self._give_up(now_ns, time_s, now, why)
+        self._ratios.append(now)
+        name = library.names[found.segment]
+        self._unmoved = 0 if self._moved or not self._since_change else self._unmoved + 1
+        self._since_change, self._moved = self._since_change + 1, False
+        self._until_s = time_s + float(library.durations_s[found.segment]) + 1.0
+        self._late_s = self._until_s + _LATE_s
+        text = f"{name}: half intervals are {now:.3g} times what is wanted, {expected:.3g} expected after it"
+        return self._say(now_ns, time_s, Act.SEGMENT, name, now, expected, text)
+
+    def _hopeless(self, known: _Known, roots: list[FloatArray], allowed: IndexArray, between: slice) -> str:
+        """Why the allowed segments will never do; empty where they may."""
+        library = self._library
+        left = in_the_end(known.covariance, roots, allowed)
+        ratio = known.asked.ratio(known.widened * left[PAYLOAD, PAYLOAD])
+        if ratio <= 1.0:
+            return ""
+        every = np.arange(len(roots))
+        whole = in_the_end(known.covariance, roots, every)
+        best = known.asked.ratio(known.widened * whole[PAYLOAD, PAYLOAD])
+        if best <= 1.0:
+            others = np.setdiff1d(every, allowed)
+            gains = [known.asked.ratio(after(known.covariance, roots[k])) for k in others]
+            return self._forbidding(known, others[[int(np.argmin(gains))]], between)
+        told = _most(shares(whole, known.asked, library.unknowns))
+        return f"no motion of the library would do, all leave {best:.2g} times what is wanted: most by {told}"
+
+    def _forbidding(self, known: _Known, of: IndexArray, between: slice) -> str:
+        """Which limit forbids the segment of some that is least forbidden."""
+        library = self._library
+        rate = library.base_rate[of][:, between].max(axis=1) + known.rate_rad_s
+        over = np.maximum(library.excess[of][:, between].max(axis=1), rate / library.most - 1.0)
+        k = int(of[int(np.argmin(over))])
+        upto = f"with up to {min(known.masses_kg[1], library.masses[-1]):.3g} kg"
+        own = float(library.base_rate[k, between].max()) + known.rate_rad_s
+        if own > library.most:
+            told = (
+                f"the base would turn at {own:.2g} rad/s {upto}, now {known.rate_rad_s:.2g}: at most {library.most:g}"
+            )
+        else:
+            worst = between.start + int(np.argmax(library.excess[k, between]))
+            told = f"{library.breaks[k][worst]} would be {1.0 + library.excess[k, worst]:.2f} times its limit {upto}"
+        return f"the motion that is missing is {library.names[k]}, and {told}"
+
+    def _give_up(self, now_ns: int, time_s: float, now: float, why: str) -> list[Batch]:
+        self._over = True
+        text = f"{self._text} is given up: half intervals are {now:.3g} times that"
+        said = self._say(now_ns, time_s, Act.GIVEN_UP, "", now, now, text)
+        return [*said, event(now_ns, Severity.WARNING, "goal_why", "estimation", why)]
+
+    def _say(self, now_ns: int, time_s: float, act: Act, name: str, now: float, then: float, text: str) -> list[Batch]:
+        row = np.zeros(1, channels.REQUEST)
+        row["host_ns"], row["vehicle_ns"], row["act"], row["segment"] = now_ns, round(1e9 * time_s), act, name.encode()
+        row["number"], row["ratio"], row["expected"] = self._number, now, then
+        self._number += 1
+        code = {Act.SEGMENT: "segment_asked", Act.MET: "goal_met", Act.GIVEN_UP: "goal_given_up"}[act]
+        severity = Severity.WARNING if act is Act.GIVEN_UP else Severity.INFO
+        return [Batch("request", row), event(now_ns, severity, code, "estimation", text)]
+
+
+def _motion(library: Library, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Angle, rate and acceleration of a segment at its coarse ticks, (n, joints) each."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - 12 MB of each process of an estimator that never asks
+
+    ticks = int(library.ticks[k])
+    spline = CubicSpline(library.time_s[:ticks], library.q[k, :ticks], bc_type="clamped")
+    at = np.arange(library.cyclic.shape[1]) / library.ticks_hz
+    return spline(at), spline(at, 1), spline(at, 2)
+
+
+def _most(told: list[tuple[str, float]]) -> str:
+    return " and ".join(f"{name} ({share:.0%})" for name, share in told[:2])
+
+
+def _target(goal: Goal, size: float) -> float:
+    return goal.half * size if not goal.unit else goal.half

@@ -1,0 +1,363 @@
+"""Estimator as a function of records: input records of a step in, clock solutions, rows and estimates out.
+
+It owns no ring, log or clock, so the flight (:mod:`onboard.flight.estimate.estimation`), the replay and ``heft
+identify`` all run the same code. Rows are made at whole multiples of the row period in vehicle time, with a fixed lag.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.records import Batch, Rows, Severity, event
+from onboard import channels, config
+from onboard.devices.roles import TorqueKeys
+from onboard.dynamics.errors import UnknownFrameError
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.gates import GateReason, magnitude_gate, phase_gate, range_gate, reasons
+from onboard.estimation.smoothing import correlation_inflation
+from onboard.flight.clocks import timebase_of
+from onboard.flight.estimate.answers import Answers, change_event
+from onboard.flight.estimate.asking import Asking
+from onboard.flight.estimate.identification import METHODS, build_online, channels_of, with_hypotheses
+from onboard.flight.estimate.phases import PhaseTrack
+from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import SignalSmoother, kernel_of
+from onboard.flight.estimate.witness import RateWitness
+from onboard.flight.estimate.zeroing import Temperatures, Zeroing
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.table_run import TableRun
+from onboard.identification.online import OnlineIdentifier
+from onboard.identification.rows.hypotheses import Hypotheses
+from onboard.identification.rows.identifier import Identifier
+from onboard.regressor.friction import CoulombFriction
+from onboard.regressor.rows import BaseMotion, base_motion, standing
+from onboard.regressor.signals import SignalNoise, Signals
+
+
+class _Base(NamedTuple):
+    """What is known of the base at n ticks."""
+
+    motion: BaseMotion
+    sensed_m_s2: FloatArray  # (n, 3) specific force at the IMU, its axes
+    sigma: tuple[
+        FloatArray, FloatArray, FloatArray
+    ]  # (n, 3) each: rate, angular acceleration, specific force; IMU axes
+    refused: NDArray[np.int64]  # (n,)
+
+
+class Estimator:
+    """Identifies one vehicle from its records.
+
+    Args:
+        vehicle: its file.
+        identifier: goes on with what another estimator of the same vehicle has learned, from another log say; a fresh
+            one where not given.
+
+    Attributes:
+        online: what has been learned.
+        inflation: of the sigmas of rows, for the correlation of neighbouring ones.
+        inputs: channels it consumes, in the order that TICK records count them.
+        outputs: dtype of every channel it makes.
+    """
+
+    def __init__(self, vehicle: config.Vehicle, identifier: OnlineIdentifier | None = None) -> None:
+        self.vehicle = vehicle
+        settings = vehicle.file.estimation
+        self.inputs = tuple(vehicle.channels)
+        fresh, self.model = build_online(vehicle)
+        self.online: OnlineIdentifier = with_hypotheses(vehicle, fresh) if identifier is None else identifier
+        self._timebase = timebase_of(vehicle)
+        fitted = METHODS[settings.method].tick_means and vehicle.file.planar is None
+        self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted)
+        self._phases = PhaseTrack(settings.phases)
+        self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz)
+        self._slow_force = np.zeros(3)
+        self._period_ns = round(1e9 / settings.row_rate_hz)
+        self._lag_ns = round(settings.lag_ms * 1e6)
+        self._next_ns: int | None = None
+        self._now_ns = 0
+        self._left_out_ns: list[tuple[int, int]] = []  # where no rows are made
+        self.inflation = correlation_inflation(
+            settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle)
+        )
+        roles = roles_of(vehicle)
+        self._imu = roles.imu if roles.imus else None  # a fixed base needs none
+        self._temperatures = Temperatures(self._imu)
+        further = self.online.further if isinstance(self.online, ExiddmIdentifier | TableRun) else ()
+        self._further = channels_of(roles, further)
+        self._witness: RateWitness | None = None
+        try:
+            if len(roles.imus) > 1 and roles.imus[1].channels not in self._further:
+                self._witness = RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
+        except UnknownFrameError as error:
+            raise config.ConfigError(f"{vehicle.label}: the IMU of {roles.imus[1].channels[0]}: {error}") from error
+        self._joints = {joint.joint: joint for joint in roles.joints}
+        self._functions = {  # of cyclic errors that are fitted
+            joint.channel: 2 * len(roles.signals[joint.channel].ripple) if fitted else 0 for joint in roles.joints
+        }
+        self._cells = {cell.name: cell for cell in roles.cells}
+        motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
+        names = [joint.name for joint in self.model.joints]
+        self._friction = CoulombFriction(motors, names) if motors else None
+        self._turning = {name: [k for k, motor in enumerate(motors) if name in dict(motor.ratios)] for name in names}
+        size = len(self.online.triangle())
+        self.outputs: dict[str, np.dtype[np.void]] = {
+            "clock": channels.CLOCK,
+            "row": channels.row_dtype(len(self.online.row_names), len(self.model.joints)),
+            "estimate": channels.estimate_dtype(len(self.online.parameter_names), size),
+            "quantity": channels.QUANTITY,
+        }
+        self._asking = None if vehicle.segments is None else Asking(vehicle, vehicle.segments, self.online, self.model)
+        if self._asking is not None:
+            self.outputs["request"] = channels.REQUEST
+        self._answers = Answers(self.outputs["estimate"], settings.nuisance)
+        self._sequence = dict.fromkeys(self.outputs, 0)
+
+    @property
+    def identifier(self) -> Identifier:
+        """What has been learned from rows.
+
+        Raises:
+            ConfigError: the vehicle's method has none.
+        """
+        if isinstance(self.online, Hypotheses):
+            return self.online.chosen
+        if isinstance(self.online, Identifier):
+            return self.online
+        label, method = self.vehicle.label, self.vehicle.file.estimation.method
+        raise config.ConfigError(f'{label}: this needs rows; the method is "{method}"')
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of ESTIMATE's ``mean``."""
+        return self.online.parameter_names
+
+    def phase_at(self, at_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The phase at each time, (n,); -1 where it is not known."""
+        return self._phases.at(at_ns)
+
+    def go_on_from(self, sequences: Mapping[str, int]) -> None:
+        """Number the rows of each output from here on: another estimator's came before."""
+        self._sequence = dict(sequences)
+
+    def process(
+        self, now_ns: int, batches: Mapping[str, Rows], lag_ns: int | None = None, skipped_ns: int = 0
+    ) -> list[Batch]:
+        """One step: take in ``batches`` by channel, make the rows that are due, answer.
+
+        Args:
+            now_ns: time of the step; rows up to ``now_ns - lag`` are made.
+            batches: what has arrived since the last step.
+            lag_ns: another lag than the vehicle's: it is the last step, and nothing more arrives.
+            skipped_ns: no records of so much time after the last step were taken: no rows are made of it.
+        """
+        made: list[Batch] = []
+        if skipped_ns:
+            self._left_out_ns.append((self._now_ns, self._now_ns + skipped_ns))
+        self._now_ns = now_ns
+        clocks = self._timebase.update(now_ns, dict(batches))
+        if len(clocks):
+            made.append(self._numbered("clock", clocks))
+        for channel, said in self._signals.append(batches):
+            made.append(event(now_ns, said.severity, said.code, channel, said.text))
+        made += [event(now_ns, Severity.INFO, "phase", "estimation", text) for text in self._phases.update(batches)]
+        self._temperatures.append(batches)
+        at_ns = self._due(now_ns - (self._lag_ns if lag_ns is None else lag_ns))
+        if len(at_ns):
+            made += self._rows(now_ns, at_ns, final=lag_ns is not None)
+        return made
+
+    def _due(self, until_ns: int) -> NDArray[np.int64]:
+        """Ticks up to ``until_ns``; the first lies at the first whole period after the first step."""
+        if self._next_ns is None:
+            self._next_ns = -(-until_ns // self._period_ns) * self._period_ns
+        at_ns: NDArray[np.int64] = np.arange(self._next_ns, until_ns + 1, self._period_ns, dtype=np.int64)
+        self._next_ns += len(at_ns) * self._period_ns
+        for first_ns, last_ns in self._left_out_ns:
+            at_ns = at_ns[(at_ns < first_ns) | (at_ns > last_ns)]
+        self._left_out_ns = [one for one in self._left_out_ns if one[1] >= self._next_ns]
+        return at_ns
+
+    def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:
+        made: list[Batch] = []
+        joints, (q_sigma, dq_sigma, ddq_sigma), refused, cyclic = self._at_joints(at_ns)
+        q, dq, ddq = joints
+        time_s = (at_ns * 1e-9).astype(np.float64)
+        if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
+            measured, sigma, of_rows = self._means(at_ns)
+            refused |= self._gates(at_ns, joints, measured[:, 3:6])
+            if not self._further:
+                refused |= of_rows[:, 0]
+            motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
+            noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *motion, self.inflation)
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise, refused=of_rows, cyclic=cyclic)
+        else:
+            base, said = self._base(now_ns, at_ns)
+            made += said
+            friction = None if self._friction is None else self._friction.follow(q, dq)
+            measured, measured_rate, sigma, of_rows = self._measured(at_ns, dq, friction)
+            refused |= base.refused | self._gates(at_ns, joints, base.sensed_m_s2)
+            noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
+            motion = base.motion
+            friction = None if friction is None else np.nan_to_num(friction)
+            rest = measured_rate, noise, friction, of_rows if of_rows.any() else None
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, *rest)
+        if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
+            made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))
+        found = self._update(signals, at_ns, refused)
+        if final:
+            self.online.finish()
+        made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
+        for change in self.online.news():
+            if change.kind == "release_contradicted":
+                self._phases.reject_release()
+            made.append(change_event(now_ns, change))
+        if self.online.rows_used:
+            made += self._answered(now_ns, int(at_ns[-1]))
+        if self._asking is not None:
+            said = self._asking.step(now_ns, float(time_s[-1]), joints[:2, -1], measured[-1, :3], self.online)
+            made += [self._numbered(one.channel, one.rows) if one.channel == "request" else one for one in said]
+        return made
+
+    def _means(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+        """Means over the ticks of the IMU and further instruments, their sigmas, and reasons, (n, rows) each."""
+        assert self._imu is not None
+        each = [
+            self._signals.means(names, self._timebase, at_ns, self._period_ns)
+            for names in (self._imu.channels, *self._further)
+        ]
+        values, sigmas = [one.derivatives[0] for one in each], [one.sigma[0] for one in each]
+        refused = [np.repeat(one.refused[:, None], one.derivatives[0].shape[1], axis=1) for one in each]
+        return np.hstack(values), np.hstack(sigmas), np.hstack(refused)
+
+    def _update(self, signals: Signals, at_ns: NDArray[np.int64], refused: NDArray[np.int64]) -> NDArray[np.int64]:
+        attached = self._phases.attached(at_ns)
+        if isinstance(self.online, Hypotheses):
+            return self.online.update(signals, attached, refused, self._phases.attached(at_ns, but_first=True))
+        return self.online.update(signals, attached, refused)
+
+    def _base(self, now_ns: int, at_ns: NDArray[np.int64]) -> tuple[_Base, list[Batch]]:
+        """The base's motion by its IMU, zeroed where it is due; without one it stands."""
+        n, made = len(at_ns), list[Batch]()
+        if self._imu is None:
+            motion, still = standing(self.model, n), np.zeros((n, 3))
+            return _Base(motion, motion.specific_force_m_s2, (still, still, still), np.zeros(n, np.int64)), made
+        imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
+        values, rates = imu.derivatives
+        known = self._zeroing.offset_m_s2 is not None
+        rest = self._phases.at(at_ns), imu.refused == 0, self._temperatures.at(at_ns)
+        specific_force = self._zeroing.apply(values[:, 3:], *rest)
+        if not known and self._zeroing.offset_m_s2 is not None:
+            offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
+            text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
+            made.append(event(now_ns, Severity.INFO, "zeroed", self._imu.channels[0], text))
+        motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
+        sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
+        return _Base(motion, specific_force, sigma, imu.refused), made
+
+    def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64], FloatArray]:
+        """Angles, rates, accelerations and sigmas, (3, n, joints); reasons (n,); of cyclic errors (n, 3, m)."""
+        joints, sigma = np.zeros((2, 3, len(at_ns), len(self.model.joints)))
+        refused = np.zeros(len(at_ns), np.int64)
+        sensors = [self._joints[joint.name] for joint in self.model.joints]
+        cyclic = [np.full((len(at_ns), 3, self._functions[sensor.channel]), np.nan) for sensor in sensors]
+        for lowest in (0, 1):
+            columns = [column for column, sensor in enumerate(sensors) if sensor.is_rate == bool(lowest)]
+            names = [sensors[column].channel for column in columns]
+            parts = self._signals.each(names, self._timebase, at_ns, 2 - lowest)
+            for column, smoothed in zip(columns, parts, strict=True):
+                for order, (value, spread) in enumerate(zip(smoothed.derivatives, smoothed.sigma, strict=True), lowest):
+                    joints[order, :, column], sigma[order, :, column] = value[:, 0], spread[:, 0]
+                refused |= smoothed.refused
+                if smoothed.cyclic is not None:
+                    cyclic[column][:] = smoothed.cyclic
+        return joints, sigma, refused, np.concatenate(cyclic, axis=2)
+
+    def _measured(
+        self, at_ns: NDArray[np.int64], dq: FloatArray, friction: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+        """Left-hand sides of the rows, their rates, their sigmas, and reasons, (n, rows) each."""
+        rows = self.online.row_names
+        settings, n = self.vehicle.file.estimation, len(at_ns)
+        measured, rate, sigma = np.zeros((n, len(rows))), np.zeros((n, len(rows))), np.zeros((n, len(rows)))
+        refused = np.zeros((n, len(rows)), np.int64)
+        for column, row in enumerate(rows):
+            if row in self._cells:
+                keys = self._cells[row].keys
+                cell = self._signals.at(self._cells[row].channel, self._timebase, at_ns, 1)
+                measured[:, column], rate[:, column] = cell.derivatives[0][:, 0], cell.derivatives[1][:, 0]
+                sigma[:, column] = cell.sigma[0][:, 0]
+                if isinstance(keys, TorqueKeys):  # friction that no column holds is more than the samples' noise
+                    sigma[:, column] = keys.sigma_N_m
+                    joint = [one.name for one in self.model.joints].index(keys.joint)
+                    still = np.abs(dq[:, joint]) < keys.still_rad_s
+                    if friction is not None:
+                        still |= np.isnan(friction[:, self._turning[keys.joint]]).any(axis=1)
+                    refused[:, column] |= reasons(still, GateReason.STILL)
+                refused[:, column] |= cell.refused
+            else:  # a base wrench that is zero, good to what is left of it when the motion is known
+                force = row.startswith("base_force")
+                sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
+        return measured, rate, sigma * self.inflation, refused
+
+    def _gates(self, at_ns: NDArray[np.int64], joints: FloatArray, specific_force: FloatArray) -> NDArray[np.int64]:
+        settings = self.vehicle.file.estimation
+        refused = np.zeros(len(at_ns), np.int64)
+        if settings.phases:
+            changes_ns, codes = self._phases.changes
+            refused |= phase_gate(
+                at_ns * 1e-9,
+                changes_ns * 1e-9,
+                codes,
+                settings.phases.identify,
+                settings.phases.settle_ms * 1e-3,
+                0.5 * settings.smoothing_ms * 1e-3,
+            )
+        if settings.gates.joint_limits_deg:
+            low, high = np.radians(settings.gates.joint_limits_deg)
+            refused |= range_gate(joints[0], low, high, GateReason.CONTACT)
+        if settings.gates.joint_rate_min_rad_s:
+            refused |= range_gate(np.abs(joints[1]), settings.gates.joint_rate_min_rad_s, np.inf, GateReason.PHASE)
+        if settings.gates.specific_force_m_s2:
+            refused |= magnitude_gate(self._slow(specific_force), settings.gates.specific_force_m_s2, GateReason.DRAG)
+        return refused
+
+    def _slow(self, specific_force: FloatArray) -> FloatArray:
+        """Running mean of the specific force, (n, 3): drag grows slowly, and vibration is none of it."""
+        weight = self._period_ns * 1e-6 / self.vehicle.file.estimation.gates.specific_force_window_ms
+        means = np.full_like(specific_force, np.nan)
+        for tick in np.flatnonzero(np.isfinite(specific_force).all(axis=1)):
+            self._slow_force += min(weight, 1.0) * (specific_force[tick] - self._slow_force)
+            means[tick] = self._slow_force
+        return means
+
+    def _row_batch(
+        self,
+        now_ns: int,
+        at_ns: NDArray[np.int64],
+        joints: NDArray[np.float64],
+        measured: NDArray[np.float64],
+        sigma: NDArray[np.float64],
+        found: NDArray[np.int64],
+    ) -> Batch:
+        made = np.zeros(len(at_ns), self.outputs["row"])
+        made["host_ns"], made["vehicle_ns"] = now_ns, at_ns
+        for field, values in zip(("joint_rad", "joint_rad_s", "joint_rad_s2"), joints, strict=True):
+            made[field] = values
+        made["measured"], made["sigma"], made["gate"] = measured, sigma, found
+        return self._numbered("row", made)
+
+    def _answered(self, now_ns: int, vehicle_ns: int) -> list[Batch]:
+        online, findings = self.online, self.online.findings()
+        if self._witness is not None and self._witness.contradiction:
+            findings = findings._replace(against=(*findings.against, self._witness.contradiction))
+        state, answers, said = self._answers.rows(now_ns, vehicle_ns, online.estimate(), findings, online.triangle())
+        return [self._numbered("estimate", state), self._numbered("quantity", answers), *said]
+
+    def _numbered(self, channel: str, rows: Rows) -> Batch:
+        first = self._sequence[channel]
+        rows["sequence"] = np.arange(first, first + len(rows), dtype=np.uint64)
+        self._sequence[channel] = first + len(rows)
+        return Batch(channel, rows)

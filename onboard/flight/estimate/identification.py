@@ -1,0 +1,424 @@
+"""From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard import config
+from onboard.config.vehicle import LinkSection
+from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
+from onboard.dynamics.errors import ModelError, UrdfError
+from onboard.dynamics.inertia import RigidBody, symmetric
+from onboard.dynamics.payload import body_of, standard_covariance
+from onboard.dynamics.urdf import with_bodies
+from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.errors import EstimationError
+from onboard.estimation.memory import FOR_EVER, Memory
+from onboard.flight.estimate.roles import roles_of
+from onboard.identification.exiddm.further import CellPrior, Further, FurtherCell, FurtherImu
+from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.table_run import TableRun
+from onboard.identification.online import OnlineIdentifier
+from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
+from onboard.identification.rows.considered import Considered, Effect
+from onboard.identification.rows.free_body import free_body_quantities
+from onboard.identification.rows.hypotheses import Hypotheses
+from onboard.identification.rows.identifier import Identifier, Start
+from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.friction import Motor
+from onboard.regressor.rows import (
+    RowModel,
+    WrenchRow,
+    base_force_rows,
+    base_moment_rows,
+    joint_torque_row,
+    load_cell_row,
+)
+
+NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
+KERNELS_PER_BLOCK = 5
+FEWEST_SAMPLES = 2  # of an instrument in a tick
+UNMARKED_CLOCK_s, UNMARKED_MEMORY_s = 1e-3, 1.0  # further IMUs may have no sync marks: wander of their time
+
+
+def build_model(vehicle: config.Vehicle) -> VehicleModel:
+    """The Pinocchio model of a vehicle file.
+
+    Raises:
+        ModelError: the URDF cannot be used, or lacks a name that the vehicle file has.
+    """
+    section = vehicle.file.vehicle
+    spec = VehicleSpec(BaseKind(section.base), section.base_link, section.payload_link, section.gravity_m_s2)
+    urdf = vehicle.urdf_text
+    model = VehicleModel(urdf, spec)
+    measured = {name: _measured(model, name, own) for name, own in vehicle.file.link.items()}
+    return VehicleModel(with_bodies(urdf, measured), spec) if measured else model
+
+
+def _measured(model: VehicleModel, link: str, own: LinkSection) -> RigidBody:
+    """A link by what was measured of it, and by the URDF."""
+    if link not in model.links:
+        raise UrdfError(f"[link.{link}]: links with inertia are {', '.join(model.links)}")
+    at = 10 * model.links.index(link)
+    mass_kg, centre_m, inertia = body_of(model.chi[at : at + 10])
+    return RigidBody(
+        mass_kg if own.mass_kg is None else own.mass_kg,
+        centre_m if own.centre_of_mass_m is None else np.array(own.centre_of_mass_m),
+        inertia if own.inertia_kg_m2 is None else symmetric(np.array(own.inertia_kg_m2)),
+    )
+
+
+def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
+    """What flies, by the method that the vehicle file asks for, and the model under it.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    return METHODS[vehicle.file.estimation.method].build(vehicle)
+
+
+def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
+    """The ExIDDM of a vehicle file: recursive for a free base, at the end of the run on an air-bearing table.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    return build_exiddm(vehicle) if vehicle.file.planar is None else build_planar(vehicle)
+
+
+def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> OnlineIdentifier:
+    """The identifier, or parallel ones where a redundant cell or a release may be wrong.
+
+    Args:
+        vehicle: its file.
+        online: a fresh one.
+    """
+    phases = vehicle.file.estimation.phases
+    cells = [(cell.name, cell.keys) for cell in roles_of(vehicle).cells]
+    if not isinstance(online, Identifier) or online.memory != FOR_EVER:
+        return online
+    place = [
+        keys.joint if isinstance(keys, TorqueKeys) else (keys.frame, keys.axis, keys.measures) for _, keys in cells
+    ]
+    redundant = [name for (name, _), own in zip(cells, place, strict=True) if place.count(own) > 1]
+    if not redundant and (phases is None or phases.payload_gone is None):
+        return online
+    return Hypotheses(lambda: build_identifier(vehicle)[0], redundant)
+
+
+def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleModel]:
+    """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
+
+    Args:
+        vehicle: its file.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+    """
+    settings, roles = vehicle.file.estimation, roles_of(vehicle)
+    asked, samples = settings.exiddm, samples_per_tick(vehicle)
+    try:
+        model = build_model(vehicle)
+        _check_joints(roles, model)
+        covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
+        period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
+        further = further_instruments(vehicle, roles, imu_prior)
+        priors = covariance, imu_prior, geometry, further
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0])
+        known = None
+        if settings.carried:
+            known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
+        step_ticks = max(1, round(1e-3 * settings.step_ms * settings.row_rate_hz))
+        told = asked.held_at_start, asked.false_alarms_per_hour, known
+        exiddm = RecursiveExiddm(predictor, payload_sigma, *told, step_ticks)
+    except (ModelError, EstimationError) as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+    return ExiddmIdentifier(exiddm), model
+
+
+def samples_per_tick(vehicle: config.Vehicle) -> int:
+    """Samples of the base IMU in a tick.
+
+    Raises:
+        ConfigError: fewer than two.
+    """
+    channel = roles_of(vehicle).imu.channels[0]
+    samples = _samples(vehicle, channel)
+    if samples < 2:
+        period_s = roles_of(vehicle).signals[channel].period_s
+        text = f"{period_s * 1e3:g} ms between samples of {channel!r}"
+        raise config.ConfigError(f"{vehicle.label}: {text}: lower row_rate_hz until two and more make a tick")
+    return samples
+
+
+def _samples(vehicle: config.Vehicle, channel: str) -> int:
+    """Samples of a channel in a tick."""
+    return round(1.0 / (roles_of(vehicle).signals[channel].period_s * vehicle.file.estimation.row_rate_hz))
+
+
+def further_instruments(vehicle: config.Vehicle, roles: Roles, imu_prior: ImuPrior) -> list[Further]:
+    """What the ExIDDM uses besides the first IMU: IMUs on the base, load cells; not those too slow for its ticks."""
+    found: list[Further] = []
+    for imu in roles.imus[1:]:
+        if (samples := _samples(vehicle, imu.channels[0])) >= FEWEST_SAMPLES:
+            prior = imu_prior._replace(delay_s=float(np.hypot(imu_prior.delay_s, UNMARKED_CLOCK_s)))
+            place_m = vehicle.file.estimation.imu_prior.position_m
+            found.append(FurtherImu(imu.channels[0], imu.frame, samples, prior, place_m, UNMARKED_MEMORY_s))
+    for cell in roles.cells:
+        keys = cell.keys
+        if isinstance(keys, TorqueKeys) or (samples := _samples(vehicle, cell.channel)) < FEWEST_SAMPLES:
+            continue
+        bias = 0.01 * keys.capacity_N if keys.zero_sigma_N is None else keys.zero_sigma_N
+        drift = 1e-5 * keys.capacity_N if keys.zero_drift_N_s is None else keys.zero_drift_N_s
+        prior_of_cell = CellPrior(bias, drift, keys.relative_sigma, keys.delay_sigma_ms * 1e-3)
+        projection = load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m).projection
+        found.append(FurtherCell(cell.name, keys.frame, projection, samples, prior_of_cell))
+    return found
+
+
+def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...]]:
+    """The channels of each further instrument, by its name."""
+    names = {imu.channels[0]: imu.channels for imu in roles.imus} | {cell.name: (cell.channel,) for cell in roles.cells}
+    return [names[one.name] for one in further]
+
+
+def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
+    """What flies on a vehicle on an air-bearing table, which is estimated when its run is over; and its model.
+
+    Raises:
+        ConfigError: a name that the URDF does not have.
+    """
+    roles = roles_of(vehicle)
+    samples_per_tick(vehicle)
+    try:
+        model = build_model(vehicle)
+        _check_joints(roles, model)
+        model.pose_in_base(roles.imu.frame)
+        exiddm_prior(vehicle, model)
+    except ModelError as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+    for index, puck in enumerate(vehicle.file.planar.puck if vehicle.file.planar else ()):
+        try:
+            model.pose_in_base(puck.frame)
+        except ModelError as error:
+            place = vehicle.origin.place(["planar", "puck", str(index), "frame"])
+            raise config.ConfigError(f"{place}: {error}") from error
+    return TableRun(str(model.spec.payload_link)), model
+
+
+def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
+    """What is known before a flight: covariances of links, prior on instrument errors, sigmas of a payload (10,).
+
+    Raises:
+        UrdfError: a link that the URDF does not have, or has no inertia.
+    """
+    settings = vehicle.file.estimation
+    covariance = {}
+    for link, sigma in settings.prior.link.items():
+        if link not in model.links:
+            raise UrdfError(f"prior.link names {link!r}; links with inertia are {', '.join(model.links)}")
+        own = 10 * model.links.index(link)
+        known = sigma.mass_relative, sigma.centre_m, sigma.inertia_relative
+        covariance[link] = standard_covariance(model.chi[own : own + 10], *known)
+    asked = settings.exiddm
+    first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
+    payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
+    return covariance, ImuPrior(**settings.imu_prior.model_dump(exclude={"position_m"})), payload_sigma
+
+
+def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:
+    """Prior on places of IMU and joints, and on the encoders' errors; silent joints have the defaults of the keys.
+
+    Cyclic errors are those that the encoders' devices state.
+
+    Raises:
+        UnknownFrameError: a joint that the URDF does not have.
+    """
+    stated, roles = vehicle.file.estimation.prior.joint, roles_of(vehicle)
+    ripple = {joint.joint: roles.signals[joint.channel].ripple for joint in roles.joints}
+    joints = {}
+    for name in dict.fromkeys([*(joint.name for joint in model.joints), *stated]):
+        own = stated.get(name, config.JointKeys())
+        cyclic = tuple(rms for _, rms in ripple.get(name, ()))
+        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic)
+    return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)
+
+
+def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:
+    """The identifier of a vehicle file, and the model under it.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF.
+    """
+    settings, roles = vehicle.file.estimation, roles_of(vehicle)
+    try:
+        model = build_model(vehicle)
+        _check_joints(roles, model)
+        rows: list[WrenchRow] = []
+        considered: list[Considered] = []
+        scales: dict[str, float] = {}
+        for cell in roles.cells:
+            scaled = settings.scales == "estimated" and cell.keys.relative_sigma > 0.0
+            rows.append(_cell_row(cell, model, scaled))
+            considered += _considered(cell, scaled)
+            scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
+        considered += _of_motion(roles)
+        if "force" in settings.base_rows:
+            rows += base_force_rows(model)
+        if "moment" in settings.base_rows:
+            rows += base_moment_rows(model)
+        zero_force = settings.zero_force_sigma_m_s2
+        row_model = RowModel(model, rows, zero_force is not None, _motors(vehicle, roles))
+        offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
+        absolute = {**settings.prior.absolute, **offsets, **scales}
+        prior = named_relative_sigma(row_model, settings.prior.relative, absolute)
+        _check_prior(prior, settings.prior.relative, model)
+        base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=prior == 0.0)
+        quantities: tuple[Quantity, ...] = ()
+        if settings.masses:
+            drawing = {
+                link: Tolerance(own.mass_relative, own.centre_m, own.inertia_relative, own.length_m)
+                for link, own in settings.masses.drawing.items()
+            }
+            _check_links(drawing, model)
+            quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link, drawing)
+        if vehicle.file.free_body:
+            quantities += free_body_quantities(row_model, base, prior)
+        identifier = Identifier(
+            row_model,
+            base,
+            prior,
+            (settings.block_ms or KERNELS_PER_BLOCK * settings.smoothing_ms) * 1e-3,
+            quantities,
+            considered,
+            settings.gates.residual_sigma,
+            Memory(settings.memory.forgetting_s, settings.memory.window_s),
+            settings.gates.huber_sigma,
+            imu_frame=roles.imu.frame if roles.imus else None,
+            instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
+            start=_start(vehicle, base.names) if settings.carried else None,
+        )
+    except (ModelError, EstimationError) as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
+    return identifier, model
+
+
+def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
+    carried = vehicle.file.estimation.carried
+    assert carried is not None
+    if tuple(carried.names) != names:
+        text = f"what {carried.log} had learned is of {', '.join(carried.names)}; here there are {', '.join(names)}"
+        raise config.ConfigError(f"{vehicle.label}: {text}. Go on with the vehicle that flew then")
+    sensitivity = np.array(carried.sensitivity, np.float64).reshape(len(names), -1)
+    return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
+
+
+def _check_links(drawing: Mapping[str, Tolerance], model: VehicleModel) -> None:
+    for link in drawing:
+        if link not in model.links:
+            raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
+
+
+def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: VehicleModel) -> None:
+    """Refuse a relative sigma on a massless link, which would silently fix its parameters."""
+    for index, link in enumerate(model.links):
+        if relative[link] > 0.0 and not prior[10 * index : 10 * index + 10].all():
+            text = f"link {link!r} has no mass or no inertia in the URDF that a relative sigma could be of"
+            raise UrdfError(f"{text}; give absolute ones, M_{link} to ZZ_{link}, or a relative one of 0 if it is exact")
+
+
+def _check_joints(roles: Roles, model: VehicleModel) -> None:
+    """Every joint that moves is measured by one device, and every such device names a joint."""
+    measured = [joint.joint for joint in roles.joints]
+    moving = [joint.name for joint in model.joints]
+    if sorted(measured) != sorted(moving):
+        listed, named = ", ".join(moving) or "none", ", ".join(measured) or "none"
+        raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
+
+
+def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:
+    """The row of a load cell or of a joint's torque."""
+    keys = cell.keys
+    if isinstance(keys, TorqueKeys):
+        row = joint_torque_row(model, keys.joint, keys.friction)
+        return replace(row, name=cell.name, bias=True, scale=scaled)
+    return load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m, scale=scaled)
+
+
+def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
+    """Motors whose friction is Dahl's, and those of several joints."""
+    torques = [cell.keys for cell in roles.cells if isinstance(cell.keys, TorqueKeys)]
+    own = [Motor(t.joint, ((t.joint, 1.0),), t.presliding_rad) for t in torques if t.friction]
+    given = vehicle.file.estimation.motor.items()
+    return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
+
+
+def _of_motion(roles: Roles) -> list[Considered]:
+    """Errors of the sensors of motion, where the file states how well they are known."""
+    found = list[Considered]()
+    for joint in roles.joints:
+        name, at = joint.channel, joint.joint
+        found.append(Considered(f"scale of {name}", at, "joint_scale", joint.scale_sigma, f"{name} scale_sigma"))
+        found.append(Considered(f"zero of {name}", at, "joint_zero", joint.zero_sigma_rad, f"{name} zero_sigma_rad"))
+        found.append(Considered(f"delay of {name}", at, "joint_delay", joint.delay_sigma_s, f"{name} delay_sigma_ms"))
+    for imu in roles.imus[:1]:
+        found += _of_imu(imu)
+    return [cause for cause in found if cause.sigma > 0.0]
+
+
+def _of_imu(imu: ImuRole) -> Iterator[Considered]:
+    channel, turn = imu.channels[0], imu.misalignment_sigma_rad
+    kinds: tuple[tuple[str, str, Effect, Effect, Effect, float], ...] = (
+        ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay", imu.gyro_scale_sigma),
+        (
+            "accel",
+            "accelerometer",
+            "accelerometer_scale",
+            "accelerometer_misalignment",
+            "accelerometer_delay",
+            imu.accel_scale_sigma,
+        ),
+    )
+    for short, name, scale, misalignment, delay, sigma in kinds:
+        what, key = f"of {channel}'s {name}", f"{channel} {short}_scale_sigma"
+        yield Considered(f"scale {what}", imu.frame, scale, sigma, key)
+        yield Considered(f"delay {what}", imu.frame, delay, imu.delay_sigma_s, f"{channel} delay_sigma_ms")
+        for axis, letter in enumerate("xyz"):
+            turned = f"{channel} misalignment_sigma_rad"
+            yield Considered(f"scale {what} along {letter}", imu.frame, scale, sigma, key, axis)
+            yield Considered(f"misalignment {what} about {letter}", imu.frame, misalignment, turn, turned, axis)
+
+
+def _considered(cell: LoadCellRole, scaled: bool) -> list[Considered]:
+    """What one cell alone can never tell from mass, and what its rows do not estimate."""
+    name, keys = cell.name, cell.keys
+    lever = " and lever_sigma_m" if isinstance(keys, LoadCellKeys) and keys.lever_sigma_m else ""
+    scale = Considered(f"scale of {name}", name, "scale", keys.relative_sigma, f"{name} scale_sigma{lever}")
+    delay = Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3, f"{name} delay_sigma_ms")
+    return [delay] if scaled else [scale, delay]
+
+
+class Method(NamedTuple):
+    """An estimator that flies.
+
+    Attributes:
+        build: makes it from a vehicle file.
+        tick_means: it takes the base IMU's means over each tick, and not smoothed signals at its middle.
+    """
+
+    build: Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]
+    tick_means: bool
+
+
+METHODS = {  # by ``[estimation] method``
+    "rows": Method(build_identifier, tick_means=False),
+    "instrumental": Method(build_identifier, tick_means=False),
+    "exiddm": Method(build_likelihood, tick_means=True),
+}

@@ -1,0 +1,1 @@
+"""Health of a real flight and of its computer."""

@@ -1,0 +1,1 @@
+"""What a flight keeps: directories in shared memory, rings, manifest, log."""

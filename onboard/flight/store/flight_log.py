@@ -1,0 +1,191 @@
+"""A flight's log: what every segment of it says, and who records into it."""
+
+import importlib.metadata
+import platform
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from drivers.records import Rows
+from onboard import config
+from onboard.flight.clocks import known_delays
+from onboard.flight.store.directories import write_private
+from onboard.flight.store.manifest import Manifest, Storage
+from onboard.recording.mcap_format import Attachment
+from onboard.recording.recorder import Recorder
+from onboard.recording.segmented import Limits, Preamble, Progress, SegmentedLog
+from onboard.recording.space import SpaceGuard
+from onboard.recording.writer import LogWriter
+from onboard.ring import RingReader
+
+VEHICLE_ATTACHMENT = "vehicle.toml"
+DISTRIBUTIONS = ("heft-flight", "numpy", "scipy", "pin", "mcap", "smbus2", "python-can", "pyserial", "gpiod")
+PROGRESS = "recorder.progress"  # in the flight's directory
+STEP_NS = 50_000_000  # between two steps of the recorder, at most
+MIB = 1 << 20
+
+
+class Started(NamedTuple):
+    """One instant on both clocks."""
+
+    wall_clock_ns: int
+    monotonic_ns: int
+
+
+def preamble(vehicle: config.Vehicle, flight: str, started: Started | None = None, continues: str = "") -> Preamble:
+    """What every segment of a flight's log says.
+
+    Args:
+        vehicle: its files are attached.
+        flight: the flight's id.
+        started: when, on the wall clock (noted once, here) and on the monotonic one; virtual time has neither.
+        continues: the log of the part before, of a flight that lost its power.
+    """
+    attachments: tuple[Attachment, ...] = (
+        Attachment(VEHICLE_ATTACHMENT, "application/toml", vehicle.text.encode(), 0),
+        Attachment(vehicle.file.vehicle.urdf, "application/xml", vehicle.urdf_path.read_bytes(), 0),
+    )
+    segments = vehicle.segments_path
+    if segments is not None:
+        attachments += (Attachment(segments.name, "application/octet-stream", segments.read_bytes(), 0),)
+    metadata = {
+        "flight": flight_facts(vehicle, started) | ({"continues": continues} if continues else {}),
+        "versions": versions(),
+        "clock_map": clock_map(vehicle, started),
+    }
+    return Preamble(flight, attachments, metadata)
+
+
+def storage(recording: config.Recording) -> Storage:
+    """How a flight is recorded, from its vehicle file."""
+    return Storage(
+        sync_period_ns=round(recording.sync_period_ms * 1e6),
+        segment_span_ns=round(recording.segment_s * 1e9),
+        segment_bytes=round(recording.segment_mib * MIB),
+        reserve_bytes=round(recording.reserve_mib * MIB),
+    )
+
+
+def step_ns(storage: Storage) -> int:
+    """Between two steps of the recorder: what it takes in, it syncs no later than ``sync_period_ns`` after."""
+    return min(STEP_NS, storage.sync_period_ns // 2)
+
+
+def open_recorder(
+    manifest: Manifest, min_free_bytes: int = 0, said: Callable[[Rows], object] = lambda rows: None
+) -> Recorder:
+    """A recorder of every ring of a flight, that goes on where the one before it died, if there was one.
+
+    Args:
+        manifest: of the flight.
+        min_free_bytes: segments of earlier flights make way while less is free; 0 removes nothing.
+        said: told each event of the recorder's own.
+
+    Raises:
+        OSError: the log cannot be read, or no segment created.
+    """
+    kept, progress = manifest.storage, manifest.directory / PROGRESS
+
+    def told(now: Progress) -> None:
+        try:
+            write_private(progress.with_suffix(".new"), now.to_bytes())
+            progress.with_suffix(".new").rename(progress)
+        except OSError:  # shared memory is full: the next recorder reads the log
+            progress.unlink(missing_ok=True)
+
+    writer = SegmentedLog.resume(
+        manifest.log,
+        manifest.preamble,
+        limits=Limits(kept.segment_span_ns, kept.segment_bytes),
+        sync_interval_ns=kept.sync_period_ns - step_ns(kept),
+        progress=Progress.from_bytes(progress.read_bytes()) if progress.exists() else None,
+        told=told,
+    )
+    space = SpaceGuard(
+        manifest.log.parent,
+        manifest.log,
+        manifest.preamble.flight,
+        min_free=min_free_bytes,
+        reserve=kept.reserve_bytes,
+    )
+    return Recorder(writer, ring_readers(manifest.directory), recorded=writer.recorded, space=space, said=said)
+
+
+def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path) -> Recorder:
+    """A recorder of every ring in ``directory`` into one file, for a flight on a virtual clock that no power cut meets.
+
+    Raises:
+        FileExistsError: there is such a log already.
+        OSError: the file cannot be created.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    writer = LogWriter.create(log, durable=False)
+    _, attachments, metadata = preamble(vehicle, "")
+    for attachment in attachments:
+        writer.attach(attachment.name, attachment.media_type, attachment.data)
+    for name, items in metadata.items():
+        writer.add_metadata(name, items)
+    return Recorder(writer, ring_readers(directory))
+
+
+def ring_readers(directory: Path) -> list[RingReader]:
+    """Reading ends of all rings in ``directory``."""
+    return [RingReader(path) for path in sorted(directory.glob("*.ring"))]
+
+
+def flight_facts(vehicle: config.Vehicle, started: Started | None) -> dict[str, str]:
+    """Who flies on what, and since when."""
+    facts = {
+        "vehicle": vehicle.file.vehicle.name,
+        "vehicle_file": vehicle.path.name,
+        "host_machine": platform.machine(),
+        "host_system": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+    }
+    if started is not None:
+        facts["wall_clock_ns"], facts["monotonic_ns"] = str(started.wall_clock_ns), str(started.monotonic_ns)
+    return facts
+
+
+def clock_map(vehicle: config.Vehicle, started: Started | None) -> dict[str, str]:
+    """Which clock each channel's rows are stamped by, and the known delays; channel ``clock`` holds the solutions."""
+    facts = {"host_ns": "CLOCK_MONOTONIC"}
+    if started is not None:
+        facts["wall_clock"] = f"CLOCK_REALTIME {started.wall_clock_ns} at CLOCK_MONOTONIC {started.monotonic_ns}"
+    for name, device in vehicle.file.device.items():
+        for channel in device.channels(name):
+            facts[channel] = f"nominally {vehicle.rate_hz(name):g} Hz"
+    for channel, part, delay_s, sigma_s, cause in known_delays(vehicle):
+        of = f" of {part}" if part else ""
+        facts[channel] = (
+            f"{facts.get(channel, '')}; delay{of} {delay_s * 1e3:g} ms, sigma {sigma_s * 1e3:g} ms: {cause}"
+        )
+    return facts
+
+
+def versions() -> dict[str, str]:
+    """Versions of what takes part in a flight, and the revision of the checkout if it runs from one."""
+    found = {}
+    for distribution in DISTRIBUTIONS:
+        name = "heft" if distribution == "heft-flight" else distribution  # the name that earlier logs have
+        try:
+            found[name] = importlib.metadata.version(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    found["revision"] = _revision()
+    return found
+
+
+def _revision() -> str:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=5,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return "unknown"
+    return done.stdout.strip() or "unknown"

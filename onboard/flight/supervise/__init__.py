@@ -1,0 +1,1 @@
+"""Processes of a real flight: started, watched, ended, started again."""

@@ -1,0 +1,262 @@
+"""Fork servers: processes that have imported and built what a worker needs, and fork it when they are asked.
+
+The first is an interpreter of its own, without threads; it has loaded what acquisition and recording need and neither
+Pinocchio nor an estimator. Another is forked from it, builds the estimator and forks the processes of estimation. They
+share the memory of what was imported. A forked process waits to be told to begin, so that there is a spare of each
+worker: a fork takes 30 to 250 ms on a computer at load 10.
+
+The supervisor is made the one that adopts orphans (``PR_SET_CHILD_SUBREAPER``), and each worker is forked twice: so it
+is the supervisor's child, which learns its exit code, and outlives the server that made it.
+"""
+
+import contextlib
+import ctypes
+import gc
+import os
+import pkgutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import recv_handle, send_handle
+from pathlib import Path
+from typing import NamedTuple
+
+from onboard.flight.supervise import pages
+
+ANSWER_TIMEOUT_S = 60.0
+_PR_SET_CHILD_SUBREAPER = 36
+_PRELOADED = (
+    "numpy.random",
+    "onboard.flight.supervise.workers",
+    "onboard.flight.store.flight_log",
+    "onboard.flight.acquire.devices",
+)
+
+Body = Callable[..., None]
+
+
+class ForkError(RuntimeError):
+    """A fork server died, or does not answer."""
+
+
+class Forked(NamedTuple):
+    """A new process, and this end of the pipe to it: it waits for the first message before it begins."""
+
+    pid: int
+    pipe: Connection
+
+
+class ForkServer:
+    """The interpreter that forks workers, started again where it died."""
+
+    def __init__(self) -> None:
+        adopt_orphans()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._control: Connection | None = None
+        self.look()
+
+    def fork(self, body: Body, *arguments: object) -> Forked:
+        """A new process that runs ``body(*arguments, pipe)`` once it is sent something.
+
+        Raises:
+            ForkError: there is no server, and none can be started.
+        """
+        self.look()
+        try:
+            return _ask(self._control, body, arguments)
+        except ForkError:
+            self.close()
+            self.look()
+            return _ask(self._control, body, arguments)
+
+    def look(self) -> bool:
+        """Start it where it is not running; whether that was so. Does not wait for it."""
+        if self._process is not None and self._process.poll() is None:
+            return False
+        self.close()
+        self._control, end = Pipe()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", __name__, str(end.fileno())],
+            pass_fds=[end.fileno()],
+            stdin=subprocess.DEVNULL,
+            env={
+                "OPENBLAS_NUM_THREADS": "1",
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+            },
+        )
+        end.close()
+        return True
+
+    def close(self) -> None:
+        """End it; the processes that it made go on."""
+        if self._control is not None:
+            self._control.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+
+class PreparedServer:
+    """A fork server with something built in it: its processes run ``body(*arguments, *built, pipe)``.
+
+    Args:
+        parent: forks it.
+        prepare: runs in it, ``prepare(*arguments, control)``, and calls :func:`serve` in the end.
+        arguments: of ``prepare``.
+    """
+
+    def __init__(self, parent: ForkServer, prepare: Body, *arguments: object) -> None:
+        self._parent, self._prepare, self._arguments = parent, prepare, arguments
+        self._forked: Forked | None = None
+        self._first: object = None
+
+    def first(self) -> object:
+        """Its first message, waited for.
+
+        Raises:
+            ForkError: it died before that.
+        """
+        self.look()
+        if self._first is None and self._forked is not None:
+            self._first = _answer(self._forked.pipe)
+        return self._first
+
+    def fork(self, body: Body, *arguments: object) -> Forked:
+        """See :meth:`ForkServer.fork`."""
+        try:
+            self.first()
+            return _ask(self._forked.pipe if self._forked else None, body, arguments)
+        except ForkError:
+            self.close()
+            self.first()
+            return _ask(self._forked.pipe if self._forked else None, body, arguments)
+
+    def look(self) -> bool:
+        """See :meth:`ForkServer.look`."""
+        if self._forked is not None and exit_code(self._forked.pid) is None:
+            return False
+        self._forked = None
+        self.close()
+        self._forked = self._parent.fork(self._prepare, *self._arguments)
+        self._forked.pipe.send(True)
+        return True
+
+    def close(self) -> None:
+        """End it; the processes that it made go on."""
+        self._first = None
+        if self._forked is not None:
+            self._forked.pipe.close()
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._forked.pid, signal.SIGKILL)
+            exit_code(self._forked.pid, wait=True)
+            self._forked = None
+
+
+def adopt_orphans() -> None:
+    """Make this process the parent of the orphans among its descendants."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def exit_code(pid: int, *, wait: bool = False) -> int | None:
+    """Exit code of a child, negative for a signal, once; None while it lives, 0 where it has been asked for before."""
+    try:
+        ended, status = os.waitpid(pid, 0 if wait else os.WNOHANG)
+    except ChildProcessError:
+        return 0
+    return os.waitstatus_to_exitcode(status) if ended else None
+
+
+def _ask(control: Connection | None, body: Body, arguments: tuple[object, ...]) -> Forked:
+    if control is None:
+        raise ForkError("no fork server")
+    pipe, end = Pipe()
+    try:
+        control.send((body, arguments))
+        send_handle(control, end.fileno(), None)
+        pid = _answer(control)
+    except (OSError, ForkError) as error:
+        pipe.close()
+        raise ForkError(f"the fork server does not answer ({error})") from error
+    finally:
+        end.close()
+    assert isinstance(pid, int)
+    return Forked(pid, pipe)
+
+
+def _answer(control: Connection) -> object:
+    try:
+        if not control.poll(ANSWER_TIMEOUT_S):
+            raise ForkError(f"no answer for {ANSWER_TIMEOUT_S:g} s")
+        return control.recv()
+    except (EOFError, OSError) as error:
+        raise ForkError("it died; its message stands above") from error
+
+
+def serve(control: Connection, *built: object) -> None:
+    """Fork processes until the other end of ``control`` is closed; returns in each of them when its body ends.
+
+    Args:
+        control: to the supervisor.
+        built: given to every body.
+    """
+    gc.collect()
+    gc.freeze()  # what is shared with the forked processes is not written to by their collections
+    pages.give_back()
+    while True:
+        try:
+            body, arguments = control.recv()
+            end = recv_handle(control)
+        except (EOFError, OSError):
+            return
+        reading, writing = os.pipe()
+        if middle := os.fork():
+            os.close(end)
+            os.close(writing)
+            told = os.read(reading, 20)
+            os.close(reading)
+            os.waitpid(middle, 0)  # from now on the process is the supervisor's child
+            control.send(int(told))
+            continue
+        if pid := os.fork():
+            os.write(writing, str(pid).encode())
+            os._exit(0)
+        os.close(reading)
+        os.close(writing)
+        control.close()
+        pipe = Connection(end)
+        name_process("spare")
+        with contextlib.suppress(EOFError, OSError):  # it was not needed
+            pipe.recv()
+            body(*arguments, *built, pipe)
+        return
+
+
+def name_process(name: str) -> None:
+    """For the lists of processes that an operator looks at."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/comm").write_text(f"heft-{name}"[:15], encoding="ascii")
+
+
+def main() -> None:
+    """The process of :class:`ForkServer`."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # a terminal's and a service's are the supervisor's to handle
+        signal.signal(number, signal.SIG_IGN)
+    name_process("forks")
+    control = Connection(int(sys.argv[1]))
+    transports = import_module("drivers.transports")
+    for found in pkgutil.iter_modules(transports.__path__, "drivers.transports."):
+        with contextlib.suppress(ImportError):  # of a bus library that this computer does not have
+            import_module(found.name)
+    for module in _PRELOADED:
+        import_module(module)
+    serve(control)
+
+
+if __name__ == "__main__":
+    main()

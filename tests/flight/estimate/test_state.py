@@ -1,0 +1,162 @@
+"""The state of an estimator as data: it comes back to the bit, and nothing in a file makes anything run."""
+
+import io
+import json
+import pickle
+import zipfile
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from onboard import config
+from onboard.estimation.gates import GateReason
+from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
+from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.state import FORMAT, Places, StateError, from_bytes, to_bytes
+from onboard.identification.rows.hypotheses import Hypotheses
+
+NOTHING = Places(None)
+
+
+def test_values_come_back_with_their_kinds_and_what_they_share() -> None:
+    shared = np.arange(6.0).reshape(2, 3)
+    made: dict[Any, Any] = {
+        ("a", 1): [shared, shared, None, True, 2**80, -0.0, float("inf"), b"\x00\xff"],
+        "f": np.asfortranarray(shared),
+        "s": {1, 2},
+        "q": deque([1.5], maxlen=3),
+        "e": GateReason.CONTACT,
+        "g": np.float32(0.1),
+        "z": slice(1, None, 2),
+        "r": np.array([(1, [2.0, 3.0]), (4, [5.0, 6.0])], np.dtype([("n", "<u4"), ("x", "<f8", (2,))], align=True)),
+        "0": np.zeros((0, 3)),
+    }
+    made["self"] = made
+    back = from_bytes(to_bytes(made, NOTHING), NOTHING)
+    first = back["a", 1]
+    assert first[0] is first[1]
+    assert back["self"] is back
+    assert first[2:] == made["a", 1][2:]
+    assert np.signbit(first[5])
+    assert back["f"].flags.f_contiguous
+    assert (type(back["g"]), back["g"]) == (np.float32, np.float32(0.1))
+    assert (back["q"], back["q"].maxlen, back["s"], back["z"]) == (deque([1.5]), 3, {1, 2}, slice(1, None, 2))
+    assert back["r"].dtype == made["r"].dtype
+    assert (back["r"] == made["r"]).all()
+    assert back["0"].shape == (0, 3)
+    back["f"][0, 0] = 1.0  # it can be written to
+    assert back["e"] is GateReason.CONTACT
+
+
+def test_what_cannot_be_written_to_is_not_written_but_found_in_the_new_object() -> None:
+    sealed, loose = np.arange(1000.0), np.arange(1000.0)
+    sealed.setflags(write=False)
+    places = Places([sealed, loose])
+    data = to_bytes([sealed, loose], places)
+    assert loose.nbytes < len(data) < 1.5 * loose.nbytes
+    back = from_bytes(data, places)
+    assert back[0] is sealed
+    assert back[1] is not loose
+    assert (back[1] == loose).all()
+
+
+class _Foreign:
+    pass
+
+
+@pytest.mark.parametrize("thing", [_Foreign(), print, Path("x"), np.array([_Foreign()], object), pickle.Pickler])
+def test_what_is_not_data_is_refused(thing: object) -> None:
+    with pytest.raises((StateError, ValueError)):
+        to_bytes([thing], NOTHING)
+
+
+def crafted(tree: object) -> bytes:
+    file = io.BytesIO()
+    text = json.dumps({"format": FORMAT, "root": tree}).encode()
+    np.savez(file, tree=np.frombuffer(text, np.uint8), data=np.zeros(64, np.uint8))
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "tree",
+    [
+        ["object", "os:system", {}],
+        ["object", "subprocess:Popen", {"args": "true"}],
+        ["object", "onboard.flight.estimate.checkpoint:pickle", {}],
+        ["object", "onboard.flight.estimate.checkpoint:Path", {}],
+        ["object", "onboard.flight.no_such_module:Thing", {}],
+        ["enum", "builtins:eval", "1"],
+        ["record", "builtins:tuple", []],
+        ["at", "/somewhere"],
+        ["same", 99],
+        ["array", 0],
+        ["array", "|O", "C", [2], 0],
+        ["array", [["a", "|O"]], "C", [2], 0],
+        ["array", "<f8", "C", [9], 0],
+        ["array", "<f8", "C", [-1], 0],
+        ["array", "<f8", "C", [1], -8],
+        ["array", "<f8", "C", [1 << 62], 0],
+        ["unheard", 1],
+        [],
+        {"a": 1},
+    ],
+)
+def test_a_crafted_tree_is_refused(tree: object) -> None:
+    with pytest.raises(StateError):
+        from_bytes(crafted(tree), NOTHING)
+
+
+def test_damaged_files_and_pickles_are_refused(rng: np.random.Generator) -> None:
+    whole = to_bytes([np.arange(40.0), {"a": 1}], NOTHING)
+    assert len(from_bytes(whole, NOTHING)) == 2
+    for data in (b"", pickle.dumps([1]), whole[:-30], whole[: len(whole) // 2]):
+        with pytest.raises(StateError):
+            from_bytes(data, NOTHING)
+    refused = 0
+    for _ in range(100):
+        bent = bytearray(whole)
+        bent[rng.integers(len(bent))] ^= 1 << rng.integers(8)
+        try:
+            from_bytes(bytes(bent), NOTHING)
+        except StateError:
+            refused += 1
+    assert refused > 50
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("tree.npy", pickle.dumps([1]))
+    with pytest.raises(StateError):
+        from_bytes(file.getvalue(), NOTHING)
+
+
+@pytest.mark.parametrize("name", ["rocksat", "dymaflex", "dymaflex_air_bearing", "workshop"])
+def test_a_new_estimator_of_every_kind_can_be_written(name: str, tmp_path: Path) -> None:
+    vehicle = config.load(config.packaged(name))
+    estimator = Estimator(vehicle)
+    Checkpoints(tmp_path, Places(estimator)).save(Checkpoint(0, 0, {}, estimator))
+    other = Estimator(vehicle)
+    back = Checkpoints(tmp_path, Places(other)).load()
+    assert back is not None
+    assert back.estimator.model is other.model
+    assert back.estimator.online.parameter_names == estimator.online.parameter_names
+    assert Checkpoints(tmp_path, Places(other)).load() is None  # it was tried, and came to nothing
+
+
+def test_an_identifier_for_a_release_that_may_not_have_happened_shares_the_model() -> None:
+    estimator = Estimator(config.load(config.packaged("rocksat")))
+    places = Places(estimator)
+    assert isinstance(estimator.online, Hypotheses)
+    before = len(to_bytes(estimator, places))
+    estimator.online._divide()
+    assert len(to_bytes(estimator, places)) > before
+
+
+def test_a_file_that_holds_something_else_is_no_checkpoint(tmp_path: Path) -> None:
+    estimator = Estimator(config.load(config.packaged("workshop")))
+    checkpoints = Checkpoints(tmp_path, Places(estimator))
+    for thing in ([1], (1, 2), (0, 0, {}, "estimator")):
+        (tmp_path / "estimator.checkpoint.npz").write_bytes(to_bytes(thing, NOTHING))
+        with pytest.raises(StateError):
+            checkpoints.load()

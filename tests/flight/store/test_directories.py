@@ -1,0 +1,94 @@
+"""Directories in shared memory: whose they are, what is refused, what is left of them."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from onboard import cli, config
+from onboard.flight.store import directories, manifest
+from onboard.flight.store.directories import NotPrivateError
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HEFT_RINGS", str(tmp_path / "rings"))
+    return tmp_path / "rings"
+
+
+def test_what_is_made_is_for_this_user_alone(place: Path) -> None:
+    with directories.made("log", "1") as directory:
+        directories.write_private(directory / "file", b"x")
+        assert {path.stat().st_mode & 0o777 for path in (place, directory)} == {0o700}
+        assert {path.stat().st_mode & 0o777 for path in directory.iterdir()} == {0o600}
+        assert not directories.is_free(directory)
+    assert directories.is_free(directory)
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o701, 0o770, 0o777])
+def test_a_place_that_others_may_enter_is_refused(place: Path, mode: int) -> None:
+    place.mkdir()
+    place.chmod(mode)
+    with pytest.raises(NotPrivateError, match="chmod 700"), directories.made("log", "1"):
+        pytest.fail("it was used")
+    assert list(place.iterdir()) == []
+
+
+def test_no_flight_begins_in_a_place_that_others_may_enter(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place.mkdir(mode=0o755)
+    assert cli.main(["fly", str(config.packaged("rocksat")), "--log", str(place.parent / "a.mcap")]) == cli.BAD_INPUT
+    assert "other users may enter" in capsys.readouterr().err
+
+
+def test_a_place_of_another_user_is_refused(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place.mkdir(mode=0o700)
+    monkeypatch.setattr(os, "getuid", lambda: place.stat().st_uid + 1)
+    for use in (lambda: directories.made("log", "1").__enter__(), manifest.running, lambda: directories.sweep("x")):
+        with pytest.raises(NotPrivateError, match="belongs to user"):
+            use()
+
+
+def test_a_link_is_not_followed(place: Path, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    place.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(NotPrivateError, match="not a directory"), directories.made("log", "1"):
+        pytest.fail("it was used")
+
+
+def test_what_a_start_left_that_was_cut_off_before_its_manifest_is_swept(place: Path) -> None:
+    with directories.made("dead", "1") as dead:
+        (dead / "imu.ring").write_bytes(b"x")
+    with directories.made("dead", "2") as manifested:
+        (manifested / "manifest.json").write_text("{}")
+    with directories.made("living", "3") as living:
+        with manifest.abandoned() as found:
+            assert found == [manifested]
+        assert {path.name for path in place.iterdir()} == {manifested.name, living.name}
+
+
+_SCRATCH = """
+import os, signal
+from onboard.flight.store.directories import scratch
+with scratch() as directory:
+    (directory / "imu.ring").write_bytes(b"x")
+    print(directory, flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_run_in_the_simulator_leaves_nothing_beyond_the_next_start() -> None:
+    left = subprocess.run([sys.executable, "-c", _SCRATCH], capture_output=True, text=True, check=False)
+    directory = Path(left.stdout.strip())
+    assert (directory / "imu.ring").exists()
+    with directories.scratch() as mine:
+        assert not directory.exists()
+        with directories.scratch():
+            assert mine.exists()  # a run beside this one takes nothing from it
+    assert not mine.exists()
+
+
+def test_a_long_name_of_a_log_makes_a_directory_too() -> None:
+    with directories.made("x" * 250, "1") as directory:
+        assert directory.is_dir()

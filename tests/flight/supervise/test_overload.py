@@ -1,0 +1,160 @@
+"""A computer that is too busy: long pauses are worked off in steps, slow is not hung, nothing is lost in silence."""
+
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.records import Rows
+from onboard import config
+from onboard.flight.estimate.estimation import LONGEST_STEP_NS, DurableEstimation
+from onboard.flight.estimate.shedding import Shedding
+from onboard.flight.supervise import runner_processes
+from onboard.flight.supervise.runner_forks import ForkServer
+from onboard.flight.supervise.runner_processes import Worker
+from onboard.offline.estimate_again.replay import replay
+from onboard.recording.reader import LogReader
+from onboard.recording.writer import LogWriter
+from onboard.ring import RingReader
+from tests.flight import forked
+from tests.flight.missions import Result
+from tests.flight.supervise.test_takeover import STEP_NS, Stretch, record
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> config.Vehicle:
+    return config.load(config.packaged("rocksat"))
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_pause_of_seconds_is_worked_off_in_steps_and_replays_to_the_bit(
+    mission: Result, vehicle: config.Vehicle, tmp_path: Path, killed: bool
+) -> None:
+    stretch = Stretch(mission.log, vehicle, tmp_path / "rings")
+    worker = DurableEstimation(vehicle, tmp_path / "rings", stretch.start_ns)
+    paused = range(stretch.start_ns + 2_000_000_000, stretch.start_ns + 7_000_000_000)
+    last_ns = stretch.start_ns + 9_000_000_000
+    for now_ns in range(stretch.start_ns, last_ns, STEP_NS):
+        stretch.feed(now_ns)
+        if now_ns in paused:
+            continue  # it gets no CPU at all
+        if killed and now_ns - STEP_NS in paused:
+            worker = DurableEstimation(vehicle, tmp_path / "rings", now_ns)
+        worker.step(now_ns)
+    worker.finish(last_ns)
+    log = record(tmp_path / "rings", vehicle, tmp_path / "log.mcap")
+    ticks, events = log.read("tick"), log.read("event_estimation")
+    assert np.diff(ticks["host_ns"]).max() <= LONGEST_STEP_NS
+    assert ticks["host_ns"][-1] == last_ns  # it has caught up
+    codes = events["code"].tolist()
+    assert codes.count(b"estimator_late") == codes.count(b"estimator_in_time") == 1
+    assert b"estimator_overrun" not in codes
+    for column, name in enumerate(vehicle.channels):  # each row once, none twice, none left out
+        assert int(ticks["consumed"][:, column].sum()) == len(log.read(name))
+    assert len(RingReader(tmp_path / "rings" / "row.ring").read()[0]) > 700
+    replayed = replay(tmp_path / "log.mcap")
+    assert replayed.identical, replayed.summary
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(120)
+def test_a_worker_that_works_is_slow_and_one_that_stands_hangs(
+    light: ForkServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner_processes, "HUNG_S", 1.5)
+    monkeypatch.setattr(runner_processes, "LOOK_S", 1.0)
+    monkeypatch.setattr(runner_processes, "LONGEST_SILENCE_S", 5.0)
+    for body, expected in ((forked.work_long, ["slow", "slow"]), (forked.stand, [])):
+        worker = Worker("test", partial(light.fork, body))
+        worker.start()
+        worker.wait_ready()
+        happened: list[str] = []
+        deadline = time.monotonic() + 30
+        while "hung" not in happened and time.monotonic() < deadline:
+            happened += [one] if (one := worker.watch()) else []
+            time.sleep(0.02)
+        assert happened[: len(expected)] == expected
+        assert happened[-1] == "hung"  # in the end whatever says nothing is killed
+        assert ("slow" in happened) == bool(expected)
+        worker.finish()
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_at_a_quarter_of_the_cpu_rows_are_left_out_by_the_rule_and_the_log_replays(
+    mission: Result, vehicle: config.Vehicle, tmp_path: Path, killed: bool
+) -> None:
+    """The estimator needs 4 s for each second of rows, as if it had a quarter of the CPU that it needs."""
+    stretch = Stretch(mission.log, vehicle, tmp_path / "rings")
+    directory = tmp_path / "rings"
+    worker = DurableEstimation(vehicle, directory, stretch.start_ns)
+    last_ns, busy_until_ns, reached_ns = stretch.start_ns + 30_000_000_000, 0, stretch.start_ns
+    late_ns, first = [], True
+    logged = Growing(directory)
+    for now_ns in range(stretch.start_ns, last_ns, STEP_NS):
+        stretch.feed(now_ns)
+        logged.step()
+        if now_ns < busy_until_ns:
+            continue
+        if killed and first and now_ns > stretch.start_ns + 15_000_000_000:
+            worker, first = DurableEstimation(vehicle, directory, now_ns), False
+        worker.step(now_ns)
+        tick = RingReader(directory / "tick.ring").read()[0][-1]
+        took_ns = int(tick["host_ns"]) - int(tick["skipped_ns"]) - reached_ns
+        reached_ns = int(tick["host_ns"])
+        late_ns.append(now_ns - reached_ns)
+        busy_until_ns = now_ns + 4 * took_ns
+    worker.finish(last_ns)
+    logged.step()
+    log = logged.log(vehicle, tmp_path / "log.mcap")
+    ticks, events = log.read("tick"), log.read("event_estimation")
+    codes = events["code"].tolist()
+    assert codes.index(b"estimator_thins") < codes.index(b"estimator_skips")
+    assert b"estimator_overrun" not in codes
+    assert max(late_ns) < 6_000_000_000  # it answers
+    left_out = {
+        name: len(log.read(name)) - int(ticks["consumed"][:, n].sum()) for n, name in enumerate(vehicle.channels)
+    }
+    assert left_out["arm_phase"] == left_out["pulse"] == 0
+    assert left_out["imu_base"] > 5000
+    assert 0.15 < 1 - ticks["skipped_ns"].sum() / 30e9 < 0.45  # of the time, a quarter and what the end adds
+    said = [row["text"].decode() for row in events if row["code"] == b"estimator_skips"]
+    if not killed:
+        assert int(said[-1].split(";")[1].split()[0]) <= sum(left_out.values())
+    assert int(ticks["fresh"].sum()) == 0
+    assert len(log.read("row")) > 500
+    replayed = replay(tmp_path / "log.mcap")
+    assert replayed.identical, replayed.summary
+
+
+class Growing:
+    """Everything that rings ever held."""
+
+    def __init__(self, directory: Path) -> None:
+        self._readers = [RingReader(path) for path in sorted(directory.glob("*.ring"))]
+        self._rows: dict[str, list[Rows]] = {reader.name: [] for reader in self._readers}
+
+    def step(self) -> None:
+        for reader in self._readers:
+            rows, lost = reader.read()
+            assert lost == 0
+            self._rows[reader.name].append(rows)
+
+    def log(self, vehicle: config.Vehicle, path: Path) -> LogReader:
+        with LogWriter.create(path, durable=False) as writer:
+            writer.attach("vehicle.toml", "application/toml", vehicle.text.encode())
+            writer.attach(vehicle.file.vehicle.urdf, "application/xml", vehicle.urdf_path.read_bytes())
+            for reader in self._readers:
+                writer.register(reader.name, reader.dtype)
+                writer.write(reader.name, np.concatenate(self._rows[reader.name]))
+        return LogReader(path)
+
+
+def test_a_pause_that_is_being_worked_off_costs_no_row() -> None:
+    shedding = Shedding()
+    behind_ns = 7_000_000_000
+    for step in range(100):
+        assert shedding.next_ns(step * 250_000_000, behind_ns) == 0
+        behind_ns = max(0, behind_ns - 250_000_000)
+    assert not shedding.thins
