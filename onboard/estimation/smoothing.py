@@ -15,6 +15,7 @@ dB down at 2.2 / W and 40 dB down at 5.2 / W (Hz, W in s).
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -91,8 +92,18 @@ class _Pieces(NamedTuple):
 
     def alone(self, function: int) -> Shape:
         """One of them."""
-        only = _Pieces(self.coefficients[..., [function]])
-        return lambda u: only(u)[..., 0]
+        return _One(_Pieces(self.coefficients[..., [function]]))
+
+
+@dataclass(frozen=True)
+class _One:
+    """The first one of some functions, by itself."""
+
+    pieces: _Pieces
+
+    def __call__(self, u: FloatArray) -> FloatArray:
+        """The function at ``u``."""
+        return self.pieces(u)[..., 0]
 
 
 def _base() -> _Pieces:

@@ -12,13 +12,13 @@ class History:
     """Stamps (n,), values (n, columns) and what is wrong (n,) of the newest samples, ``capacity`` at least.
 
     Args:
-        capacity: samples that are kept for certain; memory for a quarter more is held.
+        capacity: samples that are kept for certain before those of the newest append; memory for twice as many is held.
         columns: values of one sample.
     """
 
     def __init__(self, capacity: int, columns: int) -> None:
         self._capacity = capacity
-        held = capacity + max(capacity // 4, 1)
+        held = 2 * capacity
         self._stamps = np.zeros(held, STAMPS)
         self._values = np.zeros((held, columns))
         self._wrong = np.zeros(held, np.int64)
@@ -31,7 +31,7 @@ class History:
         if count == self._capacity:
             self._end = 0  # older samples lie before a gap
         if self._end + count > len(self._stamps):
-            keep = slice(self._end - min(self._end, self._capacity - count), self._end)
+            keep = slice(self._end - min(self._end, self._capacity), self._end)
             kept = keep.stop - keep.start
             for array in (self._stamps, self._values, self._wrong):
                 array[:kept] = array[keep].copy()

@@ -20,7 +20,7 @@ from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, Refere
 from onboard.control.learning import Kind, Learning, contraction
 from onboard.control.motion import CYCLES, Limits, Motion, fitted
 from onboard.devices.base import JointDevice
-from onboard.devices.cia402 import Cia402Device
+from onboard.devices.driven import DrivenDevice
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
@@ -165,13 +165,14 @@ def wires(vehicle: config.Vehicle, joints: tuple[str, ...]) -> list[Wire]:
     """
     devices = vehicle.file.device.items()
     measured = {device.joint: (name, device) for name, device in devices if isinstance(device, JointDevice)}
-    nodes = {device.node for _, device in devices if isinstance(device, Cia402Device)}
+    drives = {name: device.settings(name) for name, device in devices if isinstance(device, DrivenDevice)}
+    nodes = {drive.node for drive in drives.values()}
     free = iter(sorted(set(range(1, 127)) - nodes))
     found = []
     for joint in joints:
         name, device = measured.get(joint, (joint, None))
-        if isinstance(device, Cia402Device):
-            found.append(_wire(name, joint, device.node, device)._replace(gear_ratio=device.gear_ratio))
+        if name in drives:
+            found.append(_wire(name, joint, drives[name].node, device)._replace(gear_ratio=drives[name].gear_ratio))
         else:
             found.append(_wire(name, joint, next(free), device))
     return found
