@@ -167,6 +167,7 @@ class CanopenBus:
         self._port.now_ns = now_ns
         self._dispatch(self._receive(0.0))
         self._stop_drives(now_ns)
+        self._read_past_a_sync()
         last = self._sync.tick
         for node in self._nodes:
             node.stop()
@@ -190,6 +191,15 @@ class CanopenBus:
         self._report.event(now_ns, Severity.INFO, "stopped", text)
         self._report.flush(now_ns)
         return self._handed_over()
+
+    def _read_past_a_sync(self) -> None:
+        """Read on to the next SYNC: a node that is stopped between a SYNC and its answer loses a sample unseen."""
+        before = self._sync.tick
+        for _ in range(RESTS):
+            frames = self._receive(2e-9 * self._period_ns)
+            self._dispatch(frames)
+            if not frames or self._sync.tick != before:
+                return
 
     def _stop_drives(self, now_ns: int) -> None:
         """Quick stop, and its frames read until the drives have left the enabled state."""
