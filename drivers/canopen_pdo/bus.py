@@ -8,6 +8,7 @@ import numpy as np
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
 from drivers.canopen_pdo.channel import NodeConfig, PdoChannel
+from drivers.canopen_pdo.drive_master import DriveMaster
 from drivers.canopen_pdo.event_channel import EventChannel
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.mapped_object import MappedObject
@@ -98,7 +99,7 @@ class CanopenBus:
             self._channels.append(channel)
             by_node.setdefault(data.node, []).append(channel)
         guarding = self._guards(guards, by_node)
-        self.player: Player | TorqueMaster | None = None
+        self.player: DriveMaster | None = None
         if isinstance(play, PlayerConfig):
             self.player = Player(play, self._sync, self._port.send, self._report)
         elif play is not None:

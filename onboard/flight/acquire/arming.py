@@ -11,8 +11,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from drivers.canopen_pdo.drive_master import DriveMaster
 from drivers.canopen_pdo.player import Player
-from drivers.canopen_pdo.torque_master import TorqueMaster
 from drivers.device import Device
 from drivers.records import Batch, SampleStatus, Severity, event
 from onboard import config
@@ -30,7 +30,7 @@ class Drives(Protocol):
     """A device that may have a player."""
 
     @property
-    def player(self) -> Player | TorqueMaster | None:
+    def player(self) -> DriveMaster | None:
         """What it plays; None: nothing."""
 
 
@@ -49,7 +49,7 @@ class Arming:
         self._channel = None if phases is None else phases.channel
         self._mark = None if directory is None else directory / MARK
         self._spent = self._mark is not None and self._mark.exists()
-        self._players: list[Player | TorqueMaster] = []
+        self._players: list[DriveMaster] = []
         self._lock = threading.Lock()
         asks = directory is not None and vehicle.file.mission is not None
         self._asked_at = directory / REQUESTS if directory is not None and asks else None
