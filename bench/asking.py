@@ -3,7 +3,8 @@
     python -m bench.asking [--seeds 3] [--goal "mass 1 %"] [--rate 0.4] [--only NAME ...] [--directory DIR]
 
 DYMAFLEX in the generic world with payloads of 0.5, 5 and 30 kg, and a planar arm of two joints. A library of segments
-is planned for each vehicle once, with ``--rate`` as the limit of the base's rate; the swings keep no such limit.
+is planned for each vehicle once, with ``--rate`` as the limit of the base's rate; the swings are as large as keeps the
+same limit with the payload that is held (which no flight knows beforehand), or as a rehearsal draws them (``--free``).
 Printed, by seed: time from the capture until half of the mass's 95 % interval is as wanted for a second, the interval
 at the end, the largest rate of the base, and what the flight said where it gave up. Last, the CPU time of a choice, and
 of making one segment's derivatives again.
@@ -13,19 +14,24 @@ import argparse
 import contextlib
 import io
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from hil_sim.devices.vehicle_file import rehearsal
+from hil_sim.mission import Mission
 from onboard.channels import Act
 from onboard.cli import main
-from onboard.config import packaged
+from onboard.config import named, packaged
 from onboard.config.segments import read
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.segment_choice import Asked, choose
+from onboard.offline.foresee.plan import plan_of
+from onboard.offline.planning.bound import FreeBound
 from onboard.offline.tables import truth
 from onboard.recording.reader import LogReader
 
@@ -43,7 +49,10 @@ duration_s = 5.0
 phase = 1
 action = "swing"
 duration_s = {seconds}
+swing = {swing}
 """
+TICK_HZ = 50.0
+SWING = 0.35  # of a rehearsal, where nothing else is said
 
 
 class Case(NamedTuple):
@@ -81,7 +90,9 @@ def prepared(directory: Path, case: Case, rate: float) -> tuple[Path, Path]:
             main(["init", str(path.parent), "--base", "free", "--urdf", str(OWN / "planar_arm.urdf")])
     (directory / "limits.toml").write_text(f"base_rate_rad_s = {rate}\n")
     if not made.exists():
-        (directory / "middle.toml").write_text(f"payload.mass_kg = [5.0, 5.0]\n{SEQUENCE.format(seconds=30.0)}")
+        (directory / "middle.toml").write_text(
+            f"payload.mass_kg = [5.0, 5.0]\n{SEQUENCE.format(seconds=30.0, swing=SWING)}"
+        )
         asked = [
             "plan",
             str(path),
@@ -122,14 +133,41 @@ def flown(log: Path, goal: float, asked: bool) -> Told:
     return Told(float(at_s[np.argmax(fine) + 9]) if fine.any() else np.nan, percent, 0, "", rate)
 
 
-def fly(directory: Path, name: str, seed: int, asked: bool, goal: str, seconds: float, rate: float) -> Path:
+def limited(path: Path, write: Callable[[float], Path], seed: int, rate: float) -> Path:
+    """The scenario whose swings turn the base at ``rate`` at most, as its seed draws them."""
+    swing, vehicle = SWING, named(str(path))
+    for _ in range(3):  # the program shrinks large swings by itself
+        planned = Mission(rehearsal(path, write(swing)), seed).planned(1.0 / TICK_HZ)
+        coarse = vehicle.with_row_rate(TICK_HZ)
+        plan = plan_of(coarse, planned)
+        first = int(np.searchsorted(plan.time_s, 5.0 - 1e-9))  # of the swings
+        bound = FreeBound(coarse, plan, first)
+        moved = np.stack([plan.q, plan.dq, plan.ddq])[:, first:]
+        least, most = 0.0, 4.0
+        for _ in range(12):
+            middle = 0.5 * (least + most)
+            own = middle * moved
+            own[0] = moved[0, 0] + middle * (moved[0] - moved[0, 0])
+            largest = float(np.linalg.norm(bound.base(own, 1.0 / TICK_HZ).rate_rad_s, axis=1).max())
+            least, most = (middle, most) if largest <= rate else (least, middle)
+        swing = min(1.0, least * swing)
+    return write(swing)
+
+
+def fly(directory: Path, name: str, seed: int, asked: bool, goal: str, seconds: float, rate: float, free: bool) -> Path:
     """The log of a flight, flown where it is not there yet."""
     case = CASES[name]
     path, segments = prepared(directory, case, rate)
-    log = directory / f"{name}_{seed}_{'asked' if asked else 'swings'}.mcap"
+    log = directory / f"{name}_{seed}_{'asked' if asked else 'free_swings' if free else 'swings'}.mcap"
     if not log.exists():
-        scenario = directory / f"{name}.toml"
-        scenario.write_text(f"payload.mass_kg = [{case.mass_kg}, {case.mass_kg}]\n{SEQUENCE.format(seconds=seconds)}")
+
+        def write(swing: float) -> Path:
+            scenario = directory / f"{name}.toml"
+            own = SEQUENCE.format(seconds=seconds, swing=swing)
+            scenario.write_text(f"payload.mass_kg = [{case.mass_kg}, {case.mass_kg}]\n{own}")
+            return scenario
+
+        scenario = write(SWING) if asked or free else limited(path, write, seed, rate)
         if asked:
             how = ["hil", case.vehicle if case.vehicle == "dymaflex" else str(path), "--until", goal]
             how += ["--segments", str(segments), "--most", str(2.0 * seconds)]
@@ -170,6 +208,7 @@ def run() -> None:
     parser.add_argument("--goal", default="mass 1 %")
     parser.add_argument("--seconds", type=float, default=30.0, help="of the swings; twice that for asking")
     parser.add_argument("--rate", type=float, default=0.4, help="limit of the base's rate, rad/s, for the segments")
+    parser.add_argument("--free", action="store_true", help="swings that keep no limit")
     parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--directory", type=Path, default=Path("asking"))
     asked = parser.parse_args()
@@ -180,7 +219,7 @@ def run() -> None:
             told = []
             for asks in (True, False):
                 with contextlib.redirect_stdout(io.StringIO()):
-                    log = fly(asked.directory, name, seed, asks, asked.goal, asked.seconds, asked.rate)
+                    log = fly(asked.directory, name, seed, asks, asked.goal, asked.seconds, asked.rate, asked.free)
                 told.append(flown(log, share, asks))
             one, other = told
             print(
@@ -189,7 +228,8 @@ def run() -> None:
                 f"swings {other.took_s:6.1f} s {other.percent:6.2f} % {other.rate:.2f} rad/s  {one.why}",
                 flush=True,
             )
-    choice_ms, made_ms, count = timed(log.with_name(log.name.replace("swings", "asked")), asked.directory)
+    log = asked.directory / f"{asked.only[-1]}_1_asked.mcap"
+    choice_ms, made_ms, count = timed(log, asked.directory)
     print(f"a choice among {count} segments: {choice_ms:.1f} ms; one segment linearised again: {made_ms:.1f} ms")
 
 

@@ -6,12 +6,14 @@
     log["imu_base"].to_pandas()      # SI, vectors in the URDF's frame, indexed by sample time
     log.estimates.to_pandas()        # onboard estimates
     heft.identify("flight.mcap")     # the onboard estimator, offline
+    heft.subscribe("quantity")       # answers of the flight that is running
 
 Re-exports of ``onboard.offline.api``; nothing is defined here.
 """
 
 from onboard.offline.api.flight_log import FlightLog, LogChannel, open_log
 from onboard.offline.api.identify import identify
+from onboard.offline.api.subscribe import subscribe
 from onboard.offline.api.table import ChannelTable
 from onboard.offline.estimate_again.identify import Identification
 from onboard.offline.estimate_again.reestimate import Reestimate
@@ -29,4 +31,5 @@ __all__ = [
     "identify",
     "open",
     "replay",
+    "subscribe",
 ]

@@ -9,7 +9,8 @@ the mission, or on SIGTERM or SIGINT, a second line gives ``produced``, ``truth`
 way, and how late the loop ever was).
 
 With ``--wait`` the first line has no ``start_ns``: the devices are powered up when a line comes on stdin, and a line
-with ``start_ns`` answers. They end when stdin does, which is when the process that started them is gone.
+with ``start_ns`` answers. They end when stdin does, which is when the process that started them is gone. With
+``--segments`` each later line, ``ask SEGMENT``, is a motion that the flight computer asks for.
 """
 
 import argparse
@@ -21,6 +22,7 @@ import signal
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -168,16 +170,24 @@ def do_not_wait() -> None:
 
 
 class _Leash:
-    """Stdin of a process that whoever started it holds: a line lets it begin, the end of it asks for an end."""
+    """Stdin of a process that whoever started it holds: a line lets it begin, the end of it asks for an end.
+
+    Attributes:
+        asked: Segments that lines have asked for since.
+    """
 
     def __init__(self, stops: list[int]) -> None:
         self._begun, self._stops = threading.Event(), stops
+        self.asked: deque[str] = deque()
         threading.Thread(target=self._watch, name="stdin", daemon=True).start()
 
     def _watch(self) -> None:
         if sys.stdin.readline():
             self._begun.set()
-            sys.stdin.read()
+            while line := sys.stdin.readline():
+                word, _, segment = line.rstrip("\n").partition(" ")
+                if word == "ask":
+                    self.asked.append(segment)
         self._stops.append(signal.SIGHUP)
 
     def wait(self) -> None:
@@ -190,6 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Serve one scenario to its end; returns the exit status."""
     from hil_sim.devices.vehicle_file import scenario_of  # noqa: PLC0415  (MuJoCo is loaded only where it is needed)
     from hil_sim.mission import Mission  # noqa: PLC0415
+    from hil_sim.plants.planned import with_segments  # noqa: PLC0415
 
     parser = argparse.ArgumentParser(
         prog="python -m hil_sim.serve", description="Serve simulated devices in real time."
@@ -200,11 +211,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--directory", type=Path, required=True, help="where the sockets are to be")
     parser.add_argument("--fault", action="append", default=[], help="KIND:DEVICE:START:END[:VALUE], repeatable")
     parser.add_argument("--wait", action="store_true", help="begin when a line comes on stdin")
+    parser.add_argument(
+        "--segments", type=Path, help="motions that lines on stdin ask for, in the longest swing's place"
+    )
+    parser.add_argument("--most", type=float, default=300.0, help="longest time for them, s (default 300)")
     options = parser.parse_args(arguments)
     try:
-        mission = Mission(
-            scenario_of(options.scenario, options.over), options.seed, [parse(text) for text in options.fault]
-        )
+        scenario = scenario_of(options.scenario, options.over)
+        if options.segments is not None:
+            scenario = with_segments(scenario, options.segments, options.most)
+        mission = Mission(scenario, options.seed, [parse(text) for text in options.fault])
     except ValueError as error:  # of the scenario or a fault in it
         parser.error(str(error))
     stops = stops_on_signals()
@@ -213,8 +229,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         gc.collect()
         gc.freeze()
         about = {**ports.urls, "duration_s": mission.plant.program.duration_s}
+        asked: deque[str] = deque()
         if options.wait:
             leash = _Leash(stops)
+            asked = leash.asked
             say(about)
             about = {}
             leash.wait()
@@ -225,7 +243,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(str(error))
         say({**about, "start_ns": start_ns})
         server = MissionServer(ports, time.monotonic_ns)
-        server.run(mission, lambda: bool(stops))
+
+        def stop() -> bool:
+            while asked:
+                mission.ask(asked.popleft())
+            return bool(stops)
+
+        server.run(mission, stop)
         say({"produced": mission.produced(), "truth": mission.truth(), "server": server.summary()})
     return 0
 

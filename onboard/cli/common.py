@@ -124,6 +124,21 @@ def add_live(command: Any) -> None:
     )
 
 
+def add_hand_over(command: Any) -> None:
+    """The option ``--hand-over`` of a command that flies."""
+    command.add_argument(
+        "--hand-over",
+        type=Path,
+        metavar="FILE",
+        help="keep the URDF with the identified payload there while all its numbers are good (docs/hand_over.md)",
+    )
+
+
+def with_hand_over(vehicle: "config.Vehicle", path: Path | None) -> "config.Vehicle":
+    """A vehicle whose flight hands over its payload in a file; the same where there is no path."""
+    return vehicle if path is None else vehicle.model_copy(update={"hand_over": path.absolute()})
+
+
 def add_until(command: Any) -> None:
     """The options ``--until`` and ``--segments`` of a command that flies."""
     command.add_argument(

@@ -68,6 +68,8 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ValueError(f"--gain {arguments.gain:g}: give a positive number")
     if arguments.figure and arguments.figure.suffix not in (".svg", ".png"):
         raise ValueError(f"--figure {arguments.figure}: name a .svg or a .png file")
+    if arguments.until is not None or arguments.segments is not None or arguments.hand_over is not None:
+        raise ValueError("--controller moves the arm itself: leave --until, --segments and --hand-over out")
     if arguments.realtime:
         raise ValueError("--controller runs in virtual time: leave --realtime out")
     if arguments.controller == "computed_torque" and arguments.identified is None and arguments.fault:

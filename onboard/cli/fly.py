@@ -10,6 +10,7 @@ from onboard.cli.common import (
     NOT_READY,
     OK,
     Commands,
+    add_hand_over,
     add_live,
     add_until,
     bus_and_url,
@@ -20,6 +21,7 @@ from onboard.cli.common import (
     next_log,
     serve_live,
     show,
+    with_hand_over,
 )
 
 if TYPE_CHECKING:
@@ -48,6 +50,7 @@ def add(commands: Commands) -> None:
     spoken.add_argument("--quiet", action="store_true", help="say warnings and errors only")
     spoken.add_argument("--json-lines", action="store_true", help="say everything as JSON, an object a line")
     add_live(fly)
+    add_hand_over(fly)
     fly.set_defaults(command=_fly)
 
 
@@ -75,7 +78,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         from onboard.recording.reader import LogReader
 
         vehicle = warm_start.go_on(vehicle, LogReader(arguments.earlier))
-    vehicle = vehicle.with_urls(urls)
+    vehicle = with_hand_over(vehicle.with_urls(urls), arguments.hand_over)
     try:
         with (
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,

@@ -11,6 +11,7 @@ from onboard.cli.common import (
     FAILED,
     OK,
     Commands,
+    add_hand_over,
     add_live,
     add_until,
     complain,
@@ -20,6 +21,7 @@ from onboard.cli.common import (
     serve_live,
     show,
     show_foreseen,
+    with_hand_over,
 )
 
 if TYPE_CHECKING:
@@ -48,6 +50,7 @@ def add(commands: Commands) -> None:
     add_until(hil)
     hil.add_argument("--most", type=float, default=300.0, metavar="S", help="with --until: longest time (default 300)")
     add_live(hil)
+    add_hand_over(hil)
     controller.add(hil)
     hil.set_defaults(command=_hil)
 
@@ -57,6 +60,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         from hil_sim.devices.vehicle_file import scenario_of
         from hil_sim.faults import EFFECTS, parse
         from hil_sim.mission import open_in_process
+        from hil_sim.plants.planned import with_segments
     except ModuleNotFoundError as error:
         raise ValueError(f"heft hil simulates with MuJoCo ({error}): pip install mujoco") from error
     from onboard import config
@@ -71,15 +75,12 @@ def _hil(arguments: argparse.Namespace) -> int:
     faults = [parse(text) for text in arguments.fault]
     vehicle = config.with_mission(config.named(arguments.scenario), arguments.until, arguments.segments)
     asks = vehicle.segments_path
-    if asks is not None and arguments.realtime:
-        raise ValueError("--until flies in virtual time here; on the real clock heft fly --until asks real drives")
     name = vehicle.file.vehicle.name if arguments.scenario.endswith(".toml") else arguments.scenario
-    scenario = (
-        scenario_of(arguments.scenario, arguments.over) if asks is None else _asked(vehicle.path, asks, arguments)
-    )
+    flown_as = arguments.scenario if asks is None else _rehearsed(vehicle.path, arguments)
+    scenario = scenario_of(flown_as, arguments.over)
+    scenario = scenario if asks is None else with_segments(scenario, asks, arguments.most)
+    vehicle = with_hand_over(vehicle, arguments.hand_over)
     if arguments.controller:
-        if asks is not None:
-            raise ValueError("--controller moves the arm itself: leave --until out")
         return controller.fly(arguments, vehicle, scenario, faults)
     own = scenario.scenario.plant == "vehicle"
     expected: list[dict[str, Any]] = []
@@ -95,9 +96,7 @@ def _hil(arguments: argparse.Namespace) -> int:
     with progress() as bar:
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)
         if arguments.realtime:
-            serve = ["-m", "hil_sim.serve", arguments.scenario, "--seed", str(seed)]
-            serve += ["--over", str(arguments.over)] if arguments.over else []
-            serve += [f"--fault={text}" for text in arguments.fault]
+            serve = _serving(flown_as, asks, arguments)
             try:
                 with serve_live(arguments.live, log):
                     flown = hil.fly_realtime(vehicle, serve, log, lambda done: bar.update(task, completed=done))
@@ -112,18 +111,21 @@ def _hil(arguments: argparse.Namespace) -> int:
     return _told(arguments, result, log)
 
 
-def _asked(path: Path, segments: Path, arguments: argparse.Namespace) -> Any:
-    """The rehearsal in which the flight asks for its motions; of a packaged mission, that of its vehicle."""
-    from hil_sim.devices.vehicle_file import rehearsal, scenario_of
-    from hil_sim.plants.planned import with_segments
+def _rehearsed(path: Path, arguments: argparse.Namespace) -> str:
+    """What is rehearsed where the flight asks for its motions: of a packaged mission its vehicle."""
+    from hil_sim.scenario.load import names
 
     if not 10.0 <= arguments.most <= 3600.0:
         raise ValueError(f"--most {arguments.most:g}: give 10 to 3600")
-    from hil_sim.scenario.load import names
+    return str(path) if arguments.scenario in names() else str(arguments.scenario)
 
-    packaged = arguments.scenario in names()
-    own = rehearsal(path, arguments.over) if packaged else scenario_of(arguments.scenario, arguments.over)
-    return with_segments(own, segments, arguments.most)
+
+def _serving(flown_as: str, segments: Path | None, arguments: argparse.Namespace) -> list[str]:
+    """What the process of the simulated devices is started with."""
+    serve = ["-m", "hil_sim.serve", flown_as, "--seed", str(arguments.seed)]
+    serve += ["--segments", str(segments), "--most", str(arguments.most)] if segments is not None else []
+    serve += ["--over", str(arguments.over)] if arguments.over else []
+    return serve + [f"--fault={text}" for text in arguments.fault]
 
 
 def _told(arguments: argparse.Namespace, result: dict[str, Any], log: Path) -> int:

@@ -2,12 +2,8 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from onboard.cli.common import OK, Commands, load_vehicle, progress, show
-
-if TYPE_CHECKING:
-    from onboard import config
 
 SEGMENT_S = 6.0
 
@@ -55,76 +51,51 @@ def _plan(arguments: argparse.Namespace) -> int:
     from onboard.offline.planning import files, limits, view
     from onboard.offline.planning.criteria import Criterion
     from onboard.offline.planning.planning import Wanted, plan_motion
+    from onboard.offline.planning.segments import plan_segments
 
-    if arguments.seconds is not None and not 4.0 <= arguments.seconds <= 600.0:
-        raise ValueError(f"--seconds {arguments.seconds:g}: give 4 to 600")
-    for option, value in (("--starts", arguments.starts), ("--iterations", arguments.iterations)):
-        if not 1 <= value <= 10_000:
-            raise ValueError(f"{option} {value}: give 1 to 10000")
+    _check(arguments)
     vehicle = load_vehicle(arguments.vehicle)
-    if arguments.segments:
-        return _plan_segments(arguments, vehicle)
-    if arguments.masses is not None:
-        raise ValueError("--masses needs --segments")
-    room = room_for_motion(rehearsal(vehicle.path, arguments.over), arguments.seconds)
+    seconds = arguments.seconds or (SEGMENT_S if arguments.segments else None)
+    room = room_for_motion(rehearsal(vehicle.path, arguments.over), seconds)
     wanted = Wanted(
         *(room.start_s, room.end_s, tuple(arguments.asked), Criterion(arguments.criterion)),
         limits.LimitsFile() if arguments.limits is None else limits.read(arguments.limits),
-        *(arguments.starts, arguments.iterations, arguments.seed),
+        *(arguments.starts, arguments.iterations, arguments.seed, _masses(arguments.masses)),
     )
     with progress() as bar:
-        task = bar.add_task("planning", total=1.0)
-        made = plan_motion(
-            vehicle,
-            lambda period_s: default_plan(room.scenario, period_s),
-            wanted,
-            lambda done: bar.update(task, completed=done),
+        task = bar.add_task("planning segments" if arguments.segments else "planning", total=1.0)
+        given = vehicle, lambda period_s: default_plan(room.scenario, period_s), wanted
+        made = (plan_segments if arguments.segments else plan_motion)(
+            *given, lambda done: bar.update(task, completed=done)
         )
     show(view.render(made))
     tables: dict[str, object] = {"sequence": [step.model_dump(mode="json") for step in room.scenario.sequence]}
     if room.scenario.capture is not None:
         tables["capture"] = room.scenario.capture.model_dump(mode="json", exclude_none=True)
-    for path in files.write(made, tables, arguments.over, arguments.output):
+    paths = files.write(made, tables, arguments.over, arguments.output)
+    for path in paths:
         print(path)
     own = arguments.vehicle if str(arguments.vehicle).endswith(".toml") else vehicle.path  # no packaged mission
-    print(f"next: heft hil {own} --scenario {arguments.output / files.SCENARIO}")
+    scenario = f"--scenario {arguments.output / files.SCENARIO}"
+    print(f"next: heft hil {own} " + (f'--until "mass 1 %" --segments {paths[0]}' if arguments.segments else scenario))
     return OK
 
 
-def _plan_segments(arguments: argparse.Namespace, vehicle: "config.Vehicle") -> int:
-    """The library of motions that a flight may ask for."""
-    from hil_sim.devices.vehicle_file import rehearsal
-    from hil_sim.plants.planned import default_plan, room_for_motion
-    from onboard.config.segments import FILE, to_bytes
-    from onboard.offline.planning import limits, view
-    from onboard.offline.planning.segments import WantedSegments, plan_segments
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse options that make no sense.
 
-    if arguments.asked or arguments.criterion != "D":
-        raise ValueError(
-            "--segments are planned for mass, centre, inertia and all of them: leave --for and --criterion out"
-        )
-    room = room_for_motion(rehearsal(vehicle.path, arguments.over), arguments.seconds or SEGMENT_S)
-    wanted = WantedSegments(
-        *(room.start_s, room.end_s - room.start_s, _masses(arguments.masses)),
-        limits.LimitsFile() if arguments.limits is None else limits.read(arguments.limits),
-        *(arguments.starts, arguments.iterations, arguments.seed),
-    )
-    with progress() as bar:
-        task = bar.add_task("planning segments", total=1.0)
-        made = plan_segments(
-            vehicle,
-            lambda period_s: default_plan(room.scenario, period_s),
-            wanted,
-            lambda done: bar.update(task, completed=done),
-        )
-    show(view.segments(made))
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    path = arguments.output / FILE
-    path.write_bytes(to_bytes(made))
-    print(path)
-    own = arguments.vehicle if str(arguments.vehicle).endswith(".toml") else vehicle.path
-    print(f'next: heft hil {own} --until "mass 1 %" --segments {path}')
-    return OK
+    Raises:
+        ValueError: with the remedy.
+    """
+    if arguments.seconds is not None and not 4.0 <= arguments.seconds <= 600.0:
+        raise ValueError(f"--seconds {arguments.seconds:g}: give 4 to 600")
+    for option, value in (("--starts", arguments.starts), ("--iterations", arguments.iterations)):
+        if not 1 <= value <= 10_000:
+            raise ValueError(f"{option} {value}: give 1 to 10000")
+    if arguments.masses is not None and not arguments.segments:
+        raise ValueError("--masses needs --segments")
+    if arguments.segments and arguments.asked:
+        raise ValueError("--segments are planned for mass, centre, inertia and all of them: leave --for out")
 
 
 def _masses(text: str | None) -> tuple[float, ...]:

@@ -132,6 +132,7 @@ class Vehicle(BaseModel):
     arm: bool = False
     own_motion: Path | None = None  # in place of that of [drive]
     own_segments: Path | None = None  # in place of those of [mission]
+    hand_over: Path | None = None  # URDF that the flight writes while its answers are good
 
     @property
     def text(self) -> str:

@@ -17,16 +17,19 @@ from onboard import config
 from onboard.channels import Act
 from onboard.flight import simulated
 from onboard.flight.acquire.acquisition import Acquisition
+from onboard.flight.acquire.arming import REQUESTS
 from onboard.flight.acquire.devices import open_devices
 from onboard.flight.acquire.expected import expected
 from onboard.flight.acquire.publisher import Publisher
+from onboard.flight.estimate import hand_over
 from onboard.flight.estimate.estimation import EstimationWorker, create_rings
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.store import rings
+from onboard.flight.store import manifest, rings
 from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_recorder
 from onboard.flight.supervise import runner
 from onboard.flight.supervise.runner_processes import FlightError
+from onboard.ring import RingReader
 
 Progress = Callable[[float], None]
 OVER_NS = 2_000_000_000  # after a goal is met, or given up
@@ -89,6 +92,7 @@ def fly_simulated(
         stack.enter_context(simulated.seldom_collected())
         directory = stack.enter_context(scratch())
         estimator = Estimator(flying)
+        hand_over.check(flying, estimator.online.quantity_names)
         devices = rings.create(directory, flying, rings.device_channels(flying))
         answers = create_rings(directory, estimator)
         opened = open_devices(flying, clock)
@@ -104,12 +108,7 @@ def fly_simulated(
 
         def answered(now_ns: int) -> int | None:
             """Pass on what was asked for; a flight that knows enough, or has given up, ends soon after."""
-            over = False
-            for row in requests.read()[0] if requests is not None else ():
-                if row["act"] == Act.SEGMENT:
-                    world.ask(row["segment"].decode())
-                over |= row["act"] != Act.SEGMENT
-            return now_ns + OVER_NS if over else None
+            return now_ns + OVER_NS if requests is not None and _pass_on(requests, world.ask) else None
 
         span_ns = world.end_ns - world.start_ns
         simulated.fly(
@@ -123,6 +122,16 @@ def fly_simulated(
             answered,
         )
     return Flown(log, world.produced(), world.truth())
+
+
+def _pass_on(requests: RingReader, ask: Callable[[str], object]) -> bool:
+    """Ask the arm for the segments that the flight asks for; whether that knows enough, or has given up."""
+    over = False
+    for row in requests.read()[0]:
+        if row["act"] == Act.SEGMENT:
+            ask(row["segment"].decode())
+        over |= bool(row["act"] != Act.SEGMENT)
+    return over
 
 
 def _end(devices: subprocess.Popen[str]) -> None:
@@ -143,7 +152,8 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
     Args:
         vehicle: what flies.
         serve: arguments to the interpreter that start the devices: with ``--wait`` they print one JSON line with the
-            bus URLs when ready, one with ``start_ns`` after a line on stdin, and one with counts and truth at the end.
+            bus URLs when ready, one with ``start_ns`` after a line on stdin, and one with counts and truth at the end;
+            between them lines ``ask SEGMENT`` on stdin are the motions that the flight asks for.
         log: where to record; must not exist.
         progress: told the fraction flown.
 
@@ -165,11 +175,16 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
             urls = {name: str(url) for name, url in start.items() if name in vehicle.file.bus}
             mission_s = float(start["duration_s"])
 
-            def begin() -> None:
+            def tell(line: str) -> None:
                 assert devices.stdin is not None
                 with suppress(BrokenPipeError):  # they died; they say no line either
-                    os.write(devices.stdin.fileno(), b"start\n")
+                    os.write(devices.stdin.fileno(), f"{line}\n".encode())
+
+            def begin() -> None:
+                tell("start")
                 _line_of(devices, "the simulated devices cannot fly; their message stands above")
+
+            asked = _Asked(log, tell) if vehicle.segments_path is not None else None
 
             def watch(elapsed_s: float) -> None:
                 if devices.poll():
@@ -177,7 +192,12 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
                 progress(min(1.0, elapsed_s / mission_s))
 
             flight = runner.fly(
-                vehicle.with_urls(urls), log, duration_s=mission_s - EARLIER_S, progress=watch, ready=begin
+                vehicle.with_urls(urls),
+                log,
+                duration_s=mission_s - EARLIER_S,
+                progress=watch,
+                ready=begin,
+                enough=lambda elapsed_s: asked is not None and asked.is_over(elapsed_s),
             )
             devices.terminate()  # they say their counts; samples after the flight's end are none
             end = _line_of(devices, _DIED.format(log), ANSWER_S)
@@ -186,6 +206,29 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
     if flight.died:
         raise FlightError(f"died in flight: {', '.join(flight.died)}; the log holds what they said")
     return Flown(log, end["produced"], end["truth"])
+
+
+class _Asked:
+    """Passes on what a real flight asks for.
+
+    Args:
+        log: of the flight.
+        tell: the devices a line.
+    """
+
+    def __init__(self, log: Path, tell: Callable[[str], None]) -> None:
+        self._log, self._tell = log.absolute(), tell
+        self._ring: RingReader | None = None
+        self._over_s: float | None = None
+
+    def is_over(self, elapsed_s: float) -> bool:
+        """Whether the flight has known enough, or given up, for :data:`OVER_NS`."""
+        if self._ring is None:
+            [directory] = [flight.directory for flight in manifest.waiting() if flight.log == self._log]
+            self._ring = RingReader(directory / REQUESTS)
+        if _pass_on(self._ring, lambda name: self._tell(f"ask {name}")) and self._over_s is None:
+            self._over_s = elapsed_s + 1e-9 * OVER_NS
+        return self._over_s is not None and elapsed_s > self._over_s
 
 
 def _line_of(devices: "subprocess.Popen[str]", otherwise: str, timeout_s: float | None = None) -> dict[str, Any]:

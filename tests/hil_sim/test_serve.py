@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import io
 import itertools
 import json
 import os
@@ -27,7 +28,7 @@ from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.canopen.can_wire import WireFrame
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
-from hil_sim.serve import open_sockets
+from hil_sim.serve import _Leash, open_sockets
 from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, FlatImu, RateClock, SmallMission
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -448,3 +449,16 @@ def test_an_unknown_scenario_is_a_sentence_and_a_status(tmp_path):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "no-such-flight" in done.stderr
+
+
+def test_lines_after_the_start_ask_for_segments(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO("start\nask s1\nnothing\nask mass_2kg\n"))
+    stops = []
+    leash = _Leash(stops)
+    leash.wait()
+    for _ in range(100):
+        if stops:
+            break
+        time.sleep(0.01)
+    assert stops == [signal.SIGHUP]  # the end of stdin
+    assert list(leash.asked) == ["s1", "mass_2kg"]

@@ -90,7 +90,7 @@ class Asking:
         self._turn = 0  # segment that is linearised next
         self._ratios: list[float] = []  # at each request
         self._number = self._since_change = self._met = self._unmoved = 0
-        self._over = self._moved = False
+        self._over = self._moved = self._asks = False
         self._held_s: float | None = None  # since when a payload is
         self._until_s = self._late_s = -np.inf  # of the segment that is played: when it is over, and at the latest
         self._changes = 0
@@ -114,7 +114,7 @@ class Asking:
             self._over, self._held_s, self._ratios = False, None, []
             self._own = [None] * len(self._own)
         if exiddm.held is False or self._over:
-            return []
+            return self._wait(now_ns) if exiddm.held is False else []
         self._held_s = time_s if self._held_s is None else self._held_s
         estimate = online.estimate()
         known = self._known(exiddm, estimate, float(np.linalg.norm(rate)))
@@ -122,7 +122,7 @@ class Asking:
         usable = exiddm.settled() and not online.findings().against
         self._met = self._met + 1 if usable and self._is_met(estimate, known.asked) else 0
         if self._met >= _STEADY:
-            self._over = True
+            self._over, self._asks = True, False
             took = f"{time_s - self._held_s:.0f} s after the payload was held, {self._since_change} segments"
             return self._say(now_ns, time_s, Act.MET, "", now, now, f"{self._text}: known {took}")
         self._linearise(exiddm)
@@ -132,6 +132,12 @@ class Asking:
         if why:
             return self._give_up(now_ns, time_s, now, why)
         return self._ask(now_ns, time_s, known, now) if rests else []
+
+    def _wait(self, now_ns: int) -> list[Batch]:
+        """Nothing is held: an event, where segments were asked for until now."""
+        asked, self._asks = self._asks, False
+        text = f"{self._text}: nothing is held; asks again, with small motions first, when something is"
+        return [event(now_ns, Severity.INFO, "goal_waits", "estimation", text)] if asked else []
 
     def _linearise(self, exiddm: RecursiveExiddm) -> None:
         """What the next segment in turn tells, about what is known now; one a step."""
@@ -228,7 +234,7 @@ class Asking:
         self._ratios.append(now)
         name = library.names[found.segment]
         self._unmoved = 0 if self._moved or not self._since_change else self._unmoved + 1
-        self._since_change, self._moved = self._since_change + 1, False
+        self._since_change, self._moved, self._asks = self._since_change + 1, False, True
         self._until_s = time_s + float(library.durations_s[found.segment]) + 1.0
         self._late_s = self._until_s + _LATE_s
         text = f"{name}: half intervals are {now:.3g} times what is wanted, {expected:.3g} expected after it"
@@ -269,7 +275,7 @@ class Asking:
         return f"the motion that is missing is {library.names[k]}, and {told}"
 
     def _give_up(self, now_ns: int, time_s: float, now: float, why: str) -> list[Batch]:
-        self._over = True
+        self._over, self._asks = True, False
         text = f"{self._text} is given up: half intervals are {now:.3g} times that"
         said = self._say(now_ns, time_s, Act.GIVEN_UP, "", now, now, text)
         return [*said, event(now_ns, Severity.WARNING, "goal_why", "estimation", why)]

@@ -18,6 +18,7 @@ from onboard.devices.base import BusDevice
 from onboard.flight.acquire.publisher import Publisher
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
+from onboard.flight.estimate.hand_over import HandOver
 from onboard.flight.estimate.shedding import KEPT_HZ, LATE_NS, THIN_NS, Shedding
 from onboard.flight.estimate.state import Places, StateError
 from onboard.flight.store import rings
@@ -87,6 +88,7 @@ class EstimationWorker:
         self._reached_ns, self._late = reached_ns, False
         self._longest_ns = max(LONGEST_STEP_NS, 2 * self.period_ns)
         self._shedding, self._left_out_ns, self._left_out_rows = Shedding(), 0, 0
+        self._hand_over = None if estimator.vehicle.hand_over is None else HandOver(estimator.vehicle)
         kept = [
             name
             for name, device in estimator.vehicle.file.device.items()
@@ -161,7 +163,10 @@ class EstimationWorker:
                 text = f"{lost} rows overran the ring before the estimator read them"
                 said.append(event(now_ns, Severity.WARNING, "estimator_overrun", name, text))
         self._publisher.publish([self._tick(now_ns, batches, skipped_ns, final=lag_ns is not None), *said])
-        self._publisher.publish(self.estimator.process(now_ns, batches, lag_ns, skipped_ns))
+        made = self.estimator.process(now_ns, batches, lag_ns, skipped_ns)
+        self._publisher.publish(made)
+        if self._hand_over is not None:
+            self._publisher.publish(self._hand_over.step(now_ns, made))
         if isinstance(self.estimator.online, Defers):
             self.estimator.online.work()
 

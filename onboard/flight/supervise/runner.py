@@ -56,13 +56,15 @@ def fly(
     progress: Callable[[float], None] = lambda _: None,
     status_s: float | None = None,
     ready: Callable[[], None] = lambda: None,
+    enough: Callable[[float], bool] = lambda _: False,
     plan: Plan | None = None,
 ) -> Flight:
-    """Fly until the mission's end phase, ``duration_s``, SIGINT or SIGTERM; then stop in order, losing nothing.
+    """Fly until the mission's end phase, ``duration_s``, ``enough``, SIGINT or SIGTERM; then stop in order.
 
-    What happens is said to the logger ``heft``, and every ``status_s`` how the flight stands. A flight that is refused
-    leaves nothing behind. ``ready`` is called when all is at work but acquisition, which opens the buses after it.
-    With a ``plan`` of it the flight leaves a checkpoint, from which the start after a loss of power goes on.
+    Nothing is lost then. What happens is said to the logger ``heft``, and every ``status_s`` how the flight stands. A
+    flight that is refused leaves nothing behind. ``ready`` is called when all is at work but acquisition, which opens
+    the buses after it. With a ``plan`` of it the flight leaves a checkpoint, from which the start after a loss of power
+    goes on.
 
     Raises:
         FlightError: a worker did not start.
@@ -71,7 +73,7 @@ def fly(
         OSError: the log's directory or the rings cannot be made.
     """
     with _Servers(vehicle) as servers:
-        return _flight(vehicle, log, servers, duration_s, _Listeners(progress, ready, status_s, plan))
+        return _flight(vehicle, log, servers, duration_s, _Listeners(progress, ready, enough, status_s, plan))
 
 
 def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> Plan:
@@ -125,6 +127,7 @@ class _Listeners(NamedTuple):
 
     progress: Callable[[float], None]
     ready: Callable[[], None]
+    enough: Callable[[float], bool]
     status_s: float | None
     plan: Plan | None = None
 
@@ -245,6 +248,9 @@ def _fly(
         modes.at_work(started)
         LOGGER.info("every worker is at work", extra={"source": "flight", "code": "started"})
         while not (why := _why_ended(asked_to_stop, end, time.monotonic() - started, duration_s)):
+            if listeners.enough(time.monotonic() - started):
+                why = "enough is known, or what is asked for is given up"
+                break
             restarted += [worker.name for worker in everyone if _watch(worker, tell)]
             for name in crew.servers.look():
                 tell(Severity.WARNING, "fork_server_restarted", name, "it had died; the workers went on")

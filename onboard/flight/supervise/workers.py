@@ -223,6 +223,7 @@ class Refused(NamedTuple):
 
 def prepare_estimation(vehicle: config.Vehicle, control: Connection) -> None:
     """Body of the fork server that has an estimator; its first message is what that writes, or a refusal."""
+    from onboard.flight.estimate import hand_over
     from onboard.flight.estimate.estimation import answer_rates_hz, estimation_channels
     from onboard.flight.estimate.estimator import Estimator
     from onboard.flight.estimate.state import Places
@@ -230,6 +231,7 @@ def prepare_estimation(vehicle: config.Vehicle, control: Connection) -> None:
     name_process("forks-est")
     try:
         estimator = Estimator(vehicle)
+        hand_over.check(vehicle, estimator.online.quantity_names)
     except config.ConfigError as error:
         control.send(Refused(str(error)))
         return

@@ -1,4 +1,4 @@
-"""Writes a planned motion: a CSV of the joints, a scenario that flies it, numbers and a figure."""
+"""Writes a planned motion (a CSV of the joints, a scenario that flies it, numbers, a figure), or a library of them."""
 
 import csv
 import json
@@ -10,6 +10,7 @@ from tomlkit.exceptions import ParseError
 
 from onboard import config
 from onboard.config import text
+from onboard.config.segments import FILE, Library, to_bytes
 from onboard.offline.foresee.plan import Foreseen
 from onboard.offline.planning.planning import PlannedMotion
 from onboard.offline.planning.view import figure
@@ -18,11 +19,11 @@ MOTION, SCENARIO, NUMBERS, FIGURE = "motion.csv", "scenario.toml", "plan.json", 
 _CSV_HZ = 100.0
 
 
-def write(made: PlannedMotion, tables: dict[str, Any], over: Path | None, directory: Path) -> list[Path]:
+def write(made: PlannedMotion | Library, tables: dict[str, Any], over: Path | None, directory: Path) -> list[Path]:
     """Write the files into a directory, which is made.
 
     Args:
-        made: the motion.
+        made: the motion, or a library, which is one file.
         tables: of the scenario that flies it beside its motion: ``sequence``, ``capture``.
         over: the scenario that was planned over; its other tables are kept.
         directory: for the files; those of an earlier plan are replaced.
@@ -32,6 +33,9 @@ def write(made: PlannedMotion, tables: dict[str, Any], over: Path | None, direct
         OSError: they cannot be written.
     """
     directory.mkdir(parents=True, exist_ok=True)
+    if isinstance(made, Library):
+        (directory / FILE).write_bytes(to_bytes(made))
+        return [directory / FILE]
     paths = [directory / name for name in (MOTION, SCENARIO, NUMBERS, FIGURE)]
     step = max(1, round(1.0 / (_CSV_HZ * (made.time_s[1] - made.time_s[0]))))
     with paths[0].open("w", encoding="utf-8", newline="") as file:

@@ -17,12 +17,11 @@ from onboard.offline.planning.search import Found, Search, search
 from onboard.offline.planning.splines import Splines
 
 PIECE_s = 1.0  # length of a spline's piece: motions up to some 0.5 Hz
-_FEWEST_PIECES = 6
-_SEED = 1
+FEWEST_PIECES = 6
 
 
 class Wanted(NamedTuple):
-    """What is asked of a motion."""
+    """What is asked of a motion, or of each of a library's."""
 
     start_s: float  # in the rehearsal
     end_s: float
@@ -31,7 +30,8 @@ class Wanted(NamedTuple):
     limits: LimitsFile = LimitsFile()
     starts: int = 8
     iterations: int = 15
-    seed: int = _SEED
+    seed: int = 1
+    masses: tuple[float, ...] = ()  # kg, of a library's payloads
 
 
 class PlannedMotion(NamedTuple):
@@ -74,7 +74,7 @@ def plan_motion(
     bound: Bound = FreeBound(coarse, plan, ticks.start) if free else RowsBound(coarse, plan, ticks)
     chosen = chosen_of(bound.names, wanted.asked)
     model = build_model(vehicle)
-    pieces = max(_FEWEST_PIECES, round((wanted.end_s - wanted.start_s) / PIECE_s))
+    pieces = max(FEWEST_PIECES, round((wanted.end_s - wanted.start_s) / PIECE_s))
     splines = Splines(plan.q[ticks.start], wanted.end_s - wanted.start_s, pieces)
     over = Search(bound, Limits(model, wanted.limits, plan.payload), splines, chosen, wanted.criterion)
     found = search(over, wanted.starts, wanted.iterations, np.random.default_rng(wanted.seed), step)

@@ -18,9 +18,8 @@ from onboard.flight.estimate.identification import build_model
 from onboard.identification.exiddm.segment_choice import reduced
 from onboard.offline.foresee.plan import plan_of
 from onboard.offline.planning.bound import TICK_HZ, FreeBound
-from onboard.offline.planning.criteria import Criterion
-from onboard.offline.planning.limits import Limits, LimitsFile
-from onboard.offline.planning.planning import chosen_of, ticks_of
+from onboard.offline.planning.limits import Limits
+from onboard.offline.planning.planning import FEWEST_PIECES, PIECE_s, Wanted, chosen_of, ticks_of
 from onboard.offline.planning.search import FINE_HZ, Search, search
 from onboard.offline.planning.splines import Splines
 
@@ -28,31 +27,18 @@ KINDS = ("mass", "centre", "inertia", "all")
 LADDER = (0.1, 0.3, 1.0, 3.0, 10.0)  # of the assumed payload's mass
 _CSV_HZ = 100.0
 _INDUCED = 0.7  # of the limit of the base's rate: the rest is for the rate that it has by itself
-_PIECE_s, _FEWEST_PIECES = 1.0, 6
 _SHRINK, _SHRINKS = 0.85, 40
 
 
-class WantedSegments(NamedTuple):
-    """What is asked of a library."""
-
-    start_s: float  # of the motion that the segments replace, in the rehearsal
-    seconds: float = 6.0  # of each
-    masses: tuple[float, ...] = ()  # kg; by LADDER where none is given
-    limits: LimitsFile = LimitsFile()
-    starts: int = 4
-    iterations: int = 8
-    seed: int = 1
-
-
 def plan_segments(
-    vehicle: config.Vehicle, rehearsed: Callable[[float], Any], wanted: WantedSegments, step: Callable[[float], None]
+    vehicle: config.Vehicle, rehearsed: Callable[[float], Any], wanted: Wanted, step: Callable[[float], None]
 ) -> Library:
     """Plan a library.
 
     Args:
         vehicle: its file.
         rehearsed: the rehearsal, as the simulator plans it, at ticks of so many seconds.
-        wanted: of it.
+        wanted: of it; asked for is each of :data:`KINDS`, and masses are by :data:`LADDER` where none is given.
         step: is told the share that is done.
 
     Raises:
@@ -64,7 +50,7 @@ def plan_segments(
     plan = plan_of(coarse, rehearsed(1.0 / TICK_HZ))
     if plan.payload is None:
         raise config.ConfigError("the rehearsal holds no payload; give the vehicle a payload_link")
-    first = ticks_of(plan, wanted.start_s, wanted.start_s + wanted.seconds).start
+    first, seconds = ticks_of(plan, wanted.start_s, wanted.end_s).start, wanted.end_s - wanted.start_s
     model = build_model(vehicle)
     masses = np.sort(wanted.masses or [plan.payload.mass_kg * by for by in LADDER])
     bodies = [scaled(plan.payload, float(mass)) for mass in masses]
@@ -72,15 +58,15 @@ def plan_segments(
     rate = wanted.limits.base_rate_rad_s
     said = wanted.limits.model_copy(update={"base_rate_rad_s": None if rate is None else _INDUCED * rate})
     limits = [Limits(model, said, body) for body in bodies]
-    pieces = max(_FEWEST_PIECES, round(wanted.seconds / _PIECE_s))
-    splines = Splines(plan.q[first], wanted.seconds, pieces)
+    pieces = max(FEWEST_PIECES, round(seconds / PIECE_s))
+    splines = Splines(plan.q[first], seconds, pieces)
     rng, names = np.random.default_rng(wanted.seed), list[str]()
     found: list[FloatArray] = []
     share = 1.0 / (len(masses) * len(KINDS))
     for at in reversed(range(len(masses))):
         for kind in KINDS:
             picked = chosen_of(bounds[at].names, () if kind == "all" else (kind,))
-            over = Search(bounds[at], limits[at], splines, picked, Criterion.D)
+            over = Search(bounds[at], limits[at], splines, picked, wanted.criterion)
             own = search(over, wanted.starts, wanted.iterations, rng, lambda _: None).coefficients
             names.append(f"{kind}_{masses[at]:.3g}kg")
             found.append(_safe(own, splines, bounds, limits) if at == len(masses) - 1 else own)
@@ -130,7 +116,7 @@ def _library(
     splines: Splines,
     bounds: list[FreeBound],
     limits: list[Limits],
-    wanted: WantedSegments,
+    wanted: Wanted,
 ) -> Library:
     ticks = round(splines.duration_s * _CSV_HZ) + 1
     time_s = np.arange(ticks) / _CSV_HZ

@@ -17,8 +17,10 @@ from onboard.offline.views import foreseen
 _MOST_PERCENT = 200.0  # of its size: as good as not known
 
 
-def render(made: PlannedMotion) -> RenderableType:
-    """The table of what is expected, how much narrower than of the swings, and what is known least."""
+def render(made: PlannedMotion | Library) -> RenderableType:
+    """What is expected, how much narrower than of the swings, and what is known least; or a library's segments."""
+    if isinstance(made, Library):
+        return _segments(made)
     before = {one.name: one.sigma for one in _answers(made.expected_before)}
     gains = [
         f"{one.name} {one.sigma / before[one.name]:.2f}"
@@ -31,7 +33,7 @@ def render(made: PlannedMotion) -> RenderableType:
     return Group(foreseen.render(made.expected, "the planned motion"), *(Text(line) for line in lines))
 
 
-def segments(made: Library) -> RenderableType:
+def _segments(made: Library) -> RenderableType:
     """The segments, with what they make of the base and their nearest limit at the lightest and heaviest payload."""
     heads = (f"{made.masses[0]:.3g} kg", f"{made.masses[-1]:.3g} kg")
     table = Table(

@@ -1,5 +1,7 @@
 """A flight that asks for its motions: the library, the choice, and the loop in virtual time."""
 
+from xml.etree import ElementTree as ET
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from onboard.config.mission import goals_of
 from onboard.config.segments import Library, read, to_bytes
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.estimator import Estimator
+from onboard.identification.change import Change
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.offline.tables import truth
@@ -46,6 +49,7 @@ def flown(flyer, library):
     log = flyer / "asked.mcap"
     (flyer / "heavy.toml").write_text(f"payload.mass_kg = [3.0, 3.0]\nrelease.rate_rad_s = 0.02\n{SCENARIO}")
     asked = ["hil", str(flyer / "mine" / "vehicle.toml"), "--scenario", str(flyer / "heavy.toml"), "--most", "60"]
+    asked += ["--hand-over", str(flyer / "payload.urdf")]
     main([*asked, "--until", "mass 10 %", "--segments", str(library), "--log", str(log)])
     return log
 
@@ -90,6 +94,21 @@ def test_the_arm_plays_what_was_asked_and_nothing_else(flown, library):
 def test_what_was_asked_is_replayed_from_the_log_alone(flown, capsys):
     assert main(["replay", str(flown)]) == 0
     assert "request" in capsys.readouterr().out
+
+
+def test_the_payload_is_handed_over_as_it_was_last_answered(flown, flyer):
+    [handed] = events(flown, "handed_over")
+    said = ET.parse(flyer / "payload.urdf").getroot().find("identified")
+    quantity = LogReader(flown).read("quantity")
+    answers = quantity[quantity["host_ns"] == int(said.get("host_ns"))]
+    for one in said:
+        row = answers[answers["name"] == one.get("name").encode()][0]
+        assert row["level"] == 0
+        assert [float(one.get(field)) for field in ("value", "low", "high")] == [row["value"], row["low"], row["high"]]
+    assert len(said) == 10
+    assert handed["host_ns"] <= int(said.get("host_ns")) <= quantity["host_ns"][-1]
+    withdrawn = len(events(flown, "hand_over_withdrawn"))
+    assert len(events(flown, "handed_over")) == 1 + withdrawn
 
 
 def test_a_library_comes_back_as_it_was_written(library, tmp_path):
@@ -220,6 +239,22 @@ class TestLimits:
     def test_nothing_is_asked_while_nothing_is_held(self, asking):
         asking[1].exiddm.held = False
         assert self.step(asking, 1.0) == []
+
+    def test_a_release_while_a_segment_is_played_is_followed_by_nothing_and_a_capture_by_small_motions(self, asking):
+        _, online = asking
+        online.exiddm.held = True
+        first, _ = self.step(asking, 1.0)
+        online.exiddm.held = False
+        online.exiddm.changes.append(Change("ejection", 2.0, 2.0, np.nan))
+        [said] = self.step(asking, 2.0, moving=0.2)
+        assert said.rows["code"][0] == b"goal_waits"
+        assert [self.step(asking, time_s) for time_s in (3.0, 60.0)] == [[], []]
+        online.exiddm.held = True
+        online.exiddm.changes.append(Change("capture", 61.0, 61.0, np.nan))
+        assert self.step(asking, 61.0, moving=0.2) == []  # the arm does not rest
+        again, _ = self.step(asking, 62.0)
+        assert again.rows["segment"][0] == first.rows["segment"][0]
+        assert again.rows["ratio"][0] == first.rows["ratio"][0]  # all of what was known is gone
 
     def test_a_base_that_turns_too_fast_by_itself_is_left_alone_and_the_event_says_why(self, asking):
         asking[1].exiddm.held = True
