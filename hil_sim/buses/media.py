@@ -241,7 +241,7 @@ class CanBus:
         frames = self._wire.advance(now_ns)
         before_ns, self._now_ns = self._now_ns, now_ns
         if self._link.listening:
-            self.heard.update(frame.identifier for frame in frames)
+            self.heard.update([frame.identifier for frame in frames])
         if self._faults:
             kept = [frame for frame in frames if not self._is_dropped(frame)]
             self.dropped += len(frames) - len(kept)
@@ -302,7 +302,8 @@ class CanBus:
         stamp_ns, stamped = self._last_stamp_ns, []
         late = self._rng.standard_exponential(len(frames)).tolist()
         for (end_ns, identifier, data), share in zip(frames, late, strict=True):
-            stamp_ns = max(stamp_ns + 1, end_ns + self._latency_ns + int(share * self._jitter_ns))
+            late_ns = end_ns + self._latency_ns + int(share * self._jitter_ns)
+            stamp_ns = late_ns if late_ns > stamp_ns else stamp_ns + 1
             stamped.append(WireFrame(stamp_ns, identifier, data))
         self._last_stamp_ns = stamp_ns
         return stamped

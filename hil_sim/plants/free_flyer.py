@@ -335,8 +335,7 @@ def _released(model: mujoco.MjModel, motion: Motion, rate_rad_s: Sequence[float]
 
 def _mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
     M = np.empty((model.nv, model.nv))
-    for row, unit in zip(M, np.eye(model.nv), strict=True):
-        mujoco.mj_mulM(model, data, row, unit)
+    mujoco.mj_fullM(model, data, M)
     return M
 
 
@@ -357,31 +356,33 @@ def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: 
     data.time = 0.0  # of this chunk
     told = np.arange(6, 6 + JOINTS)  # degrees of freedom that do as they are told
     free = np.setdiff1d(np.arange(model.nv), told)
+    on_free, between, on_told = np.ix_(free, free), np.ix_(free, told), np.ix_(told, told)
+    from_free = np.ix_(told, free)
     of_sample: list[FloatArray] = []  # torque of a step's first stage, which has the state of the sample
-    angles, rates = slice(7, 7 + JOINTS), slice(6, 6 + JOINTS)
+    angle, rate = data.qpos[7 : 7 + JOINTS], data.qvel[6 : 6 + JOINTS]  # views: MuJoCo writes into them
+    bias, passive, applied, sensed = data.qfrc_bias, data.qfrc_passive, data.qfrc_applied, data.sensordata
 
     def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         stage = round(data.time / half_s)
-        pull = _STIFFNESS * (q[stage] - data.qpos[angles]) + _DAMPING * (dq[stage] - data.qvel[rates])
-        acceleration = ddq[stage] + pull
+        acceleration = ddq[stage] + (_STIFFNESS * (q[stage] - angle) + _DAMPING * (dq[stage] - rate))
         M = _mass_matrix(model, data)
-        force = data.qfrc_bias - data.qfrc_passive
-        others = np.linalg.solve(M[np.ix_(free, free)], -force[free] - M[np.ix_(free, told)] @ acceleration)
-        data.qfrc_applied[told] = force[told] + M[np.ix_(told, free)] @ others + M[np.ix_(told, told)] @ acceleration
+        force = bias - passive
+        others = np.linalg.solve(M[on_free], -force[free] - M[between] @ acceleration)
+        applied[told] = force[told] + M[from_free] @ others + M[on_told] @ acceleration
         if not of_sample:
-            of_sample.append(data.qfrc_applied[told])
+            of_sample.append(applied[told])
 
     flight = FreeFlightSignals(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3, 3, JOINTS)))
     mujoco.set_mjcb_control(torque)
     try:
         mujoco.mj_forward(model, data)  # the torque of the first sample
         for k in range(samples):
-            flight.q_rad[k], flight.dq_rad_s[k] = data.qpos[angles], data.qvel[rates]
+            flight.q_rad[k], flight.dq_rad_s[k] = angle, rate
             of_sample.clear()
             mujoco.mj_step(model, data)  # its sensors are those of the state before the step
             flight.torque_n_m[k] = of_sample[0]
             for sensor, rows in enumerate(flight[3:7]):
-                rows[k] = data.sensordata[3 * sensor : 3 * sensor + 3]
+                rows[k] = sensed[3 * sensor : 3 * sensor + 3]
     finally:
         mujoco.set_mjcb_control(None)
     return flight._replace(time_s=model.opt.timestep * np.arange(first, first + samples))

@@ -104,13 +104,12 @@ def fly(
     samples, half_s = round(duration_s / model.opt.timestep), 0.5 * model.opt.timestep
     q, dq, ddq = motion.at(half_s * np.arange(2 * samples + 1))  # the stages of RK4 lie on half steps
     data.qpos[3:], data.qvel[3:], data.qvel[:3] = q[0], dq[0], velocity
-    M, units = np.zeros((model.nv, model.nv)), np.eye(model.nv)
+    M = np.zeros((model.nv, model.nv))
 
     def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         stage = round(data.time / half_s)
         joints = ddq[stage] + _STIFFNESS * (q[stage] - data.qpos[3:]) + _DAMPING * (dq[stage] - data.qvel[3:])
-        for row, unit in zip(M, units, strict=True):
-            mujoco.mj_mulM(model, data, row, unit)
+        mujoco.mj_fullM(model, data, M)
         drag = drag_force(drags, data.qpos[2], data.qvel[:3])
         base = np.linalg.solve(M[:3, :3], drag - data.qfrc_bias[:3] - M[:3, 3:] @ joints)
         data.qfrc_applied[:3] = drag

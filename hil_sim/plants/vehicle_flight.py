@@ -93,8 +93,7 @@ class VehicleFlight:
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np = vehicle.freedom, vehicle.pose
         self._free = path is None and self._nb > 0
-        self._units = np.eye(self.model.nv)[: self._nb]
-        self._columns = np.zeros((self._nb, self.model.nv))
+        self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._pose = self.data.qpos[: self._np].copy()
         self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
         self.count = 0  # of the next row
@@ -199,9 +198,8 @@ class VehicleFlight:
 
     def _base_inertia(self) -> FloatArray:
         """Rows of the inertia matrix at the base, (b, v)."""
-        for row, unit in zip(self._columns, self._units, strict=True):
-            mujoco.mj_mulM(self.model, self.data, row, unit)
-        return self._columns
+        mujoco.mj_fullM(self.model, self.data, self._inertia)
+        return self._inertia[: self._nb]
 
     def _step(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
         """One Runge-Kutta step; joints at its start, middle and end."""

@@ -9,10 +9,13 @@ frames and retransmission are not modelled, nor 29-bit identifiers.
 """
 
 import heapq
+import struct
 from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Final, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
 
 from hil_sim.faults import NEVER
 
@@ -34,7 +37,7 @@ def _crc_table() -> tuple[int, ...]:
 def _stuff_table() -> tuple[tuple[int, int], ...]:
     """By state * 256 + byte: the next state and the stuff bits inserted; state = 2 * run length + last bit."""
     table = []
-    for state in range(12):
+    for state in range(10):  # a run is four bits long at most
         for byte in range(256):
             run, last, stuffed = state >> 1, state & 1, 0
             for shift in range(7, -1, -1):
@@ -48,15 +51,30 @@ def _stuff_table() -> tuple[tuple[int, int], ...]:
     return tuple(table)
 
 
-_CRC: Final = _crc_table()
-_STUFF: Final = _stuff_table()
+def _crc_words() -> list[int]:
+    """CRC of each 16-bit word, by that of its bytes."""
+    table = np.array(_crc_table())
+    first = table[:, None]
+    return list((table[first >> 7 ^ np.arange(256)] ^ (first << 8 & 0x7FFF)).ravel().tolist())
+
+
+def _stuff_words() -> bytes:
+    """By state * 65536 + word: the next state + 16 * the stuff bits inserted, by the table of bytes."""
+    state, stuffed = np.array(_stuff_table()).reshape(10, 256, 2).transpose(2, 0, 1)
+    both = state[state] | (stuffed[:, :, None] + stuffed[state]) << 4  # (10, 256, 256)
+    return both.astype(np.uint8).tobytes()
+
+
+_CRC: Final = _crc_words()
+_STUFF: Final = _stuff_words()
+_WORDS: Final = tuple(struct.Struct(f">{count}H") for count in range(8))
 
 
 def crc15(bits: int, n_bytes: int) -> int:
     """CRC-15-CAN of a bit string held in the low ``8 * n_bytes`` bits; leading zero bits do not change it."""
-    crc = 0
-    for byte in bits.to_bytes(n_bytes, "big"):
-        crc = _CRC[crc >> 7 ^ byte] ^ (crc << 8 & 0x7FFF)
+    crc, count = 0, (n_bytes + 1) // 2
+    for word in _WORDS[count].unpack(bits.to_bytes(2 * count, "big")):
+        crc = _CRC[crc << 1 ^ word]
     return crc
 
 
@@ -75,11 +93,14 @@ def frame_bits(identifier: int, data: bytes, asked: int | None = None) -> int:
     body = head << 8 * n | int.from_bytes(data, "big")
     stuffed_bits = 34 + 8 * n
     stream = body << 15 | crc15(body, n + 3)
-    padding = 0b010101 if stream & 1 else 0b101010  # to a whole byte; alternating bits are never stuffed
+    padding_bits = -stuffed_bits % 16  # to a whole word; alternating bits are never stuffed
+    padding = (0x1555 if stream & 1 else 0x2AAA) >> 14 - padding_bits
+    count = (stuffed_bits + padding_bits) // 16
     state = stuff_bits = 0
-    for byte in (stream << 6 | padding).to_bytes(n + 5, "big"):
-        state, more = _STUFF[state << 8 | byte]
-        stuff_bits += more
+    for word in _WORDS[count].unpack((stream << padding_bits | padding).to_bytes(2 * count, "big")):
+        found = _STUFF[state << 16 | word]
+        state = found & 15
+        stuff_bits += found >> 4
     return stuffed_bits + stuff_bits + _TAIL_BITS
 
 
@@ -129,13 +150,8 @@ class AnswersRemoteFrames(Protocol):
         """A remote frame has ended."""
 
 
-class _Waiting(NamedTuple):
-    identifier: int
-    order: int
-    data: bytes
-    sender: int
-    asked: int | None = None  # bytes that a remote frame asks for
-
+_Waiting = tuple[int, int, bytes, int, int | None]
+"""Identifier, order, data, sender, bytes that a remote frame asks for; sorts by arbitration."""
 
 _HOST: Final = -1
 
@@ -155,6 +171,7 @@ class CanWire:
     def __init__(self, bit_rate: int = 500_000) -> None:
         self._bit_ns = 1e9 / bit_rate
         self._nodes: list[CanTalker] = []
+        self._hearing: list[tuple[int, CanTalker]] = []  # nodes that PDOs are given to
         self._single: list[Callable[[int], bool]] = []
         self._later: list[tuple[int, _Waiting]] = []  # by ready time
         self._ready: list[_Waiting] = []  # by arbitration
@@ -167,7 +184,7 @@ class CanWire:
     @property
     def due_ns(self) -> int:
         """When something next happens on the wire or in a node."""
-        return min(self._wire_due_ns(), min((node.due_ns for node in self._nodes), default=NEVER))
+        return min(self._wire_due_ns(), self._nodes_due_ns())
 
     def add(self, node: CanTalker, single_buffer: Callable[[int], bool] = lambda identifier: False) -> None:
         """Connect a node, and say for which identifiers it has a single buffer."""
@@ -179,6 +196,7 @@ class CanWire:
             self._offer(identifier, data, ready_ns, index)
 
         node.connect(transmit)
+        self._note_hearing()
 
     def send(self, identifier: int, data: bytes, ready_ns: int) -> None:
         """Offer a frame of the flight computer to the bus."""
@@ -190,30 +208,29 @@ class CanWire:
 
     def advance(self, now_ns: int) -> list[WireFrame]:
         """Let everything happen that is due at ``now_ns``; returns what the flight computer's controller received."""
-        nodes = self._nodes
-        node_ns: int | None = None  # when the first of them acts; None: one of them has acted or received since
+        node_ns = self._nodes_due_ns()  # when the first of them acts; changes when one acts or receives
         while True:
             wire_ns = self._wire_due_ns()
-            if node_ns is None:
-                node_ns = min([node.due_ns for node in nodes], default=NEVER)
-            if wire_ns > now_ns and node_ns > now_ns:
+            if min(wire_ns, node_ns) > now_ns:
                 break
             if node_ns <= wire_ns:
-                for node in nodes:
+                for node in self._nodes:
                     if node.due_ns <= node_ns:
                         node.act(node_ns)
-                node_ns = None
-            elif self._on_wire is not None:
-                self._end()
-                node_ns = None
-            else:
+                node_ns = self._nodes_due_ns()
+            elif self._on_wire is None:
                 self._begin(wire_ns)
+            elif self._end():
+                node_ns = self._nodes_due_ns()
         received, self._received = self._received, []
         return received
 
     def _offer(self, identifier: int, data: bytes, ready_ns: int, sender: int, asked: int | None = None) -> None:
         self._order += 1
-        heapq.heappush(self._later, (ready_ns, _Waiting(identifier, self._order, data, sender, asked)))
+        heapq.heappush(self._later, (ready_ns, (identifier, self._order, data, sender, asked)))
+
+    def _nodes_due_ns(self) -> int:
+        return min([node.due_ns for node in self._nodes], default=NEVER)
 
     def _wire_due_ns(self) -> int:
         if self._on_wire is not None:
@@ -226,35 +243,44 @@ class CanWire:
         while self._later and self._later[0][0] <= start_ns:
             self._contend(heapq.heappop(self._later)[1])
         frame = heapq.heappop(self._ready)
-        end_ns = start_ns + round(frame_bits(frame.identifier, frame.data, frame.asked) * self._bit_ns)
+        end_ns = start_ns + round(frame_bits(frame[0], frame[2], frame[4]) * self._bit_ns)
         self._on_wire = (end_ns, frame)
         self._idle_ns = end_ns + round(_INTERMISSION_BITS * self._bit_ns)
 
     def _contend(self, frame: _Waiting) -> None:
-        if frame.sender != _HOST and self._single[frame.sender](frame.identifier):
+        identifier, _, data, sender, asked = frame
+        if self._ready and sender != _HOST and self._single[sender](identifier):
             for place, waiting in enumerate(self._ready):
-                if waiting.identifier == frame.identifier and waiting.sender == frame.sender:
-                    self.overwritten[frame.identifier] += 1
-                    self._ready[place] = frame._replace(order=waiting.order)
+                if waiting[0] == identifier and waiting[3] == sender:
+                    self.overwritten[identifier] += 1
+                    self._ready[place] = (identifier, waiting[1], data, sender, asked)
                     return
         heapq.heappush(self._ready, frame)
 
-    def _end(self) -> None:
+    def _end(self) -> bool:
+        """The frame on the wire has ended; whether a node was given it."""
         if self._on_wire is None:
-            return
+            return False
         end_ns, (identifier, _, data, sender, asked) = self._on_wire
         self._on_wire = None
-        if asked is None:
-            is_pdo = 0x180 < identifier < 0x580
-            for index, node in enumerate(self._nodes):
-                if index != sender and (node.hears_process_data or not is_pdo):
-                    node.receive(identifier, data, end_ns)
-        else:
-            for node in self._nodes:
-                if isinstance(node, AnswersRemoteFrames):
-                    node.remote(identifier, end_ns)
         if sender != _HOST:
             self._received.append(WireFrame(end_ns, identifier, data))
+        if asked is None and 0x180 < identifier < 0x580:
+            for index, node in self._hearing:
+                if index != sender:
+                    node.receive(identifier, data, end_ns)
+            return bool(self._hearing)
+        for index, node in enumerate(self._nodes):
+            if asked is None and index != sender:
+                node.receive(identifier, data, end_ns)
+            elif asked is not None and isinstance(node, AnswersRemoteFrames):
+                node.remote(identifier, end_ns)
+        self._note_hearing()
+        return True
+
+    def _note_hearing(self) -> None:
+        """Which nodes hear PDOs: what the object dictionary of one says, changed by SDO if at all."""
+        self._hearing = [(index, node) for index, node in enumerate(self._nodes) if node.hears_process_data]
 
 
 class Babbler:
