@@ -58,7 +58,7 @@ BENCHES: Final = (
     Bench("identification", "recursive --seeds 1", "recursive", label="recursive"),
     Bench("identification", "capture --seeds 2", "capture", label="capture"),
     Bench(
-        "identification",
+        "mission_accuracy",
         "tools --seeds 1 --first 101",
         "tools --seeds 3 --first 101",
         recordings="workshop_tools",

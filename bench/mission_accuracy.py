@@ -1,7 +1,7 @@
-"""A mission over many seeds: how far off the onboard answer is, and whether its intervals cover.
+"""A mission over many seeds: how far off the answers are, and whether their intervals cover.
 
-Run ``python bench/mission_accuracy.py [rocksat|dymaflex] [--seeds 100] [--first 1] [--jobs 2] [--out DIR]``: it flies
-``bench/plans/SCENARIO.toml`` by ``heft campaign`` with these seeds, and prints what ``heft campaign report`` says.
+Run ``python bench/mission_accuracy.py [PLAN] [--seeds 100] [--first 1] [--jobs 2] [--out DIR]``: it flies
+``bench/plans/PLAN.toml`` by ``heft campaign`` with these seeds, and prints what ``heft campaign report`` says.
 ``drawn`` is the part of sigma that the drawing's tolerances make, which no motion lowers: 1.96 of it bounds p95 from
 below. Errors of inertias are those of the rows alone. With ``--out`` the data set and the page stay.
 """
@@ -16,12 +16,13 @@ from pathlib import Path
 from onboard import cli
 
 PLANS = Path(__file__).parent / "plans"
+PLANNED = sorted(path.stem for path in PLANS.glob("*.toml"))
 
 
 def main() -> int:
     """Fly, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenario", nargs="?", default="rocksat", choices=("rocksat", "dymaflex"))
+    parser.add_argument("plan", nargs="?", default="rocksat", choices=PLANNED)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
@@ -31,7 +32,7 @@ def main() -> int:
     with ExitStack() as stack:
         out = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         seeds = ["--first", str(arguments.first), "--seeds", str(arguments.seeds), "--jobs", str(arguments.jobs)]
-        code = cli.main(["campaign", str(PLANS / f"{arguments.scenario}.toml"), "-o", str(out), *seeds])
+        code = cli.main(["campaign", str(PLANS / f"{arguments.plan}.toml"), "-o", str(out), *seeds])
         if code == cli.BAD_INPUT:
             return code
         more = ["--json", str(arguments.json)] if arguments.json else []

@@ -7,12 +7,10 @@ Run ``python -m bench.identification CASE ...``:
   1 %, the shapes of the workshop tools scaled to 1 to 20 kg (data sets in $HEFT_DATASETS or ../shared/datasets);
 - ``recursive``: the flights of both through the recursive estimator, beside the maximum likelihood; time of a tick;
 - ``capture``: a payload captured at an unknown time, and false alarms over hours without one;
-- ``coverage``: NEES and coverage of the recursive estimator with DYMAFLEX's vehicle file, 0.5 to 30 kg;
-- ``lies``: the same flights with faults and model errors that no prior states; which answers are refused;
 - ``linear``: the flights of ``noise`` by rows: plain least squares, less the known noise, instrumental variables;
-- ``tools``: the 20 workshop tools in the gripper of an arm on a fixed base in gravity, a load cell in its wrist; as
-  many runs of each tool as there are seeds;
 - ``planar``: 5 kg on an air-bearing table, wrong all that ``real`` has, the table's level, and a puck that drags.
+
+Other cases are campaigns: ``python bench/mission_accuracy.py coverage|lies|tools``.
 """
 
 import os
@@ -23,17 +21,14 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.identification import capture, coverage, free_flyer, linear, planar, recursive, workshop
+from bench.identification import capture, free_flyer, linear, planar, recursive
 
 CASES: dict[str, Callable[[argparse.Namespace], None]] = {
     "noise": free_flyer.noise,
     "real": free_flyer.real,
     "recursive": recursive.run,
     "capture": capture.run,
-    "coverage": coverage.run,
-    "lies": coverage.lies,
     "linear": linear.linear,
-    "tools": workshop.run,
     "planar": planar.run,
 }
 

@@ -2,19 +2,15 @@
 
 Every seed is a flight of its own by MuJoCo with all that the vehicle file states tolerances for drawn within them:
 masses, centres, inertias, joint places, encoder zeros, IMU place, axes, scale, bias, drift, delay. The priors are those
-of the vehicle file. Signals are synthetic: samples on one grid without buses, clocks or a capture.
+of the vehicle file. Signals are synthetic: samples on one grid without buses, clocks or a capture. ``bench/plans``
+``coverage.toml`` flies boxes of 0.5 to 30 kg, ``lies.toml`` faults and model errors that no prior states.
 """
 
-import argparse
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from bench.identification import free_flyer as case
 from bench.identification.recursive import ticks_of
@@ -24,7 +20,7 @@ from hil_sim.scenario.load import load
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
-from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.inertia import RigidBody, elements
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation, smooth
@@ -35,12 +31,13 @@ from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.ticks import Ticks
-from onboard.identification.quantities import BODY
+from onboard.identification.quantities import BODY, BODY_UNITS
+from onboard.identification.verdict import Level, standing
+from onboard.offline.campaign.results import Answer, FlightResult
 
 Floats = NDArray[np.float64]
 
 GYRO_PER_K_rad_s, FORCE_PER_K_m_s2 = np.deg2rad(0.08), 2.5e-3  # of the MPU-6050's biases, 1 sigma
-NORMAL, FAR = 1.960, 3.291  # half a 95 % and a 99.9 % interval, sigmas
 DURATION_s, STEP_s, SAMPLES = 30.0, 1.0 / 300.0, 3  # of MuJoCo and the sensors; in a tick
 CELL_SAMPLES = 5  # of the wrist cell in a tick, as it flies
 SMOOTHING_s, TICK_s = 0.25, 0.01  # as the vehicle file has it; three samples
@@ -70,12 +67,30 @@ class Lies(NamedTuple):
 class Covered(NamedTuple):
     """One flight's answer."""
 
-    z: Floats  # (10,) errors of mass, centre, inertia over their sigmas; NaN: not answered
+    answers: tuple[Answer, ...]  # mass, centre, inertia
     nees: float  # of the standard parameters, without the misfit's widening
-    misfit: float
     changes: int
-    relative: float  # error of the mass
     refused: str  # why no answer is to be used
+
+    @property
+    def z(self) -> Floats:
+        """Errors over their sigmas, (10,); NaN: not answered."""
+        return np.array([(one.value - one.truth) / one.sigma for one in self.answers])
+
+
+def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
+    """One flight of a plan.
+
+    Args:
+        seed: of everything drawn.
+        settings: ``payload``, of ``BOXES``; anything of ``Lies`` by its name.
+    """
+    said = dict(settings)
+    box = BOXES[said.pop("payload")]
+    if "slosh" in said:
+        said["slosh"] = free_flyer.Slosh(**said["slosh"])
+    found = flown(box, Lies(**said), seed)
+    return FlightResult(found.answers, events=("change",) * found.changes, detections=found.changes)
 
 
 def flown(box: free_flyer.Body, lies: Lies, seed: int) -> Covered:
@@ -223,68 +238,16 @@ def _with_further(ticks: Ticks, second: FlightSignals, wrist: FlightSignals) -> 
 
 
 def _judged(box: free_flyer.Body, online: ExiddmIdentifier) -> Covered:
-    exiddm, estimate = online.exiddm, online.estimate()
-    body = RigidBody(box.mass_kg, box.centre_of_mass_m, box.inertia_kg_m2)
-    i = box.inertia_kg_m2
-    wanted = np.array([box.mass_kg, *box.centre_of_mass_m, i[0, 0], i[0, 1], i[1, 1], i[0, 2], i[1, 2], i[2, 2]])
-    z = np.array([(q.mean - true) / q.sigma for q, true in zip(estimate.quantities, wanted, strict=True)])
+    exiddm, estimate, findings = online.exiddm, online.estimate(), online.findings()
+    wanted = [box.mass_kg, *box.centre_of_mass_m, *elements(box.inertia_kg_m2)]
+    answers = []
+    for name, unit, found, true in zip(BODY, BODY_UNITS, estimate.quantities, wanted, strict=True):
+        level, why = standing(found, findings)
+        said = Answer(name, unit, float(true), found.mean, found.low, found.high, found.sigma)
+        supported = bool(np.isfinite(found.mean)) and level is not Level.DO_NOT_USE
+        answers.append(said._replace(supported=supported, level=str(level), why=why, leans=found.leans))
     nees = np.nan
     if exiddm.state is not None and exiddm.held:
-        off = exiddm.state[PAYLOAD] - standard_of(body)
+        off = exiddm.state[PAYLOAD] - standard_of(RigidBody(box.mass_kg, box.centre_of_mass_m, box.inertia_kg_m2))
         nees = float(off @ np.linalg.solve(exiddm.covariance[PAYLOAD, PAYLOAD], off))
-    misfit = max([np.nan, *exiddm.misfit.by_instrument().values()], key=np.nan_to_num)
-    found = estimate.quantities[0].mean / box.mass_kg - 1.0
-    return Covered(z, nees, misfit, len(exiddm.changes), found, "; ".join(online.findings().against))
-
-
-def show(title: str, found: Sequence[Covered]) -> None:
-    """One line for NEES, one for coverage."""
-    z, nees = np.array([one.z for one in found]), np.array([one.nees for one in found])
-    answered = int(np.isfinite(z).any(axis=1).sum())
-    low, high = chdtri(10.0, 0.95), chdtri(10.0, 0.05)
-    used = [one for one in found if not one.refused]
-    nonsense = sum(bool((np.nan_to_num(np.abs(one.z)) > FAR).any()) for one in used)
-    print(
-        f"{title:14}{answered:4} of {len(found)} answered, {len(found) - len(used)} refused, {nonsense} used and "
-        f"beyond 99.9 %, {sum(one.changes for one in found)} false alarms"
-    )
-    print(
-        f"{'':14}NEES {np.nanmean(nees):.2f} (10), inside its 90 % {np.mean((nees > low) & (nees < high)):.0%}; misfit "
-        f"{np.nanmean([one.misfit for one in found]):.2f}; mass {100 * np.nanmean([o.relative for o in found]):+.2f} % "
-        f"mean, {100 * np.nanstd([o.relative for o in found]):.2f} % rms about it, rms z {rms(z[:, 0]):.2f}"
-    )
-    inside = [f"{name} {np.mean(np.abs(c[np.isfinite(c)]) < NORMAL):.0%}" for name, c in zip(BODY, z.T, strict=True)]
-    every = np.abs(z[np.isfinite(z)]) < NORMAL
-    print(f"{'':14}inside 95 %: all {np.mean(every):.1%}; {', '.join(inside)}", flush=True)
-
-
-def rms(x: Floats) -> float:
-    """Root mean square of what is finite."""
-    return float(np.sqrt(np.nanmean(x**2)))
-
-
-LIES = {
-    "joint 2 by 5 %": Lies(joint_scale=0.05),
-    "joint 4 late": Lies(joint_late_s=0.03),
-    "IMU -30 %": Lies(gyro_scale=-0.3),
-    "15 K in 25 s": Lies(warming_K=15.0),
-    "slosh": Lies(slosh=free_flyer.Slosh(1.5, 0.45)),
-    "flexible": Lies(compliance_rad_N_m=1.0 / 4700.0),
-    "still arm": Lies(swing_rad=0.04),
-    "places x 4": Lies(places=4.0),
-    "zeros x 3": Lies(zeros=3.0),
-}
-
-
-def lies(arguments: argparse.Namespace) -> None:
-    """5 kg under each lie, over the seeds."""
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        for title, lie in LIES.items():
-            show(title, list(pool.map(partial(flown, BOXES["5 kg"], lie), case.seeds(arguments))))
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Each payload, over the seeds."""
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        for title, box in BOXES.items():
-            show(title, list(pool.map(partial(flown, box, Lies()), case.seeds(arguments))))
+    return Covered(tuple(answers), nees, len(exiddm.changes), "; ".join(findings.against))

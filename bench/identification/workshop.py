@@ -5,12 +5,10 @@ twenty. Motion, cell and noise of every run are its own. Every run becomes a log
 --vehicle workshop LOG`` weighs it.
 """
 
-import argparse
 import os
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -22,9 +20,9 @@ from drivers.records import SCALAR, Rows
 from hil_sim.plants import fixed_arm
 from hil_sim.plants.free_flyer import Body, JointMotion
 from onboard import config
-from onboard.dynamics.inertia import elements, symmetric
+from onboard.dynamics.inertia import elements
 from onboard.identification.quantities import BODY
-from onboard.identification.verdict import Level
+from onboard.offline.campaign.results import FlightResult, of_log
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.identify import identify
 from onboard.recording.writer import LogWriter
@@ -34,17 +32,7 @@ Floats = NDArray[np.float64]
 GRASP_s, END_s = 10.0, 30.0
 SWING_rad = 0.5
 GRIPPER_SIGMA, GRIPPER_CENTRE_SIGMA_m = 0.01, 5e-4  # as it was weighed
-BARS = (1.0, 2.0)  # per cent, mm
 AXES = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
-
-
-class Outcome(NamedTuple):
-    """One run's answer."""
-
-    error: Floats  # (3,) mass relative, centre of mass m, inertia relative to its norm
-    inside: NDArray[np.bool_]  # (10,) truths inside the 95 % interval
-    refused: int
-    good: bool
 
 
 def _scalars(time_s: Floats, values: Floats, scale: float, unit: bytes) -> Rows:
@@ -79,48 +67,18 @@ def weigh(tool: Body, seed: int) -> Identified:
         return identify(config.load(config.packaged("workshop")), [log]).logs[0]
 
 
-def outcome(tool: Body, seed: int) -> Outcome:
-    """One run against the truth."""
-    log = weigh(tool, seed)
-    answers = {answer.name: answer for answer in log.answers}
-    found = [answers[f"{name}_tool"] for name in BODY]
-    low, high, value = (np.array([getattr(one, field) for one in found]) for field in ("low", "high", "value"))
-    truth = np.array([tool.mass_kg, *tool.centre_of_mass_m, *elements(tool.inertia_kg_m2)])
-    off = value - truth
-    of_inertia = np.linalg.norm(symmetric(off[4:])) / np.linalg.norm(tool.inertia_kg_m2)
-    error = np.array([abs(off[0]) / tool.mass_kg, np.linalg.norm(off[1:4]), of_inertia])
-    inside = (low <= truth) & (truth <= high)
-    return Outcome(error, inside, log.refused.get("residual", 0), log.verdict.level is Level.GOOD)
+def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
+    """One run of ``bench/plans/tools.toml``.
 
-
-def run(arguments: argparse.Namespace) -> None:
-    """Every tool, as many runs each as there are seeds."""
-    directory = arguments.datasets / "workshop_tools"
-    names, bodies = [path.stem for path in sorted(directory.glob("*.yaml"))], tools(directory)
-    seeds = range(arguments.first, arguments.first + arguments.seeds)
-    jobs = [(body, 1000 * index + seed) for index, body in enumerate(bodies) for seed in seeds]
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        all_runs = list(pool.map(outcome, *zip(*jobs, strict=True), chunksize=4))
-    print(f"\n{len(bodies)} workshop tools, fixed base, wrist load cell; {len(seeds)} runs of {END_s:g} s each")
-    print(f"{'':20}{'':9}{'mass, %':>16}{'':6}{'centre, mm':>16}{'':6}{'inertia, %':>12}{'covered':>9}")
-    print(f"{'':20}{'kg':>9}{'rms':>8}{'worst':>8}{'bar':>6}{'rms':>8}{'worst':>8}{'bar':>6}{'rms':>12}{'92-98':>9}")
-    every = []
-    for index, (name, body) in enumerate(zip(names, bodies, strict=True)):
-        mine = all_runs[index * len(seeds) : (index + 1) * len(seeds)]
-        every += mine
-        print(_line(name, f"{body.mass_kg:9.4f}", mine))
-    print(_line("all", f"{'':9}", every))
-    inside = np.array([one.inside for one in every])
-    parts = (("mass", slice(0, 1)), ("centre of mass", slice(1, 4)), ("inertia", slice(4, 10)))
-    print("covered: " + ", ".join(f"{name} {100 * inside[:, part].mean():.1f} %" for name, part in parts))
-    print(f"rows refused in all: {sum(one.refused for one in every)}; verdict good: {sum(one.good for one in every)}")
-
-
-def _line(name: str, mass: str, runs: list[Outcome]) -> str:
-    error = np.array([one.error for one in runs]) * [100.0, 1e3, 100.0]
-    rms, worst = np.sqrt((error**2).mean(axis=0)), error.max(axis=0)
-    covered = 100.0 * np.mean([one.inside for one in runs])
-    return (
-        f"{name:20}{mass}{rms[0]:8.3f}{worst[0]:8.3f}{BARS[0]:6g}{rms[1]:8.3f}{worst[1]:8.3f}{BARS[1]:6g}"
-        f"{rms[2]:12.2f}{covered:8.1f}%"
-    )
+    Args:
+        seed: of everything drawn; each tool has others.
+        settings: ``tool``, by its file in the data set ``workshop_tools``.
+    """
+    directory = Path(os.environ.get("HEFT_DATASETS", "../shared/datasets")) / "workshop_tools"
+    names = [path.stem for path in sorted(directory.glob("*.yaml"))]
+    index = names.index(settings["tool"])
+    tool = tools(directory)[index]
+    truth = [tool.mass_kg, *tool.centre_of_mass_m, *elements(tool.inertia_kg_m2)]
+    known = {f"{name}_tool": float(value) for name, value in zip(BODY, truth, strict=True)}
+    found = of_log(weigh(tool, 1000 * index + seed), {"quantities": known})
+    return found._replace(answers=tuple(one for one in found.answers if one.quantity in known))
