@@ -27,11 +27,12 @@ from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
 from hil_sim.scenario.load import Scenario, ScenarioError
 from hil_sim.scenario.rocket_tables import RocketScenario
 from hil_sim.scenario.vehicle_tables import VehicleScenario
-from hil_sim.sensing.sensors import DriftingClock
+from hil_sim.sensing.sensors import DriftingClock, ImuSensor, LoadCellSensor
 from hil_sim.twins import Sensor, Twins, emulators, sensor
 
 _AHEAD_S = 1.0  # in virtual time
 _AHEAD_ASKED_S = 0.1  # where what the flight computer asks for is to come soon
+_KEPT_S = 60.0  # of the truth, before where all devices stand, and as long as an input's reading may be delayed
 _VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
 
 
@@ -71,6 +72,8 @@ class Mission:
                 self._clocks[clock] = DriftingClock.draw(scenario.clock[clock], self._rng(f"clock.{clock}"))
         self.faults = (*(_fault(table) for table in scenario.fault), *faults)
         self._require_in_time()
+        delays = [fault.value for fault in self.faults if fault.kind is FaultKind.DELAYED]
+        self._kept_s = _KEPT_S + max([0.0, *delays])
         self.start_ns = _VIRTUAL_START_NS
         self.now_ns = self.start_ns
         self.ahead_s = 0.0
@@ -142,10 +145,20 @@ class Mission:
         """
         if self._twins is None:
             raise RuntimeError("no buses yet; call Mission.attach first")
+        self._forget()
         self.plant.advance(1e-9 * (now_ns - self.start_ns), self.ahead_s)
         self.now_ns = now_ns
         for bus in self._buses:
             bus.advance(now_ns)
+
+    def _forget(self) -> None:
+        """Give back the truth that no device asks for any more."""
+        before = int((1e-9 * (self.now_ns - self.start_ns) - self._kept_s) / self.plant.step_s)
+        if before > 0:
+            self.plant.forget(before)
+            for sensor in self.sensors.values():
+                if isinstance(sensor, ImuSensor | LoadCellSensor):
+                    sensor.forget(before)
 
     def produced(self) -> dict[str, int]:
         """Samples made so far, per channel of the flight log.

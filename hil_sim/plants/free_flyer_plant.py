@@ -1,19 +1,19 @@
 """Plant of the free-flyer mission: vehicle as built, release, arm motion, capture of the payload.
 
 MuJoCo (``hil_sim.plants.free_flyer``) integrates the whole flight when the plant is created, at steps of a few ms (the
-flight computer does not act on it). The sensors' finer grid is interpolated by splines, separately before and after the
-capture; the shock of the capture is in one row of that grid, as its mean. Rows are released in chunks as time advances,
-so no sensor reads future rows.
+flight computer does not act on it). The sensors' finer grid is interpolated by splines as time advances, separately
+before and after the capture; the shock of the capture is in one row of that grid, as its mean. Rows are released in
+chunks, so no sensor reads future rows.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from hil_sim.arrays import FloatArray
+from hil_sim.arrays import FloatArray, Track
 from hil_sim.plants import free_flyer, world
 from hil_sim.plants.arm_swings import ArmSwings
 from hil_sim.plants.body import Body, built
@@ -27,6 +27,7 @@ from hil_sim.scenario.vehicle_tables import JointFriction
 JOINT_NAMES = tuple(f"joint_{number}" for number in range(1, JOINTS + 1))
 EFFORT_N_M = 20.0  # of a joint's drive: our choice, as in the vehicle's URDF
 WRIST = "wrist"  # the flange of the last joint
+_BLOCK = 100  # chunks interpolated at a time
 
 
 class TrueSignals(NamedTuple):
@@ -38,6 +39,16 @@ class TrueSignals(NamedTuple):
     specific_force_m_s2: FloatArray  # (n, 3) at the IMU, its axes
     wrist_force_n: FloatArray  # (n, 3) on everything beyond the last joint's flange, the last link's axes
     wrist_moment_n_m: FloatArray  # (n, 3)
+
+
+class _Part(NamedTuple):
+    """What flies unchanged, before or after the capture."""
+
+    first: int  # row
+    rows: int
+    start_s: float
+    splines: tuple[CubicSpline, ...]  # joints, rate, specific force, wrist force and moment
+    shock: free_flyer.Jump | None  # in its first row
 
 
 class FreeFlyerPlant(world.Plant):
@@ -55,7 +66,7 @@ class FreeFlyerPlant(world.Plant):
         imu_offsets_m: of each site from the drawing, (3,).
         payload: what is captured.
         capture_s: mission time of the capture.
-        flight: true signals of the whole flight; rows from ``count`` on are not yet released.
+        flight: true signals of the whole flight, filled as time advances; rows from ``count`` on are not yet released.
     """
 
     def __init__(self, scenario: FreeFlyerScenario, rng: np.random.Generator) -> None:
@@ -71,10 +82,14 @@ class FreeFlyerPlant(world.Plant):
         self.program: ArmSwings = ArmSwings(scenario, rng)
         self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
-        self.capture_s, self.flight = self._fly(rng)
+        self._tracks = [Track(self.rows, width) for width in (JOINTS, 3, 3, 3, 3, 3)]
+        self.flight = TrueSignals(*(track.values for track in self._tracks))
+        self._made = 0  # rows interpolated
+        self._derived: list[tuple[FloatArray, Callable[[TrueSignals], FloatArray]]] = []
+        self.capture_s, self._parts = self._fly(rng)
 
-    def _fly(self, rng: np.random.Generator) -> tuple[float, TrueSignals]:
-        """Capture time and true signals of the whole flight."""
+    def _fly(self, rng: np.random.Generator) -> tuple[float, list[_Part]]:
+        """Capture time, and the flight before and after it."""
         every, capture = self._scenario.physics.integration_steps, self._scenario.capture
         coarse_s, steps = every * self.step_s, -(-self.rows // every) + 1
         held = self.payload if capture is None else None
@@ -83,23 +98,16 @@ class FreeFlyerPlant(world.Plant):
         built = self.base, self.arm, coarse_s, self.joint_offsets_m, slosh
         flight = free_flyer.FreeFlight(self.program, self.release_rate_rad_s, held, *built)
         if capture is None:
-            return 0.0, self._refined(flight.advance(steps), every, self.rows)
+            return 0.0, [self._part(flight.advance(steps), 0, self.rows)]
         first = round(rng.uniform(capture.earliest_s, capture.latest_s) / coarse_s)
-        before = self._refined(flight.advance(first), every, first * every)
+        before = self._part(flight.advance(first), 0, first * every)
         velocity_m_s = capture.velocity_sigma_m_s * rng.standard_normal(3)
         rate_rad_s = capture.rate_sigma_rad_s * rng.standard_normal(3)
         jump = flight.capture(self.payload, velocity_m_s, rate_rad_s)
         held_flight = flight.advance(steps - first)
         held_flight.specific_force_m_s2[0] -= jump.velocity_m_s / coarse_s
-        after = self._refined(held_flight, every, self.rows - first * every)
-        for rows, change in (
-            (after.specific_force_m_s2, jump.velocity_m_s),
-            (after.acceleration_rad_s2, jump.rate_rad_s),
-            (after.wrist_force_n, jump.wrist_impulse_n_s),
-            (after.wrist_moment_n_m, jump.wrist_moment_n_m_s),
-        ):
-            rows[0] += change / self.step_s
-        return first * coarse_s, TrueSignals(*(np.concatenate(parts) for parts in zip(before, after, strict=True)))
+        after = self._part(held_flight, first * every, self.rows - first * every)
+        return first * coarse_s, [before, after._replace(shock=jump)]
 
     def inertial(self, at: str) -> world.Inertial:
         """See ``world.Plant``: f = f_0 + dw x r + w x (w x r), r from the IMU that MuJoCo has."""
@@ -109,19 +117,24 @@ class FreeFlyerPlant(world.Plant):
         R_B0 = _rotation(np.asarray(free_flyer.IMU_QUATERNION))
         place_m = 1e-3 * np.asarray(site.position_mm) + self.imu_offsets_m[at]
         r = R_B0.T @ (place_m - free_flyer.IMU_POSITION_m)
-        w, dw, f = self.flight.rate_rad_s, self.flight.acceleration_rad_s2, self.flight.specific_force_m_s2
         turn = R_B0.T @ R_BS
-        return world.Inertial((f + np.cross(dw, r) + np.cross(w, np.cross(w, r))) @ turn, w @ turn, 0.0)
+
+        def force(flight: TrueSignals) -> FloatArray:
+            w, dw, f = flight.rate_rad_s, flight.acceleration_rad_s2, flight.specific_force_m_s2
+            return np.asarray((f + np.cross(dw, r) + np.cross(w, np.cross(w, r))) @ turn)
+
+        return world.Inertial(self._derive(3, force), self._derive(3, lambda flight: flight.rate_rad_s @ turn), 0.0)
 
     def angle_rad(self, at: str) -> FloatArray:
         """See ``world.Plant``."""
         self._check(at, JOINT_NAMES)
-        return self.flight.q_rad[:, JOINT_NAMES.index(at)].copy()
+        return self.flight.q_rad[:, JOINT_NAMES.index(at)]
 
     def moment_n_m(self, at: str, axis: world.Axis = world.Z) -> FloatArray:
         """See ``world.Plant``."""
         self._check(at, (WRIST,))
-        return np.asarray(self.flight.wrist_moment_n_m @ (np.asarray(axis) / np.linalg.norm(axis)))
+        unit = np.asarray(axis) / np.linalg.norm(axis)
+        return self._derive(1, lambda flight: np.asarray(flight.wrist_moment_n_m @ unit)[:, None])[:, 0]
 
     def force_n(self, at: str) -> FloatArray:
         """See ``world.Plant``."""
@@ -160,13 +173,53 @@ class FreeFlyerPlant(world.Plant):
             "imu_offsets_m": self.imu_offsets_m,
         }
 
-    def _refined(self, flight: free_flyer.FreeFlightSignals, every: int, rows: int) -> TrueSignals:
-        """A flight on a grid ``every`` times as fine, its first ``rows`` rows; joints as on their motors' side."""
-        at_s = flight.time_s[0] + (flight.time_s[1] - flight.time_s[0]) / every * np.arange(rows)
+    def _part(self, flight: free_flyer.FreeFlightSignals, first: int, rows: int) -> _Part:
+        """A flight as rows ``first ..`` of the finer grid; joints as on their motors' side."""
         q_rad = flight.q_rad + self._scenario.as_built.compliance_rad_N_m * flight.torque_n_m
         parts = q_rad, flight.rate_rad_s, flight.specific_force_m_s2, flight.wrist_force_n, flight.wrist_moment_n_m
-        q, rate, force, wrist_n, wrist_n_m = (CubicSpline(flight.time_s, values) for values in parts)
-        return TrueSignals(q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s))
+        splines = tuple(CubicSpline(flight.time_s, values) for values in parts)
+        return _Part(first, rows, float(flight.time_s[0]), splines, None)
+
+    def _make(self, until: int) -> None:
+        """Interpolate rows up to ``until``, and what is derived from them."""
+        begun = self._made
+        for part in self._parts:
+            first, last = max(begun, part.first), min(until, part.first + part.rows)
+            if first < last:
+                self._refine(part, first, last)
+        self._made = until
+        new = TrueSignals(*(values[begun:until] for values in self.flight))
+        for out, of in self._derived:
+            out[begun:until] = of(new)
+
+    def _refine(self, part: _Part, first: int, last: int) -> None:
+        every = self._scenario.physics.integration_steps
+        times_s = part.splines[0].x
+        at_s = part.start_s + (times_s[1] - times_s[0]) / every * np.arange(first - part.first, last - part.first)
+        q, rate, force, wrist_n, wrist_n_m = part.splines
+        refined = q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s)
+        for rows, values in zip(self.flight, refined, strict=True):
+            rows[first:last] = values
+        if part.shock is not None and first == part.first:
+            shock, flight = part.shock, self.flight
+            flight.specific_force_m_s2[first] += shock.velocity_m_s / self.step_s
+            flight.acceleration_rad_s2[first] += shock.rate_rad_s / self.step_s
+            flight.wrist_force_n[first] += shock.wrist_impulse_n_s / self.step_s
+            flight.wrist_moment_n_m[first] += shock.wrist_moment_n_m_s / self.step_s
+
+    def _derive(self, columns: int, of: Callable[[TrueSignals], FloatArray]) -> FloatArray:
+        """A signal (rows, columns) made of others, of those rows that there are and of each that comes."""
+        track = Track(self.rows, columns)
+        track.values[: self._made] = of(TrueSignals(*(values[: self._made] for values in self.flight)))
+        self._tracks.append(track)
+        self._derived.append((track.values, of))
+        return track.values
+
+    def forget(self, before: int) -> None:
+        """See ``world.Plant``."""
+        self.forgotten = max(self.forgotten, before)
+        for track in self._tracks:
+            track.forget(before)
 
     def _check(self, at: str, known: Iterable[str]) -> None:
         if at not in known:
@@ -174,6 +227,8 @@ class FreeFlyerPlant(world.Plant):
 
     def _run_chunk(self) -> None:
         self.count += self.chunk
+        if self._made < min(self.count, self.rows):
+            self._make(min(self._made + _BLOCK * self.chunk, self.rows))
 
 
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}

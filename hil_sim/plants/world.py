@@ -1,7 +1,7 @@
 """Interface between plants and the sensors and mission that read them.
 
 A plant computes true signals on a grid ``t_k = k h`` of mission time. Its arrays have full length from the start and
-are filled as it advances; sensors read only rows already computed.
+are filled as it advances; sensors read only rows already computed. Those that nobody reads any more are given back.
 """
 
 from abc import ABC, abstractmethod
@@ -16,6 +16,10 @@ Z: Axis = (0.0, 0.0, 1.0)  # that of a flange's joint
 
 class NotYetComputedError(RuntimeError):
     """A sensor was asked for a time not yet computed."""
+
+
+class ForgottenError(RuntimeError):
+    """A sensor was asked for a time whose rows were given back."""
 
 
 class Inertial(NamedTuple):
@@ -35,6 +39,7 @@ class Plant(ABC):
         rows: rows of the whole mission.
         count: rows computed so far; whole chunks.
         program: commanded sequence of the arm.
+        forgotten: rows before this one are zeros.
     """
 
     step_s: float
@@ -42,6 +47,7 @@ class Plant(ABC):
     rows: int
     count: int
     program: Program
+    forgotten: int = 0
 
     @abstractmethod
     def inertial(self, at: str) -> Inertial:
@@ -90,12 +96,21 @@ class Plant(ABC):
         while self.count < wanted:
             self._run_chunk()
 
+    def forget(self, before: int) -> None:  # noqa: B027 - a hook that may be left as it is
+        """Rows before ``before`` are not read any more: give them back where that was made possible."""
+
     def require(self, time_s: float) -> None:
         """Check that ``time_s`` can be interpolated.
 
         Raises:
             NotYetComputedError: it lies ahead of the plant.
+            ForgottenError: it lies before what is kept.
         """
+        if self.forgotten and time_s < self.forgotten * self.step_s:
+            raise ForgottenError(
+                f"the truth of mission time {time_s:.6f} s is not kept any more, only that from "
+                f"{self.forgotten * self.step_s:.6f} s on; let Mission keep more"
+            )
         if self.count < self.rows and time_s / self.step_s >= self.count - 3:
             raise NotYetComputedError(
                 f"mission time {time_s:.6f} s is ahead of the plant, which stands at {self.count * self.step_s:.6f} s; "

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, signal, special
 
-from hil_sim.arrays import FloatArray
+from hil_sim.arrays import Deviates, FloatArray, Track
 from hil_sim.plants.motion import STANDARD_GRAVITY
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.sensor_tables import Axes, ClockTable, EncoderTable, ForceCellTable, ImuTable, LoadCellTable
@@ -108,11 +108,13 @@ def within_limits(rng: np.random.Generator, shape: int | tuple[int, ...]) -> Flo
 class _Stream:
     """A filter applied incrementally to the rows computed so far."""
 
-    def __init__(self, response: LowPass, rows: int, columns: int) -> None:
+    def __init__(self, response: LowPass, rows: int, columns: int, first: int = 0) -> None:
         self.response = response
-        self.values = np.zeros((rows, columns))
+        self._track = Track(rows, columns)
+        self.values = self._track.values
+        self.forget = self._track.forget
         self._state: FloatArray | None = None
-        self._count = 0
+        self._count = first
 
     def extend(self, truth: FloatArray) -> None:
         """Append filtered ``truth`` rows (m, columns); the filter starts settled on the first of them."""
@@ -164,11 +166,14 @@ class ImuSensor:
         self.gyro_per_g = table.gyro_per_g_sigma_deg_s * within_limits(rng, (3, 3))
         # White noise of one-sided density D on a grid of rate f has rms D sqrt(f / 2).
         spread = np.sqrt(0.5 / plant.step_s)
-        scale = spread * np.repeat([table.accel_g.noise_density, table.gyro_deg_s.noise_density], 3)
-        self._noise = scale * rng.standard_normal((plant.rows, 6))
-        self._thermal = table.temperature_noise_counts * rng.standard_normal(plant.rows)
+        self._noise_scale = spread * np.repeat([table.accel_g.noise_density, table.gyro_deg_s.noise_density], 3)
+        self._noise = Deviates(rng, plant.rows, 6)
+        self._thermal_noise = Deviates(rng, plant.rows, 1)
         self._streams: dict[tuple[str, int], _Stream] = {}
-        self._raw = np.zeros((plant.rows, 6))  # g, deg/s: before the filter
+        self._forgotten = 0
+        self._raw_track, self._thermal_track = Track(plant.rows, 6), Track(plant.rows)
+        self._raw = self._raw_track.values  # g, deg/s, before the filter
+        self._thermal = self._thermal_track.values  # counts
         self._raw_count = 0
 
     @property
@@ -187,6 +192,7 @@ class ImuSensor:
         """
         h = self._plant.step_s
         if len(times_s):
+            self._plant.require(float(times_s[0]))
             self._plant.require(float(times_s[-1]))
         self._sense()
         accel = self._stream("accel", self._table.accel_g, dlpf_cfg, slice(0, 3))
@@ -232,18 +238,25 @@ class ImuSensor:
         raw[:, 0:3] = turned(force_g, self.accel.matrix) + self.accel.bias + rise[:, None] * self.accel.per_kelvin
         raw[:, 3:6] = turned(rate_deg_s, self.gyro.matrix) + self.gyro.bias + rise[:, None] * self.gyro.per_kelvin
         raw[:, 3:6] += turned(force_g, self.gyro_per_g)
-        raw += self._noise[rows]
+        raw += self._noise_scale * self._noise.take(count - done)
+        self._thermal[rows] = self._table.temperature_noise_counts * self._thermal_noise.take(count - done)[:, 0]
         self._raw_count = count
 
     def _stream(self, name: str, axes: Axes, dlpf_cfg: int, columns: slice) -> _Stream:
         key = (name, dlpf_cfg)
         if key not in self._streams:
             response = low_pass(*axes.filter(dlpf_cfg), self._plant.step_s)
-            self._streams[key] = _Stream(response, self._plant.rows, 3)
+            self._streams[key] = _Stream(response, self._plant.rows, 3, self._forgotten)
         stream = self._streams[key]
         if stream.count < self._raw_count:
             stream.extend(self._raw[stream.count : self._raw_count, columns])
         return stream
+
+    def forget(self, before: int) -> None:
+        """Rows before ``before`` are not read any more; a filter chosen later begins with what is kept."""
+        self._forgotten = max(self._forgotten, before)
+        for track in (self._raw_track, self._thermal_track, *self._streams.values()):
+            track.forget(before)
 
     def truth(self) -> dict[str, Any]:
         """The errors drawn: matrices act on the designed axes."""
@@ -317,14 +330,15 @@ class LoadCellSensor:
         self.nonlinearity = table.nonlinearity_of_rated_output * rng.uniform(-1.0, 1.0)
         self.zero_N = table.zero_sigma_N * rng.standard_normal()
         self.drift_N_s = table.zero_drift_sigma_N_s * rng.standard_normal()
-        walk = table.zero_walk_N_sqrt_s * np.sqrt(h) * np.cumsum(rng.standard_normal(plant.rows))
-        self._zero = self.zero_N + self.drift_N_s * h * np.arange(plant.rows) + walk
+        self._walk = Deviates(rng, plant.rows, 1)
+        self._walked = 0.0  # their sum
         delay_s = 1e-3 * table.delay_ms
         response = low_pass(np.sqrt(2.0) / (2.0 * np.pi * delay_s), delay_s, h)
         impulse = np.zeros(4000)
         impulse[0] = 1.0
         passed = float(np.linalg.norm(signal.lfilter(response.b, response.a, impulse)))
-        self._noise = table.noise_rms_N / passed * rng.standard_normal(plant.rows)
+        self._noise_scale = table.noise_rms_N / passed
+        self._noise = Deviates(rng, plant.rows, 1)
         self._stream = _Stream(response, plant.rows, 1)
         self._filtered_N = self._stream.values[:, 0]
         self._full_scale_s = tuple(table.full_scale_readings_s)
@@ -353,7 +367,20 @@ class LoadCellSensor:
         crept, self._creep_state = signal.lfilter(*self._creep, force, zi=self._creep_state)
         capacity = self._table.capacity_N
         bridge = force + self._table.creep_fraction * crept + self.nonlinearity * capacity * (force / capacity) ** 3
-        self._stream.extend((self.gain * bridge + self._zero[rows] + self._noise[rows])[:, None])
+        noise = self._noise_scale * self._noise.take(len(bridge))[:, 0]
+        self._stream.extend((self.gain * bridge + self._zero(rows) + noise)[:, None])
+
+    def _zero(self, rows: slice) -> FloatArray:
+        """Of the next rows: drift, and a random walk."""
+        h, steps = self._plant.step_s, self._walk.take(rows.stop - rows.start)[:, 0]
+        walked = np.cumsum(np.concatenate([[self._walked], steps]))[1:]
+        self._walked = float(walked[-1])
+        drifted = self.zero_N + self.drift_N_s * h * np.arange(rows.start, rows.stop)
+        return np.asarray(drifted + self._table.zero_walk_N_sqrt_s * np.sqrt(h) * walked)
+
+    def forget(self, before: int) -> None:
+        """Rows before ``before`` are not read any more."""
+        self._stream.forget(before)
 
     def truth(self) -> dict[str, Any]:
         """The errors drawn; ``moment_Nm_per_N`` is the factor that turns a small reading into the true moment."""

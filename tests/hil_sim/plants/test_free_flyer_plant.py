@@ -38,9 +38,16 @@ SHORT = {
 }
 
 
+def flown(scenario, seed: int) -> FreeFlyerPlant:
+    """A plant that is computed to its end."""
+    made = FreeFlyerPlant(scenario, np.random.default_rng(seed))
+    made.advance(made.program.duration_s + 1.0)
+    return made
+
+
 @pytest.fixture(scope="module")
 def plant() -> FreeFlyerPlant:
-    return FreeFlyerPlant(load("dymaflex", SHORT), np.random.default_rng(5))
+    return flown(load("dymaflex", SHORT), 5)
 
 
 def turn(axis: str, angle):
@@ -166,7 +173,7 @@ def test_joints_do_as_told(plant) -> None:
 
 
 def test_a_grid_step_of_the_integration_does_not_matter(plant) -> None:
-    fine = FreeFlyerPlant(load("dymaflex", SHORT | {"physics": {"integration_steps": 4}}), np.random.default_rng(5))
+    fine = flown(load("dymaflex", SHORT | {"physics": {"integration_steps": 4}}), 5)
     rows, _ = away_from_the_shock(plant)
     rows = rows[rows < round(1.6 / STEP_S)]  # the capture falls on a step
     a_sixth_of_a_count = {"rate_rad_s": 2e-5, "specific_force_m_s2": 1e-4, "wrist_force_n": 4e-4, "q_rad": 2e-6}
@@ -189,7 +196,7 @@ def test_every_flight_is_another_one_within_its_limits() -> None:
 
 def test_what_is_held_from_the_start_is_not_captured(plant) -> None:
     scenario = load("dymaflex", SHORT).model_copy(update={"capture": None})
-    held = FreeFlyerPlant(scenario, np.random.default_rng(1))
+    held = flown(scenario, 1)
     assert held.capture_s == 0.0
     jumps = [np.abs(np.diff(one.flight.rate_rad_s, 2, axis=0)).max() for one in (held, plant)]
     assert jumps[0] < 1e-5 < 1e-3 < jumps[1]
@@ -247,7 +254,7 @@ def test_the_rockets_arm_has_one_place_of_a_kind() -> None:
 
 
 def test_one_seed_one_flight(plant: FreeFlyerPlant) -> None:
-    again, other = (FreeFlyerPlant(load("dymaflex", SHORT), np.random.default_rng(seed)) for seed in (5, 6))
+    again, other = (flown(load("dymaflex", SHORT), seed) for seed in (5, 6))
     for signal in ("rate_rad_s", "specific_force_m_s2", "wrist_force_n"):
         assert np.array_equal(getattr(again.flight, signal), getattr(plant.flight, signal))
         assert not np.array_equal(getattr(other.flight, signal), getattr(plant.flight, signal))

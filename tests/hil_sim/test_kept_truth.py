@@ -1,0 +1,77 @@
+"""What a mission keeps of its truth: old rows are given back, and nothing that is read changes by it."""
+
+import numpy as np
+import pytest
+
+from hil_sim import arrays, mission
+from hil_sim.arrays import Deviates, Track
+from hil_sim.mission import Mission
+from hil_sim.plants.world import ForgottenError
+from hil_sim.scenario.load import load
+
+HELD = {"phase": 0, "action": "hold", "duration_s": 1.5}
+SHORT = {"sequence": [HELD], "capture": {"earliest_s": 0.4, "latest_s": 0.6}}
+SETTINGS = (16384.0, 131.0, 2)
+PAGE = 4096
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Memory given back a page at a time, after 0.3 s."""
+    monkeypatch.setattr(arrays, "_LEAST", PAGE)
+    monkeypatch.setattr(mission, "_KEPT_S", 0.3)
+
+
+def test_deviates_drawn_in_blocks_are_those_of_one_draw(monkeypatch, rng) -> None:
+    monkeypatch.setattr(arrays, "_LEAST", 7 * 8 * 3)  # blocks of seven rows
+    once, blocks = np.random.default_rng(4), np.random.default_rng(4)
+    whole, drawn = once.standard_normal((100, 3)), Deviates(blocks, 100, 3)
+    np.testing.assert_array_equal(np.concatenate([drawn.take(n) for n in (1, 59, 0, 40)]), whole)
+    assert once.bit_generator.state == blocks.bit_generator.state
+
+
+def test_a_track_gives_back_whole_pages_of_what_is_forgotten(monkeypatch) -> None:
+    monkeypatch.setattr(arrays, "_LEAST", PAGE)
+    track = Track(2000, 2)
+    track.values[:] = 1.0
+    track.forget(1000)
+    kept = np.flatnonzero(track.values[:, 0])
+    a_page = PAGE // 16
+    assert 1000 - a_page < kept[0] <= 1000
+    assert len(kept) == 2000 - kept[0]
+
+
+def read(scenario, seed: int, until_s: float) -> list[np.ndarray]:
+    """What IMU, joint and cell say every 20 ms."""
+    flying = Mission(scenario, seed)
+    said = []
+    for time_s in np.arange(0.02, until_s, 0.02):
+        flying.now_ns = flying.start_ns + round(1e9 * time_s)
+        flying._forget()
+        flying.plant.advance(time_s)
+        words = flying.sensors["imu_base"].counts(time_s - 1e-3 * np.arange(20)[::-1], *SETTINGS)
+        said.append(
+            np.concatenate([words.ravel(), [flying.sensors[name].value(time_s) for name in ("joint_1", "load_cell")]])
+        )
+    return said
+
+
+@pytest.mark.usefixtures("small")
+def test_what_is_kept_changes_nothing_that_is_read(monkeypatch) -> None:
+    forgetful = read(load("dymaflex", SHORT), 3, 1.4)
+    monkeypatch.setattr(mission, "_KEPT_S", 60.0)
+    np.testing.assert_array_equal(forgetful, read(load("dymaflex", SHORT), 3, 1.4))
+
+
+@pytest.mark.usefixtures("small")
+def test_a_time_that_is_not_kept_is_an_error_and_a_delayed_input_keeps_more() -> None:
+    for fault, kept in ((), False), (({"kind": "delayed", "device": "joint_1", "start_s": 0.1, "value": 1.0},), True):
+        flying = Mission(load("dymaflex", SHORT | {"fault": fault}), 3)
+        flying.now_ns = flying.start_ns + 1_200_000_000
+        flying.plant.advance(1.2)
+        flying._forget()
+        if kept:
+            assert flying.sensors["joint_1"].value(0.3) != 0.0
+        else:
+            with pytest.raises(ForgottenError, match="not kept any more"):
+                flying.sensors["joint_1"].value(0.3)
