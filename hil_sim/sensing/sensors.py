@@ -112,7 +112,6 @@ class _Stream:
         self.response = response
         self._track = Track(rows, columns)
         self.values = self._track.values
-        self.forget = self._track.forget
         self._state: FloatArray | None = None
         self._count = first
 
@@ -124,6 +123,10 @@ class _Stream:
         out, self._state = signal.lfilter(self.response.b, self.response.a, truth, axis=0, zi=self._state)
         self.values[self._count : self._count + len(truth)] = out
         self._count += len(truth)
+
+    def forget(self, before: int) -> None:
+        """Rows before ``before`` are not read any more."""
+        self._track.forget(before)
 
     @property
     def count(self) -> int:
@@ -255,8 +258,10 @@ class ImuSensor:
     def forget(self, before: int) -> None:
         """Rows before ``before`` are not read any more; a filter chosen later begins with what is kept."""
         self._forgotten = max(self._forgotten, before)
-        for track in (self._raw_track, self._thermal_track, *self._streams.values()):
-            track.forget(before)
+        self._raw_track.forget(before)
+        self._thermal_track.forget(before)
+        for stream in self._streams.values():
+            stream.forget(before)
 
     def truth(self) -> dict[str, Any]:
         """The errors drawn: matrices act on the designed axes."""

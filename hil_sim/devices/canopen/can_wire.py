@@ -62,7 +62,7 @@ def _stuff_words() -> bytes:
     """By state * 65536 + word: the next state + 16 * the stuff bits inserted, by the table of bytes."""
     state, stuffed = np.array(_stuff_table()).reshape(10, 256, 2).transpose(2, 0, 1)
     both = state[state] | (stuffed[:, :, None] + stuffed[state]) << 4  # (10, 256, 256)
-    return both.astype(np.uint8).tobytes()
+    return bytes(both.astype(np.uint8).tobytes())
 
 
 _CRC: Final = _crc_words()
