@@ -131,7 +131,7 @@ class Asking:
         why = self._stuck(time_s - self._held_s, time_s, rests=rests)
         if why:
             return self._give_up(now_ns, time_s, now, why)
-        return self._ask(now_ns, time_s, known, now) if rests else []
+        return self._ask(now_ns, time_s, known, now, solved=exiddm.state is not None) if rests else []
 
     def _wait(self, now_ns: int) -> list[Batch]:
         """Nothing is held: an event, where segments were asked for until now."""
@@ -204,7 +204,7 @@ class Asking:
             own[name].supported and own[name].sigma <= target for name, target in zip(names, asked.targets, strict=True)
         )
 
-    def _ask(self, now_ns: int, time_s: float, known: _Known, now: float) -> list[Batch]:
+    def _ask(self, now_ns: int, time_s: float, known: _Known, now: float, *, solved: bool) -> list[Batch]:
         library = self._library
         low, high = known.masses_kg
         if high > 1.25 * library.masses[-1] and self._since_change >= _FEWEST:
@@ -231,7 +231,8 @@ class Asking:
                 why = f"the last {_FEWEST} segments have told nothing that was not known; most is by {told}"
             if why:
                 return self._give_up(now_ns, time_s, now, why)
-        self._ratios.append(now)
+        if solved:  # else no window has been explained yet, and nothing could have been told
+            self._ratios.append(now)
         name = library.names[found.segment]
         self._unmoved = 0 if self._moved or not self._since_change else self._unmoved + 1
         self._since_change, self._moved, self._asks = self._since_change + 1, False, True

@@ -133,6 +133,11 @@ class Limits:
             ConfigError: a joint is beyond its limits there.
         """
         low, high = self.low - posture, self.high - posture
+        if (low >= high).any():
+            k = int(np.flatnonzero(low >= high)[0])
+            raise config.ConfigError(
+                f"limits of {self.joints[k]}: low {self.low[k]:.3g} is not below {self.high[k]:.3g}"
+            )
         if (low >= 0.0).any() or (high <= 0.0).any():
             k = int(np.flatnonzero((low >= 0.0) | (high <= 0.0))[0])
             raise config.ConfigError(

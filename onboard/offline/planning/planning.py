@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.flight.estimate.identification import build_model
 from onboard.offline.foresee.foresee import foresee
 from onboard.offline.foresee.plan import Foreseen, Plan, plan_of
@@ -18,6 +18,7 @@ from onboard.offline.planning.splines import Splines
 
 PIECE_s = 1.0  # length of a spline's piece: motions up to some 0.5 Hz
 FEWEST_PIECES = 6
+_TOLD = 0.98  # of the sigma at rest: a motion that leaves more tells nothing of a quantity
 
 
 class Wanted(NamedTuple):
@@ -46,8 +47,10 @@ class PlannedMotion(NamedTuple):
     expected_before: Foreseen  # of the swings in its place
     along_s: FloatArray  # (m,) from the motion's start
     along_sigma: FloatArray  # (m, k)
-    names: tuple[str, ...]  # of the k quantities
+    names: tuple[str, ...]  # of the k quantities that motion tells anything of
     scales: FloatArray  # (k,)
+    untold: tuple[str, ...]  # those that it does not
+    asked: tuple[str, ...]
     weakest: str
     found: Found
 
@@ -64,7 +67,7 @@ def plan_motion(
         step: is told the share that is done.
 
     Raises:
-        ConfigError: quantities, limits or payload do not fit the vehicle.
+        ConfigError: quantities, limits or payload do not fit the vehicle, or no motion tells what is asked.
         SignalError: a motion with which nothing can be predicted.
     """
     coarse, fine = vehicle.with_row_rate(TICK_HZ), vehicle
@@ -72,7 +75,12 @@ def plan_motion(
     ticks = ticks_of(plan, wanted.start_s, wanted.end_s)
     free = vehicle.file.planar is None and vehicle.file.estimation.method == "exiddm"
     bound: Bound = FreeBound(coarse, plan, ticks.start) if free else RowsBound(coarse, plan, ticks)
-    chosen = chosen_of(bound.names, wanted.asked)
+    told = told_by(bound, np.stack([signal[ticks] for signal in (plan.q, plan.dq, plan.ddq)]))
+    nuisance = () if wanted.asked else vehicle.file.estimation.nuisance
+    wished = [k for k in chosen_of(bound.names, wanted.asked) if bound.names[k] not in nuisance]
+    chosen = tuple(k for k in wished if told[k])
+    if not chosen:
+        raise config.ConfigError(f"no motion of {vehicle.label} tells {', '.join(bound.names[k] for k in wished)}")
     model = build_model(vehicle)
     pieces = max(FEWEST_PIECES, round((wanted.end_s - wanted.start_s) / PIECE_s))
     splines = Splines(plan.q[ticks.start], wanted.end_s - wanted.start_s, pieces)
@@ -93,12 +101,22 @@ def plan_motion(
         expected=foresee(fine, whole),
         expected_before=foresee(fine, swung),
         along_s=at / TICK_HZ,
-        along_sigma=sigma,
-        names=bound.names,
-        scales=bound.scales,
+        along_sigma=sigma[:, told],
+        names=tuple(np.array(bound.names)[told].tolist()),
+        scales=bound.scales[told],
+        untold=tuple(np.array(bound.names)[~told].tolist()),
+        asked=own,
         weakest=weakest(covariance[np.ix_(picked, picked)], bound.scales[picked], own),
         found=found,
     )
+
+
+def told_by(bound: Bound, moved: FloatArray) -> BoolArray:
+    """Which quantities a motion of all joints, (3, n, joints), tells anything of, (k,)."""
+    rest = np.zeros_like(moved)
+    rest[0] = moved[0, 0]
+    still, moving = (np.diag(bound.of(one).covariance) for one in (rest, moved))
+    return np.asarray(np.sqrt(moving) < _TOLD * np.sqrt(still), np.bool_)
 
 
 def ticks_of(plan: Plan, start_s: float, end_s: float) -> slice:

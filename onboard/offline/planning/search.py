@@ -145,7 +145,7 @@ class _Problem:
             coarse: on the ticks of the search only.
 
         Raises:
-            ConfigError: the posture itself does not keep them.
+            ConfigError: the posture itself does not keep them, or no motion does.
         """
         if self._keeps(x, coarse):
             return x
@@ -153,11 +153,11 @@ class _Problem:
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self._keeps(middle * x, coarse) else (low, middle)
-        if low == 0.0:
-            broken = self._excess(np.zeros_like(x), coarse).max(axis=0)
-            names = [name for name, by in zip(self._over.limits.names, broken.tolist(), strict=True) if by > 0.0]
-            said = f"at rest in its posture the vehicle breaks: {', '.join(names)}" if names else "no motion keeps them"
-            raise config.ConfigError(f"limits: {said}; widen them")
+        for share, said in ((0.0, "at rest in its posture the vehicle breaks"), (high, "the smallest motion breaks")):
+            broken = self._excess(share * x, coarse).max(axis=0) if low == 0.0 else np.zeros(0)
+            names = [name for name, by in zip(self._over.limits.names, broken.tolist(), strict=False) if by > 0.0]
+            if names:
+                raise config.ConfigError(f"limits: {said}: {', '.join(names)}; widen them")
         return low * x
 
     def _keeps(self, x: FloatArray, coarse: bool) -> bool:

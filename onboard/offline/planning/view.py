@@ -25,9 +25,11 @@ def render(made: PlannedMotion | Library) -> RenderableType:
     gains = [
         f"{one.name} {one.sigma / before[one.name]:.2f}"
         for one in _answers(made.expected)
-        if one.name in before and np.isfinite(before[one.name]) and before[one.name] > 0.0
+        if one.name in made.asked and one.name in before and np.isfinite(before[one.name]) and before[one.name] > 0.0
     ]
     lines = [made.weakest]
+    if made.untold:
+        lines.append(f"no motion of this vehicle tells: {', '.join(made.untold)}")
     if gains:
         lines.append(f"width of its interval over that of the swings in its place: {', '.join(gains)}")
     return Group(foreseen.render(made.expected, "the planned motion"), *(Text(line) for line in lines))

@@ -16,8 +16,9 @@ from onboard.flight.estimate.identification import build_model
 from onboard.offline.foresee.foresee import foresee
 from onboard.offline.foresee.plan import plan_of
 from onboard.offline.planning import limits
+from onboard.offline.planning.bound import TICK_HZ, RowsBound
 from onboard.offline.planning.criteria import Criterion, cost, weakest
-from onboard.offline.planning.planning import Wanted, plan_motion
+from onboard.offline.planning.planning import Wanted, plan_motion, told_by
 from onboard.offline.planning.splines import Splines
 
 SCENARIO = """
@@ -148,6 +149,8 @@ def test_spheres_keep_links_apart(flyer):
         ("joint.joint_1.rate = -1", "joint.joint_1.rate"),
         ("joint.joint_1 = {low = 2.0, high = 3.0}", "joint_1 starts at"),
         ("base_rate_rad_s = 1e-6", "at rest in its posture the vehicle breaks: base's rate"),
+        ("joint.joint_1 = {low = 0.5, high = -0.5}", "low 0.5 is not below -0.5"),
+        ("joint.joint_1.acceleration = 1e-9", "the smallest motion breaks: joint_1 acceleration"),
         ("share = [", "TOML"),
     ],
 )
@@ -189,3 +192,19 @@ def test_an_arm_that_stands_is_planned_by_its_rows(tmp_path):
             limits.LimitsFile(joint={"joint_9": limits.JointLimit()}),
             None,
         )
+
+
+def test_a_planar_base_is_planned_for_what_its_motions_can_tell(tmp_path, capsys):
+    assert main(["init", str(tmp_path / "bed"), "--base", "planar", "--joints", "2"]) == 0
+    (tmp_path / "over.toml").write_text('[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 6.0\n')
+    asked = ["plan", str(tmp_path / "bed" / "vehicle.toml"), "--scenario", str(tmp_path / "over.toml")]
+    asked += ["--starts", "1", "--iterations", "1", "-o", str(tmp_path / "plan")]
+    assert main([*asked, "--for", "I_xx_payload"]) == 2
+    assert "no motion of" in (said := capsys.readouterr().err)
+    assert said.rstrip().endswith("tells I_xx_payload")
+    vehicle = config.load(tmp_path / "bed" / "vehicle.toml").with_row_rate(TICK_HZ)
+    scenario = rehearsal(vehicle.path, tmp_path / "over.toml")
+    plan = plan_of(vehicle, default_plan(scenario, 1.0 / TICK_HZ))
+    bound = RowsBound(vehicle, plan, slice(0, len(plan.time_s)))
+    told = told_by(bound, np.stack([plan.q, plan.dq, plan.ddq]))
+    assert np.array(bound.names)[told].tolist() == ["m_payload", "c_x_payload", "c_y_payload", "I_zz_payload"]
