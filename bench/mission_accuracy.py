@@ -1,7 +1,8 @@
 """A mission over many seeds: how far off the answers are, and whether their intervals cover.
 
 Run ``python bench/mission_accuracy.py [PLAN] [--seeds 100] [--first 1] [--jobs 2] [--out DIR]``: it flies
-``bench/plans/PLAN.toml`` by ``heft campaign`` with these seeds, and prints what ``heft campaign report`` says.
+``bench/plans/PLAN.toml`` by ``heft campaign`` with these seeds, and prints what ``heft campaign report`` says, of each
+level of the plan's factor if it has one.
 ``drawn`` is the part of sigma that the drawing's tolerances make, which no motion lowers: 1.96 of it bounds p95 from
 below. Errors of inertias are those of the rows alone. With ``--out`` the data set and the page stay.
 """
@@ -10,6 +11,7 @@ import argparse
 import os
 import sys
 import tempfile
+import tomllib
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -32,10 +34,13 @@ def main() -> int:
     with ExitStack() as stack:
         out = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         seeds = ["--first", str(arguments.first), "--seeds", str(arguments.seeds), "--jobs", str(arguments.jobs)]
-        code = cli.main(["campaign", str(PLANS / f"{arguments.plan}.toml"), "-o", str(out), *seeds])
+        plan = PLANS / f"{arguments.plan}.toml"
+        code = cli.main(["campaign", str(plan), "-o", str(out), *seeds])
         if code == cli.BAD_INPUT:
             return code
         more = ["--json", str(arguments.json)] if arguments.json else []
+        factors = list(tomllib.loads(plan.read_text(encoding="utf-8")).get("factor", {}))
+        more += ["--by", factors[0]] if len(factors) == 1 else []
         return max(code, cli.main(["campaign", "report", str(out), *more]))
 
 

@@ -39,6 +39,7 @@ def add(commands: Commands) -> None:
     campaign.add_argument("--retry", action="store_true", help="fly again what has failed")
     campaign.add_argument("--list", action="store_true", help="say what would be flown, and end")
     campaign.add_argument("--again", metavar="FLIGHT", help="fly one flight in this process, keep its log, and end")
+    campaign.add_argument("--by", metavar="FACTOR", help="of report: the answers of each level of a factor too")
     campaign.add_argument("--json", type=Path, metavar="FILE", help="of report: write its numbers too")
     campaign.set_defaults(command=_campaign)
 
@@ -194,7 +195,7 @@ def _again(address: str, items: Mapping[str, "Item"], code: str) -> int:
 def _report(arguments: argparse.Namespace) -> int:
     import json
 
-    from onboard.offline.campaign.statistics import summary
+    from onboard.offline.campaign.statistics import by_level, summary
     from onboard.offline.campaign.store import Store
     from onboard.offline.campaign.view import failures, summed
     from onboard.offline.report import campaign
@@ -203,13 +204,20 @@ def _report(arguments: argparse.Namespace) -> int:
         raise ValueError("heft campaign report DIR: name the directory of the campaign")
     store = Store(arguments.directory)
     content = store.content()
-    found = summary(store.rows(content.items))
+    rows = store.rows(content.items)
+    found, levels = summary(rows), {}
+    if arguments.by is not None:
+        levels = {f"{arguments.by} = {level}": of for level, of in by_level(rows, arguments.by).items()}
+    for level, of in levels.items():
+        console().print(level, soft_wrap=True)
+        show(summed(of))
     show(summed(found))
     if failed := store.failures(content.items):
         show(failures(failed))
     if arguments.json:
-        arguments.json.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        told = found.as_json() | {"by": {level: of.as_json() for level, of in levels.items()}}
+        arguments.json.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     output = arguments.output or arguments.directory / "report.html"
-    campaign.write(found, content, store, output)
+    campaign.write(found, content, store, output, levels)
     print(output)
     return OK if found.flights else FAILED

@@ -196,6 +196,24 @@ def summary(rows: Sequence[Row]) -> Summary:
     )
 
 
+def by_level(rows: Sequence[Row], factor: str) -> dict[str, Summary]:
+    """The same of the flights of each level, or number, of a factor.
+
+    Raises:
+        ValueError: there is no such factor, or it has too many levels to be told one by one.
+    """
+    column = FACTOR + factor
+    levels = dict.fromkeys(row[column] for row in rows if row.get(column) is not None)
+    if not levels and rows:
+        known = sorted({key.removeprefix(FACTOR) for row in rows for key in row if key.startswith(FACTOR)})
+        raise ValueError(f"no flight has a factor {factor!r}; there are: {', '.join(known) or 'none'}")
+    if len(levels) > MOST_LEVELS:
+        raise ValueError(
+            f"the factor {factor!r} has {len(levels)} levels, and at most {MOST_LEVELS} are told one by one"
+        )
+    return {str(level): summary([row for row in rows if row.get(column) == level]) for level in levels}
+
+
 def _is_known(row: Row) -> bool:
     return bool(row["supported"]) and row["truth"] is not None
 

@@ -40,8 +40,15 @@ _MATRIX = (
 )
 
 
-def write(found: Summary, content: Content, store: Store, output: Path) -> None:
+def write(found: Summary, content: Content, store: Store, output: Path, levels: Mapping[str, Summary]) -> None:
     """Write the page of a campaign, as far as it is flown.
+
+    Args:
+        found: of all flights.
+        content: of the campaign.
+        store: of its results.
+        output: the page.
+        levels: the same of the flights of some, by what they are.
 
     Raises:
         OSError: it cannot be written.
@@ -51,6 +58,7 @@ def write(found: Summary, content: Content, store: Store, output: Path) -> None:
     with theme.figures():
         sections = [
             ("Answers", _answers(found) + draw(_coverage(found), _COVERAGE)),
+            *((f"Answers, {level}", _answers(of)) for level, of in levels.items()),
             ("Errors", draw(_distributions(found), _WHITENED)),
             ("Faults and outcomes", _matrix(found)),
             ("What drives the errors", _effects(found)),

@@ -111,6 +111,21 @@ def test_the_page_says_what_is_wrong_and_needs_no_network(tmp_path: Path, capsys
     assert (told["flights"], told["answers"]) == (11, {"right": 10, "confident nonsense": 1})
 
 
+def test_the_answers_of_each_level_of_a_factor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = kept(tmp_path / "c", [({"<cell>": "good"}, {})] * 3 + [({"<cell>": "bent"}, {"bias": 1.0})] * 2)
+    report = ["campaign", "report", str(store.directory)]
+    assert cli.main([*report, "--by", "<cell>", "--json", str(tmp_path / "c.json")]) == cli.OK
+    told = json.loads((tmp_path / "c.json").read_text())
+    answers = {level: (of["flights"], of["answers"]) for level, of in told["by"].items()}
+    assert answers == {"<cell> = good": (3, {"right": 3}), "<cell> = bent": (2, {"confident nonsense": 2})}
+    assert told["flights"] == 5
+    said = capsys.readouterr().out
+    assert said.index("<cell> = good") < said.index("<cell> = bent") < said.index("5 flights; answers")
+    assert "Answers, &lt;cell&gt; = bent" in (store.directory / "report.html").read_text()
+    assert cli.main([*report, "--by", "moon"]) == cli.BAD_INPUT
+    assert "no flight has a factor 'moon'; there are: <cell>" in capsys.readouterr().err
+
+
 def test_a_campaign_of_nothing_yet_has_a_page_too(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.begin(Content("none", "", "r", {"a": Item(1)}))
