@@ -4,18 +4,15 @@ The identifier as it flies, ten parameters of the payload unknown, the rest exac
 the known power of the noise taken out, and instrumental variables.
 """
 
-import argparse
 import os
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.identification.free_flyer import BOXES, PAYLOAD_SIGMA, DURATION_s, vehicle
+from bench.identification.free_flyer import BOXES, NORMAL, PAYLOAD_SIGMA, DURATION_s, vehicle
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, Samples, sample
 from onboard.dynamics.inertia import RigidBody
@@ -24,6 +21,8 @@ from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.consistency import JackknifeEstimate
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.verdict import Level
+from onboard.offline.campaign.results import Answer, FlightResult
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows, base_motion
 from onboard.regressor.signals import SignalNoise, Signals
@@ -34,15 +33,11 @@ ROW_s, STEP_TICKS, SMOOTHING_s = 0.01, 5, 0.2
 ENCODER_rad = 2.0 * np.pi / 500_000 / np.sqrt(12.0)
 EQUATION_SIGMA = np.array([1e-3] * 3 + [1e-4] * 3)  # N, N m: what is left of the rows with exact signals
 METHODS = ("least squares", "less known noise", "instrumental")
-
-
-class Answer(NamedTuple):
-    """One method's answer to one flight."""
-
-    mass: float  # relative error
-    centre: float  # m
-    inertia: float  # relative to the norm, about the centre of mass
-    inside: Floats  # (10,) whether the 95 % interval of each standard parameter holds
+STANDARD = (  # parameters about the frame's origin
+    ("m", "kg"),
+    *((f"m c_{axis}", "kg m") for axis in "xyz"),
+    *((f"J_{of}", "kg m^2") for of in ("xx", "xy", "yy", "xz", "yz", "zz")),
+)
 
 
 def identifier(model: VehicleModel, instruments: bool, smoothing_s: float = SMOOTHING_s) -> Identifier:
@@ -99,31 +94,32 @@ def feed(one: Identifier, signals: Signals) -> None:
         one.update(step, np.ones(n, bool), np.zeros(n, np.int64))
 
 
-def _answer(jackknife: JackknifeEstimate, truth: RigidBody) -> Answer:
-    true, found = standard_of(truth), jackknife.mean
-    interval = jackknife.combination(np.eye(10))
-    inside = ((interval.low <= true) & (true <= interval.high)).astype(float)
-    m, c = found[0], found[1:4] / found[0]
-    xx, xy, yy, xz, yz, zz = found[4:]
-    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (c @ c * np.eye(3) - np.outer(c, c))
-    inertia = np.linalg.norm(about - truth.inertia_kg_m2) / np.linalg.norm(truth.inertia_kg_m2)
-    return Answer(m / true[0] - 1.0, float(np.linalg.norm(c - truth.centre_of_mass_m)), float(inertia), inside)
+def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
+    """One flight of ``bench/plans/linear.toml``.
 
-
-def fly(mass: int, smoothing_s: float, seed: int) -> tuple[Answer, ...]:
-    """One flight, every method."""
-    rng, body = np.random.default_rng(seed), BOXES[mass]
+    Args:
+        seed: of everything drawn.
+        settings: ``payload``: kg, of ``BOXES``; ``method``, of ``METHODS``.
+    """
+    rng, body, method = np.random.default_rng(seed), BOXES[settings["payload"]], settings["method"]
     motion = free_flyer.JointMotion.draw(rng)
-    flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), DURATION_s)
+    flown = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), DURATION_s)
     model = vehicle()
-    signals = signals_of(model, sample(flight, ImuErrors(), rng), smoothing_s)
+    signals = signals_of(model, sample(flown, ImuErrors(), rng))
     truth = RigidBody(body.mass_kg, body.centre_of_mass_m, body.inertia_kg_m2)
-    one = identifier(model, True, smoothing_s)
+    one = identifier(model, method != "least squares")
+    if method == "least squares":
+        signals = signals._replace(noise=None, sigma=_mean_sigma(one, signals, truth))
     feed(one, signals)
-    plain = identifier(model, False, smoothing_s)
-    feed(plain, signals._replace(noise=None, sigma=_mean_sigma(plain, signals, truth)))
-    corrected = JackknifeEstimate(one.rls, one.blocks)
-    return _answer(plain.block_jackknife(), truth), _answer(corrected, truth), _answer(one.block_jackknife(), truth)
+    found = JackknifeEstimate(one.rls, one.blocks) if method == "less known noise" else one.block_jackknife()
+    interval, true = found.combination(np.eye(10)), standard_of(truth)
+    numbers = zip(true, found.mean, interval.low, interval.high, strict=True)
+    return FlightResult(
+        tuple(
+            Answer(name, unit, *map(float, of), float(of[3] - of[1]) / NORMAL, supported=True, level=str(Level.GOOD))
+            for (name, unit), of in zip(STANDARD, numbers, strict=True)
+        )
+    )
 
 
 def _mean_sigma(one: Identifier, signals: Signals, truth: RigidBody) -> Floats:
@@ -133,22 +129,3 @@ def _mean_sigma(one: Identifier, signals: Signals, truth: RigidBody) -> Floats:
     mass = one.model.vehicle.chi[::10].sum() + truth.mass_kg
     force = mass * float(np.mean(noise.specific_force))
     return np.broadcast_to([force] * 3 + [0.2 * force] * 3, signals.measured.shape)
-
-
-def linear(arguments: argparse.Namespace) -> None:
-    """Print the table."""
-    seeds = range(arguments.first, arguments.first + arguments.seeds)
-    print(f"\nlinear estimators, {len(seeds)} flights of {DURATION_s:g} s, datasheet noise, kernel {SMOOTHING_s:g} s")
-    print(f"{'':24}{'mass, %':>20}{'centre, mm':>12}{'inertia, %':>12}{'covered':>9}")
-    print(f"{'':24}{'bias':>10}{'rms':>10}{'rms':>12}{'rms':>12}{'95 %':>9}")
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        for mass in BOXES:
-            flown = list(pool.map(partial(fly, mass, SMOOTHING_s), seeds))
-            for k, method in enumerate(METHODS):
-                error = np.array([answers[k][:3] for answers in flown])
-                inside = np.mean([answers[k].inside for answers in flown])
-                rms = np.sqrt(np.mean(error**2, axis=0))
-                print(
-                    f"{mass:3d} kg, {method:16}{100 * error[:, 0].mean():+10.3f}{100 * rms[0]:10.3f}"
-                    f"{1e3 * rms[1]:12.3f}{100 * rms[2]:12.3f}{100 * inside:8.1f}%"
-                )

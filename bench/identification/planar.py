@@ -4,32 +4,27 @@ Wrong, beside noise at the datasheet's density: all that the real free-flyer has
 base and links as they were weighed), the table's level, the velocity at the start, and which puck drags how much.
 """
 
-import argparse
-import contextlib
 import os
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
-from bench.identification.free_flyer import BASE_SIGMA, BOXES, ERRORS, LINK_SIGMA, PAYLOAD_SIGMA, as_built
+from bench.identification.free_flyer import BASE_SIGMA, BOXES, ERRORS, LINK_SIGMA, NORMAL, PAYLOAD_SIGMA, as_built
 from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.sensing.free_flyer_sensors import sample
 from onboard import config
-from onboard.dynamics.errors import SignalError
 from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.verdict import Level
+from onboard.offline.campaign.results import Answer, FlightResult
 
 Floats = NDArray[np.float64]
 
@@ -39,18 +34,6 @@ SWING = (1.0, 1.0, 1.0, 1.0, 3.0)  # of 0.35 rad: that turn is what shows Izz
 TILT_m_s2, VELOCITY_m_s, RATE_rad_s = 0.002, 0.02, 0.05  # standard deviations; 0.2 mrad
 VISCOUS_N_s_m, COULOMB_N = (1.0, 4.0), (0.1, 0.4)  # of the puck that drags
 GOOD_N_s_m, GOOD_N = 0.05, 0.005  # of one that does not, at most
-
-
-class Outcome(NamedTuple):
-    """One run's answer: errors and sigmas of mass and Izz, relative; of Fv and Fc of the puck that drags."""
-
-    error: Floats  # (4,)
-    sigma: Floats  # (4,)
-    plain: Floats  # (2,) of a least squares on rows that knows nothing of drag
-    centre_m: float
-    inside: NDArray[np.bool_]  # (6,) drags of all pucks in their intervals
-    misfit: float
-    reason: str  # why it is not to be used; empty if it is
 
 
 def vehicle() -> VehicleModel:
@@ -72,8 +55,15 @@ def priors(model: VehicleModel) -> tuple[dict[str, Floats], AirBearingPrior]:
     return links, AirBearingPrior(VELOCITY_m_s, 1.0, pucks, TILT_m_s2, imu)
 
 
-def run_one(body: free_flyer.Body, seed: int) -> Outcome | None:
-    """One run from MuJoCo to the answer; none, where the fit finds none."""
+def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
+    """One run of ``bench/plans/planar.toml``, 5 kg, from MuJoCo to the answer.
+
+    Args:
+        seed: of everything drawn.
+        settings: none.
+    """
+    del settings
+    body = BOXES[5]
     rng = np.random.default_rng(seed)
     base = as_built(free_flyer.BASE, BASE_SIGMA, rng)
     arm = tuple(as_built(link, LINK_SIGMA, rng) for link in free_flyer.ARM)
@@ -91,53 +81,32 @@ def run_one(body: free_flyer.Body, seed: int) -> Outcome | None:
     model = vehicle()
     links, prior = priors(model)
     exiddm = air_bearing_exiddm(model, "imu_base", signals, PAYLOAD_SIGMA, links, prior)
+    names, units = ("m", "c_x", "c_y", "I_zz", "Fv", "Fc"), ("kg", "m", "m", "kg m^2", "N s/m", "N")
+    own = slice(2 * dragging, 2 * dragging + 2)
+    drag = drags[dragging]
+    truth = [body.mass_kg, *body.centre_of_mass_m[:2], body.inertia_kg_m2[2, 2], drag.viscous_N_s_m, drag.coulomb_N]
+    told = [
+        Answer(name, unit, float(true), level=str(Level.WEAK))
+        for name, unit, true in zip(names, units, truth, strict=True)
+    ]
     try:
         found = exiddm.fit()
-    except ConvergenceError:
-        return None
-    scale = np.array([body.mass_kg, body.inertia_kg_m2[2, 2]])
-    plain = np.full(2, np.nan)
-    with contextlib.suppress(SignalError):  # a mass below zero is no body
-        rough = exiddm.rough()
-        plain = np.array([rough.mass_kg, rough.inertia_kg_m2[2, 2]]) / scale - 1.0
-    payload, sigma = found.payload, np.sqrt(np.diag(found.payload.covariance))
-    truth = np.array([value for drag in drags for value in (drag.viscous_N_s_m, drag.coulomb_N)])
-    drag = drag_of(found, prior.pucks)
-    off = drag.drag - truth
-    own = slice(2 * dragging, 2 * dragging + 2)
-    error = np.array([payload.body.mass_kg, payload.body.inertia_kg_m2[2, 2]]) / scale - 1.0
-    return Outcome(
-        np.concatenate([error, off[own]]),
-        np.concatenate([sigma[[0, 9]] / scale, drag.sigma[own]]),
-        plain,
-        float(np.linalg.norm(payload.body.centre_of_mass_m - body.centre_of_mass_m)),
-        np.abs(off) <= stdtrit(np.inf, 0.975) * drag.sigma,
-        found.misfit,
-        drag.reason,
+    except ConvergenceError as error:
+        return FlightResult(tuple(one._replace(why=str(error)) for one in told))
+    fit, payload = drag_of(found, prior.pucks), found.payload
+    values = [
+        payload.body.mass_kg,
+        *payload.body.centre_of_mass_m[:2],
+        payload.body.inertia_kg_m2[2, 2],
+        *fit.drag[own],
+    ]
+    sigmas = [*np.sqrt(np.diag(payload.covariance))[[0, 1, 2, 9]], *fit.sigma[own]]
+    level = Level.DO_NOT_USE if fit.reason else Level.GOOD
+    return FlightResult(
+        tuple(
+            one._replace(value=v, low=v - NORMAL * s, high=v + NORMAL * s, sigma=s)._replace(
+                supported=not fit.reason, level=str(level), why=fit.reason
+            )
+            for one, v, s in zip(told, map(float, values), map(float, sigmas), strict=True)
+        )
     )
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """A payload of 5 kg, as many runs as there are seeds."""
-    seeds = range(arguments.first, arguments.first + arguments.seeds)
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        _print("planar, 5 kg", list(pool.map(partial(run_one, BOXES[5]), seeds)))
-
-
-def _print(title: str, flown: Sequence[Outcome | None]) -> None:
-    runs = [one for one in flown if one is not None and not one.reason]
-    refused = [one.reason for one in flown if one is not None and one.reason]
-    error, sigma, plain = (np.array([one[k] for one in runs]) for k in range(3))
-    inside = np.abs(error) <= stdtrit(np.inf, 0.975) * sigma
-    print(f"\n{title}, {len(runs)} runs of {DURATION_s:g} s; misfit {np.mean([one.misfit for one in runs]):.3f}")
-    print(f"{'':16}{'rms':>9}{'sigma':>9}{'p95':>9}{'bar':>6}{'covered':>9}{'bar':>9}{'plain':>9}")
-    rows = (("mass, %", 100.0, "3"), ("Izz, %", 100.0, "3"), ("Fv, N s/m", 1.0, ""), ("Fc, N", 1.0, ""))
-    for k, (name, factor, bar) in enumerate(rows):
-        rms, told = (factor * np.sqrt(np.mean(x[:, k] ** 2)) for x in (error, sigma))
-        p95 = factor * np.percentile(np.abs(error[:, k]), 95)
-        least = f"{factor * np.sqrt(np.nanmean(plain[:, k] ** 2)):9.2f}" if k < 2 else ""
-        print(f"{name:16}{rms:9.4f}{told:9.4f}{p95:9.4f}{bar:>6}{100 * inside[:, k].mean():8.1f}%{'92-98':>9}{least}")
-    pucks = 100.0 * np.mean([one.inside for one in runs])
-    centre = 1e3 * np.percentile([one.centre_m for one in runs], 95)
-    print(f"of {len(flown)} runs {flown.count(None)} found no fit, {len(refused)} refused {sorted(set(refused)) or ''}")
-    print(f"drag of all pucks covered {pucks:.1f} %; centre of mass, p95 {centre:.2f} mm")

@@ -3,12 +3,16 @@
 Every flight begins without a payload. At a random time a workshop tool of 1, 5 or 20 kg is captured that comes with
 some velocity and rate of its own (1 sigma: 2 cm/s, 0.02 rad/s by axis; every third comes with none), the arm moving on.
 A minute in which nothing happens is flown by MuJoCo once, as built for its seed, and sensed many times over, with other
-errors and other noise each time, half of them with a payload held.
+errors and other noise each time, half of them with a payload held. Run ``python -m bench.captures``.
 """
 
 import argparse
+import os
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import NamedTuple
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +100,7 @@ def quiet(shape: free_flyer.Body, mass_kg: float, seed: int) -> tuple[int, float
 def run(arguments: argparse.Namespace) -> None:
     """As many captures of each mass as there are seeds, and two minutes of quiet for each."""
     shapes = case.tools(arguments.datasets / "workshop_tools")
-    numbers = list(case.seeds(arguments))
+    numbers = list(range(arguments.first, arguments.first + arguments.seeds))
     shaped = [shapes[seed % len(shapes)] for seed in numbers]
     print(f"\ncapture at an unknown time, {len(numbers)} flights a mass, mass {AFTER_s:g} s after it")
     print(f"{'kg':>4}{'found':>7}{'early':>7}{'delay p50':>11}{'p95':>7}{'max':>7}{'bar':>5}", end="")
@@ -126,3 +130,17 @@ def run(arguments: argparse.Namespace) -> None:
         told = list(pool.map(quiet, shaped[:still], masses, numbers[:still]))
     alarms, hours = sum(a for a, _ in told), sum(h for _, h in told)
     print(f"false alarms: {alarms} in {hours:.1f} h of flight, {alarms / hours:.2f} an hour (bar 1)")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--datasets", type=Path, default=Path(os.environ.get("HEFT_DATASETS", "../shared/datasets")))
+    run(parser.parse_args())
+
+
+if __name__ == "__main__":
+    main()
