@@ -1,8 +1,12 @@
-"""Spoilt copies of DYMAFLEX flights: is a verdict of ``heft identify`` ever good while the truth is far outside?
+"""Spoilt copies of DYMAFLEX flights: is an answer ever confident while the truth is far outside?
 
 Run ``python -m bench.spoilt_flights LOG ...`` with logs of ``heft hil dymaflex --log LOG`` beside which their truth is
-(LOG.truth.json). Each log is spoilt in one stream, or cut, and identified, from its onboard answer.
+(LOG.truth.json). Each log is spoilt in one or two streams, or cut, and identified, from its onboard answer.
 A copy is *wrong* where the truth of a quantity lies beyond its 99.9 % interval. Exit code 1: good and wrong.
+
+``--on-board`` runs the onboard estimator on each copy instead. Wrong is a supported quantity at any time of the flight,
+or one before anything is held; what was left out and every capture told are printed with their times. ``--from 0.5``:
+streams are spoilt from the middle of the flight on. ``--pairs``: two instruments each.
 """
 
 import argparse
@@ -10,9 +14,11 @@ import json
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -21,6 +27,9 @@ import numpy as np
 from bench.spoilt_throws import WIDER
 from drivers.records import Rows
 from onboard import config
+from onboard.flight.estimate.estimator import Estimator
+from onboard.identification.verdict import LEVELS
+from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
@@ -42,10 +51,10 @@ def _scaled(channel: str, field: str, factor: float, axes: Sequence[int] | None,
             rows[field][:, list(axes)] = made
 
 
-def _stepped(channel: str, field: str, step: float, name: str, rows: Rows) -> None:
-    """The second half of a stream reads more by a step, SI."""
+def _shifted(channel: str, field: str, step: float, name: str, rows: Rows) -> None:
+    """A stream reads more by a step, SI."""
     if name == channel:
-        rows[field][len(rows) // 2 :] += np.rint(step / rows["scale"][len(rows) // 2 :]).astype(rows[field].dtype)
+        rows[field] += np.rint(step / rows["scale"]).astype(rows[field].dtype)
 
 
 def _permuted(field: str, order: list[int], name: str, rows: Rows) -> None:
@@ -103,11 +112,42 @@ def spoils() -> dict[str, Spoil]:
             made[f"{words} {field} clipped at 50 %"] = partial(_clipped, channel, field, 0.5)
     for factor in (0.0, 0.5, 0.95, 1.05, -1.0):  # dead at 0
         made[f"cell x {factor:g}"] = partial(_scaled, _CELL, "value_raw", factor, None)
-    made["cell + 2 N from mid-flight"] = partial(_stepped, _CELL, "value_raw", 2.0)
+    made["cell + 2 N"] = partial(_shifted, _CELL, "value_raw", 2.0)
+    made["cell + 2 N from mid-flight"] = partial(_late_part, 0.5, made["cell + 2 N"])
     for words, field in (("gyro", "gyro_raw"), ("accel", "accel_raw")):
-        for factor in (0.7, 0.97, 1.03, -1.0):
+        for factor in (0.7, 0.9, 0.97, 1.03, -1.0):
             made[f"{words} 2 x {factor:g}"] = partial(_scaled, _IMU_2, field, factor, None)
     return made
+
+
+PAIRS = (  # of ways, two instruments at once
+    ("gyro x 0.9", "cell x 0.5"),
+    ("gyro x 1.1", "cell x 1.05"),
+    ("gyro xy swapped", "cell x -1"),
+    ("accel x 0.9", "cell x 1.05"),
+    ("accel x 0.9", "cell x 0.5"),
+    ("IMU 10 ms late", "cell + 2 N"),
+    ("cell x 0.5", "joint_2 x 1.03"),
+    ("cell x 1.05", "joint_2 10 ms late"),
+    ("cell + 2 N", "joint_4 x 1.03"),
+    ("gyro 2 x 0.7", "cell x 0.5"),
+    ("accel 2 x 0.9", "cell x 1.05"),
+    ("gyro 2 x 0.97", "cell x 0.95"),
+    ("gyro x 0.9", "gyro 2 x 0.9"),
+    ("accel x 0.9", "accel 2 x 0.9"),
+)
+
+
+def _both(spoils: Sequence[Spoil], name: str, rows: Rows) -> None:
+    for spoil in spoils:
+        spoil(name, rows)
+
+
+def _late_part(share: float, spoil: Spoil, name: str, rows: Rows) -> None:
+    """Spoil a stream from a share of it on."""
+    kept = rows[: int(share * len(rows))].copy()
+    spoil(name, rows)
+    rows[: len(kept)] = kept
 
 
 CUTS = {  # what is left: of which channels, and between which shares of the flight
@@ -140,37 +180,99 @@ def spoilt(log: LogReader, spoil: Spoil, out: Path, channels: Sequence[str], cut
     return out
 
 
+class Told(NamedTuple):
+    """What a flight or the ground said."""
+
+    level: str
+    worst: str  # the quantity that is farthest off
+    off: float  # over half of its 99.9 % interval; 0: no answer
+    text: str
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the truth is beyond the interval."""
+        return abs(self.off) > 1.0
+
+    @property
+    def line(self) -> str:
+        """As it is printed."""
+        told = f"{self.worst} at {self.off:+.1f} of its 99.9 % interval" if self.worst else "no answer"
+        return f"{self.level:11}{'WRONG ' if self.wrong else ''}{told}; {self.text}"
+
+
+def on_the_ground(vehicle: config.Vehicle, copy: Path, truth: dict[str, float]) -> Told:
+    """What ``heft identify`` makes of a copy."""
+    (found,) = identify(vehicle, [copy]).logs
+    off = {
+        one.name: (one.value - truth[one.name]) / (WIDER * (one.high - one.value))
+        for one in found.answers
+        if one.supported and one.name in truth
+    }
+    worst = max(off, key=lambda one: abs(off[one]), default="")
+    return Told(found.verdict.level, worst, off.get(worst, 0.0), found.verdict.text[:170])
+
+
+def on_board(vehicle: config.Vehicle, copy: Path, truth: dict[str, float], start_ns: int, capture_s: float) -> Told:
+    """What the onboard estimator makes of a copy: the worst of its supported answers, and its events."""
+    worst, off, at_s, events = "", 0.0, 0.0, list[str]()
+    last = np.zeros(0)
+    for channel, rows in feed(Estimator(vehicle), LogReader(copy)):
+        if "code" in (rows.dtype.names or ()):
+            for row in rows:
+                if row["code"] in (b"left_out", b"absent", b"taken_back", b"capture", b"ejection", b"instrument"):
+                    what = row["text"].decode().split(" ")[0] if row["code"] in (b"left_out", b"absent") else ""
+                    events.append(f"{row['code'].decode()} {what} {1e-9 * (row['host_ns'] - start_ns):.1f}")
+        if channel != "quantity":
+            continue
+        last = rows
+        now_s = 1e-9 * (float(rows["host_ns"][0]) - start_ns)
+        for row in rows[rows["supported"] != 0]:
+            if (name := row["name"].decode()) in truth:
+                half = WIDER * (row["high"] - row["value"])
+                away = (row["value"] - truth[name]) / half if now_s > capture_s else np.inf
+                if abs(away) > abs(off):
+                    worst, off, at_s = name, float(away), now_s
+    answers = [row for row in last if row["name"].decode() in truth]
+    told = next((row for row in answers if row["supported"]), answers[0])
+    mass = f"m {told['value'] / truth[answers[0]['name'].decode()] - 1.0:+.2%}" if told["supported"] else "none"
+    text = f"at {at_s:.1f} s; in the end {mass}: {told['why'].decode()[:110]}; {', '.join(events)}"
+    return Told(LEVELS[int(told["level"])], worst, off, text)
+
+
 def main() -> int:
     """Print a line for each copy."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--only", default="", help="ways whose name contains this")
     parser.add_argument("--alone", action="store_true", help="without the onboard answer")
+    parser.add_argument("--on-board", action="store_true", help="by the onboard estimator")
+    parser.add_argument("--from", dest="since", type=float, default=0.0, help="share of the flight that is as flown")
+    parser.add_argument("--pairs", action="store_true", help="two instruments at once")
     arguments = parser.parse_args()
     vehicle = config.load(config.packaged("dymaflex"))
-    failed = 0
+    every, failed = spoils(), 0
+    ways = [*every.items(), *((cut, every["as flown"]) for cut in CUTS)]
+    if arguments.pairs:
+        ways = [(" and ".join(pair), partial(_both, [every[one] for one in pair])) for pair in PAIRS]
     for path in arguments.logs:
         log = LogReader(path)
-        truth = json.loads(Path(f"{path}.truth.json").read_text())["quantities"]
-        channels = [*vehicle.channels, *(() if arguments.alone else _ANSWERS)]
-        for name, spoil in [*spoils().items(), *((cut, spoils()["as flown"]) for cut in CUTS)]:
+        known = json.loads(Path(f"{path}.truth.json").read_text())
+        truth = known["quantities"]
+        channels = [*vehicle.channels, *(() if arguments.alone or arguments.on_board else _ANSWERS)]
+        for name, spoil in ways:
             if arguments.only not in name:
                 continue
             with tempfile.TemporaryDirectory() as directory:
-                copy = spoilt(log, spoil, Path(directory) / "copy.mcap", channels, name)
-                (found,) = identify(vehicle, [copy]).logs
-            off = {
-                one.name: (one.value - truth[one.name]) / (WIDER * (one.high - one.value))
-                for one in found.answers
-                if one.supported and one.name in truth
-            }
-            worst = max(off, key=lambda one: abs(off[one]), default="")
-            wrong = bool(off) and abs(off[worst]) > 1.0
-            failed += wrong and found.verdict.level == "good"
-            told = f"{worst} at {off[worst]:+.1f} of its 99.9 % interval" if off else "no answer"
-            said = f"{'WRONG ' if wrong else ''}{told}; {found.verdict.text[:170]}"
-            print(f"{path.name:14}{name:30}{found.verdict.level:11}{said}", flush=True)
-    print(f"good and wrong: {failed}")
+                some = partial(_late_part, arguments.since, spoil)
+                copy = spoilt(log, some, Path(directory) / "copy.mcap", channels, name)
+                begun_s = time.process_time()
+                if arguments.on_board:
+                    told = on_board(vehicle, copy, truth, known["start_ns"], known["capture_s"])
+                else:
+                    told = on_the_ground(vehicle, copy, truth)
+            failed += told.wrong and (arguments.on_board or told.level == "good")
+            print(f"{path.name:14}{name:30}{time.process_time() - begun_s:4.0f} s of CPU  {told.line}", flush=True)
+    print(f"{'supported' if arguments.on_board else 'good'} and wrong: {failed}")
     return int(failed > 0)
 
 

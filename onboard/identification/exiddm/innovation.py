@@ -14,6 +14,7 @@ from onboard.identification.exiddm.imu_prediction import ImuPredictor, Predictio
 from onboard.identification.exiddm.misfit import InnovationMisfit
 
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
+_FREE = 1e3  # stated sigmas of an error that may be of any size
 
 
 class Batch(NamedTuple):
@@ -147,6 +148,14 @@ class Innovations:
         for k in [*self._fusion.left_out, *([] if but is None else [but])]:
             known[self._predictor.of_each[k]] = False
         return bool((np.abs(state[known]) > DOUBTFUL * stated[known]).any())
+
+    def freed(self, prior: tuple[FloatArray, FloatArray], instrument: int | None) -> tuple[FloatArray, FloatArray]:
+        """A mean, (p,), and covariance, (p, p), with errors of an instrument, if one is named, of any size."""
+        mean, covariance = prior
+        if instrument is not None:
+            at, covariance = self._predictor.of_each[instrument], covariance.copy()
+            covariance[at, at] += (_FREE * self._predictor.sigma[at]) ** 2
+        return mean, covariance
 
     def judge(self, innovation: Innovation, there: BoolArray, misfit: InnovationMisfit) -> None:
         """Add chi-squared of the reference IMU, of each of its instruments and of both together, to the misfit."""

@@ -30,7 +30,7 @@ from onboard.identification.exiddm.lines import InnovationLines
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.snapshots import Snapshots
 from onboard.identification.exiddm.ticks import Ticks
-from onboard.identification.exiddm.trials import Choice, Trials, unchanged
+from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
@@ -87,7 +87,7 @@ class RecursiveExiddm(BoundedWork):
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
         self._solve: WindowSolve | None = None  # under way
-        self._asked: tuple[Ticks, tuple[Hypothesis, ...], tuple[int, ...]] | None = None  # solve it next, without some
+        self._asked: tuple[Ticks, Trial] | None = None  # solve it next
         self._none = self._pending = Ticks.none(len(predictor.vehicle.joints), predictor.lines[-1].stop)
         p = len(predictor.names)
         self.state: FloatArray | None = None
@@ -126,11 +126,11 @@ class RecursiveExiddm(BoundedWork):
         """Begin to solve the window that is asked for, or do one prediction of it."""
         if self._solve is None:
             assert self._asked is not None
-            (ticks, hypotheses, without), self._asked = self._asked, None
-            seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *without], ticks.measured))
-            imu = next(k for k in self.fusion.imus if k not in without)
-            given = self.payload_sigma, seen, self._prior, hypotheses, self._start, imu
-            self._solve = WindowSolve(self.predictor, *given)
+            (ticks, trial), self._asked = self._asked, None
+            seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
+            imu = next(k for k in self.fusion.imus if k not in trial.without)
+            given = seen, self._innovations.freed(self._prior, trial.freed), trial.hypotheses, self._start, imu
+            self._solve = WindowSolve(self.predictor, self.payload_sigma, *given)
         else:
             self._due -= self._solve.advance()
         if self._solve.over:
@@ -172,7 +172,7 @@ class RecursiveExiddm(BoundedWork):
         self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._window = self._none
-        self._trials: Trials | None = None  # without an instrument each
+        self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
         self._stepped: Ticks | None = None  # ticks of the window and of the steps since
         self._accused: Accusation | None = None  # the window is solved without it
         self._pending = self._none
@@ -201,17 +201,18 @@ class RecursiveExiddm(BoundedWork):
         return round(_WINDOWS_s[self._solves] / self.predictor.period_s)
 
     def _begin_window(self) -> None:
-        """Ask for the window; where one instrument is accused, without each that may be the wrong one."""
+        """Ask for the window; where one instrument is accused, for the fits that tell whether it is wrong."""
         self._window = self._pending.part(slice(-self._window_ticks(), None))
         self.fusion.expect(self._window.measured)
-        self._trials = None if self._accused is None else Trials(self.fusion.rivals(self._accused.instrument))
+        self._trials = None if self._accused is None else self._trials_now(self._accused.instrument)
         self._ask()
 
+    def _trials_now(self, accused: int | None) -> Trials | CellTrials:
+        return trials_of(self.fusion, self._hypotheses, accused, self._solves, len(_WINDOWS_s))
+
     def _ask(self) -> None:
-        """Ask for the window with all instruments, or without the next one that is doubted."""
-        without = None if self._trials is None else self._trials.next()
-        hypotheses = self._hypotheses if without is None or self._solves else unchanged(self._hypotheses)
-        self._asked = self._window, hypotheses, () if without is None else (without,)
+        """Ask for the window with all instruments, or for the next trial."""
+        self._asked = self._window, (self._trials and self._trials.next()) or Trial(self._hypotheses)
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
@@ -228,7 +229,7 @@ class RecursiveExiddm(BoundedWork):
             self._explained(found)
             return
         else:
-            self._trials = Trials(self.fusion.doubted(longer=self._solves > 0))
+            self._trials = self._trials_now(None)
         if self._trials.next() is not None:
             self._ask()
         else:
@@ -238,7 +239,7 @@ class RecursiveExiddm(BoundedWork):
         """Leave out the instrument without which the window is explained, if that is one, or one much better."""
         accused = self._accused
         if choice is None and accused is not None:
-            self._acquit()
+            self._acquit(accused)
         elif choice is None or (accused is None and not choice.clear):
             self._not_explained()
         elif not choice.clear and self._solves + 1 < len(_WINDOWS_s):
@@ -262,12 +263,11 @@ class RecursiveExiddm(BoundedWork):
         """The contact may not be over; estimates of the other unknowns are kept."""
         self.unexplained += self._solves > 0
         longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
-        ticks = self._pending.part(slice(-self._window_ticks(), None))
         if self._claim.held:
             self._hypotheses = (Hypothesis.NEW,)
         self.state, self.held, self._start, self._solves = None, None, None, 0
         self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
-        self._pending = ticks.part(slice(-self._window_ticks(), None))
+        self._pending = self._pending.part(slice(-self._window_ticks(), None))
 
     def _explained(self, solved: Solved, *, instrument: bool = False) -> None:
         """Take in a solved window; ``instrument``: an instrument was wrong, and is left out of it."""
@@ -342,8 +342,7 @@ class RecursiveExiddm(BoundedWork):
         if self._stepped is not None:
             self._stepped = self._stepped.and_then(ticks.part(slice(2, None)))
             if len(self._stepped.time_s) >= round(SOLVED_AGAIN_AT_s / self.predictor.period_s):
-                again, self._stepped = self._stepped, None
-                self._asked = again, (Hypothesis.NEW,), ()
+                self._asked, self._stepped = (self._stepped, Trial((Hypothesis.NEW,))), None
                 return
         self._snapshots.append(self.state, self.covariance)
         if not suspect:
@@ -359,11 +358,17 @@ class RecursiveExiddm(BoundedWork):
             self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.batches + 1 if accused.batches else None)
             self._accused = accused
 
-    def _acquit(self) -> None:
-        """The window contradicts the payload without the accused instrument too: it is a change that it has shown."""
-        self._accused, self._solves = None, 0
-        self._suspected = Change("change", float(self._pending.time_s[-1]), float(self._pending.time_s[0]), np.nan)
+    def _acquit(self, accused: Accusation) -> None:
+        """It is a change that the accused instrument has shown; of what kind, the trials may have found."""
+        back_s = (accused.batches + 1) * BATCH_TICKS * self.predictor.period_s
+        times = float(self._pending.time_s[-1]), float(self._pending.time_s[0]) - back_s
+        self._accused, self._suspected = None, Change("change", *times, np.nan)
         self.changes.append(self._suspected)
+        changed = None if self._trials is None else self._trials.changed
+        if changed is not None:
+            self._explained(changed)
+            return
+        self._solves = 0
         self._hypotheses = after_a_change(bool(self._before), self._prior[0] is not self._initial[0])
         self._begin_window()
 
@@ -377,8 +382,7 @@ class RecursiveExiddm(BoundedWork):
     def _bridge(self, after: Ticks) -> None:
         """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
         gap_s = float(after.time_s[0] - self._pending.time_s[0])
-        own = self.predictor.lines[self.fusion.reference]
-        rates = np.linalg.norm(self._pending.measured[:, own][:, :3], axis=1)
+        rates = np.linalg.norm(self._pending.measured[:, self.predictor.lines[self.fusion.reference]][:, :3], axis=1)
         rates = rates[np.isfinite(rates)]
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, *self._prior)

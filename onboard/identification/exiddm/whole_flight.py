@@ -38,6 +38,8 @@ _CHANCE = 1e-5  # of a block's residual sum: what is exceeded more rarely counts
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _MOST_GLITCHES = 0.1  # share of the ticks that may be left out as outliers
 _EVALUATIONS = 25  # predictions of the flight in a stage
+_HOPELESS = 2.0  # residual sum over its rows: a fit that will not get below it is given up
+_PATIENCE = 6  # predictions by whose gain the rest is judged
 _ROUGH, _FINE = 50.0, 1.0  # decrease of the residual sum that a last step, which is taken, promises
 _DAMPING = 1e-6  # of the first step
 
@@ -250,18 +252,19 @@ class WholeFlight:
     def _settle(self, x: FloatArray, tolerance: float, length_s: float = np.inf) -> tuple[Fit, tuple[Block, ...]]:
         self._weigh(x)
         best = np.inf, tuple[Block, ...](), self._left
-        evaluations = 0
+        bests: list[float] = []
 
         def evaluate(at: FloatArray) -> Normal:
-            nonlocal best, evaluations
-            evaluations += 1
-            if evaluations > _EVALUATIONS:
+            nonlocal best
+            if len(bests) == _EVALUATIONS:
                 raise ConvergenceError(f"not converged after {_EVALUATIONS} predictions of the flight")
             blocks = tuple(self.blocks(at, length_s))
             total = total_of(blocks, len(self.names))
             cost = total.squares + float(np.nansum((at / self.sigma) ** 2))
             if cost < best[0]:
                 best = cost, blocks, self._left
+            bests.append(best[0])
+            _give_up(bests, sum(block.rows for block in blocks))
             return total
 
         found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance, _DAMPING)
@@ -353,6 +356,25 @@ class WholeFlight:
         if instrument.device in self._wander:
             r, J = apart(r[:, None])[:, 0], apart(J)
         return r, J, which
+
+
+def _give_up(bests: Sequence[float], rows: int) -> None:
+    """Stop a fit that will not come near the readings if it goes on as in the last predictions.
+
+    Args:
+        bests: the least residual sum after each prediction.
+        rows: number of residuals.
+
+    Raises:
+        ConvergenceError: it is such a fit.
+    """
+    misfit = bests[-1] / max(rows, 1)
+    if len(bests) <= _PATIENCE or misfit < _HOPELESS:
+        return
+    gain = bests[-1] / bests[-1 - _PATIENCE]
+    if misfit * gain ** ((_EVALUATIONS - len(bests)) / _PATIENCE) > _HOPELESS:
+        said = f"residuals stay at {misfit**0.5:.3g} times the noise"
+        raise ConvergenceError(f"no payload explains the readings: {said}; check ranges, axes and clocks of all")
 
 
 def _instruments_of(predictor: ImuPredictor) -> list[Instrument]:

@@ -69,6 +69,7 @@ class Solved(NamedTuple):
     used: int  # ticks
     glitches: int
     strained: float  # squares of the deviations from the prior, and what the residuals' exceed chance by
+    cost: float  # squares of residuals and of deviations from the prior; of what was left out the least it can be
 
 
 class WindowSolve:
@@ -266,7 +267,8 @@ class WindowSolve:
         squares = float(whole.squares.sum())
         strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), _GOOD_FIT)))
         end = whole.state + F @ (fitted.x - self._at)
-        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained)
+        cost = fitted.residual_sum + glitches * float(chdtri(1.0, _GLITCH))
+        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained, cost)
         self.over, self._descent = True, None
 
     def _guessed(self) -> Iterator[FloatArray]:

@@ -24,6 +24,7 @@ from onboard.identification.verdict import WORST_MISFIT
 SUSPECT = 1.3  # misfit of an instrument beyond which it is doubted
 _DOUBTED, _REFUSED = 1e-4, 1e-6  # chance of a difference between parts of the flight
 HARDLY = 0.5  # share of the ticks in which an instrument has to be there to take part
+_STAGES_s = (8.0,)  # part of each segment that is fitted first: most fits without an instrument get nowhere
 _NOT_AS_STATED = 1e-3, 1e-4  # chance of a correction, of a kind: of the first IMU, of further instruments
 
 
@@ -88,7 +89,7 @@ def without_each(
     for device in devices:
         try:
             flight = made(device)
-            yield device, tested(flight, flight.fit(start), phase_at)
+            yield device, tested(flight, flight.fit(start, _STAGES_s), phase_at)
         except (EstimationError, ModelError):
             continue
 

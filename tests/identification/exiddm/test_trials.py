@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from onboard.identification.exiddm.trials import Trials
+from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.trials import CellTrials, Trial, Trials
 from onboard.identification.exiddm.window import Hypothesis, Solved
+
+HYPOTHESES = (Hypothesis.SAME,)
 
 
 def solved(strained: float) -> Solved:
-    return Solved(Hypothesis.SAME, np.zeros(3), np.zeros(3), np.eye(3), 100, 0, strained)
+    return Solved(Hypothesis.SAME, np.zeros(3), np.zeros(3), np.eye(3), 100, 0, strained, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -24,9 +27,9 @@ def solved(strained: float) -> Solved:
 def test_the_least_strained_fit_is_chosen_and_clear_if_it_is_by_far(
     strains: tuple[float | None, ...], instrument: int, clear: bool
 ) -> None:
-    trials = Trials([7, 4])
+    trials = Trials([7, 4], HYPOTHESES)
     for doubted, strained in zip((7, 4), strains, strict=True):
-        assert trials.next() == doubted
+        assert trials.next() == Trial(HYPOTHESES, without=(doubted,))
         trials.take(None if strained is None else solved(strained))
     assert trials.next() is None
     choice = trials.choice
@@ -40,6 +43,63 @@ def test_the_least_strained_fit_is_chosen_and_clear_if_it_is_by_far(
 
 
 def test_none_is_chosen_where_none_explains_the_window() -> None:
-    trials = Trials([0])
+    trials = Trials([0], HYPOTHESES)
     trials.take(None)
     assert trials.choice is None
+
+
+def of_payload(hypothesis: Hypothesis, cost: float, mass_kg: float = 0.5) -> Solved:
+    state = np.zeros(PAYLOAD.stop)
+    state[PAYLOAD.start] = mass_kg
+    return Solved(hypothesis, state, state, np.eye(PAYLOAD.stop), 100, 0, 0.0, cost)
+
+
+@pytest.mark.parametrize(
+    ("window", "mass_kg", "freed", "clear"),  # clear: the cell is wrong; None: the payload changed
+    [
+        (0, 0.5, None, False),
+        (1, 0.5, None, False),
+        (0, -0.2, None, True),  # a cell that reads too little looks like a mass below zero
+        (2, 0.5, 330.0, None),
+        (2, 0.5, np.nan, None),  # not explained by the cell's errors, whatever their size
+        (2, 0.5, 319.0, False),
+        (3, 0.5, 319.0, True),
+        (3, 0.5, 330.0, None),
+    ],
+)
+def test_an_accused_cell_is_wrong_unless_a_changed_payload_is_far_more_likely(
+    window: int, mass_kg: float, freed: float | None, clear: bool | None
+) -> None:
+    nothing = (Hypothesis.NOTHING,)
+    trials = CellTrials(2, nothing, window, last=window == 3)
+    assert trials.next() == Trial(nothing, without=(2,))
+    trials.take(of_payload(Hypothesis.NOTHING, 200.0, 0.0))
+    assert trials.next() == Trial((Hypothesis.NEW,))
+    trials.take(of_payload(Hypothesis.NEW, 300.0, mass_kg))
+    if freed is not None:
+        assert trials.next() == Trial(nothing, freed=2)
+        trials.take(None if np.isnan(freed) else of_payload(Hypothesis.NOTHING, freed, 0.0))
+    assert trials.next() is None
+    choice, changed = trials.choice, trials.changed
+    assert (None if choice is None else choice.clear) == clear
+    assert (None if changed is None else changed.hypothesis) == (Hypothesis.NEW if clear is None else None)
+
+
+def test_of_a_held_payload_the_change_is_a_release_and_of_a_new_one_there_is_none() -> None:
+    trials = CellTrials(2, HYPOTHESES, 0, last=False)
+    trials.take(solved(0.0))
+    assert trials.next() == Trial((Hypothesis.NOTHING,))
+    trials.take(None)
+    assert trials.choice is not None
+    assert (trials.choice.instrument, trials.choice.clear) == (2, True)
+    anew = CellTrials(2, (Hypothesis.NEW,), 0, last=False)
+    anew.take(solved(0.0))
+    assert anew.next() is None
+    assert anew.choice is not None
+    assert anew.choice.clear
+
+
+def test_a_window_that_is_not_explained_without_the_cell_does_not_accuse_it() -> None:
+    trials = CellTrials(2, HYPOTHESES, 0, last=False)
+    trials.take(None)
+    assert (trials.next(), trials.choice, trials.changed) == (None, None, None)

@@ -8,7 +8,7 @@ import pytest
 from hil_sim.plants import free_flyer
 from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.estimation.errors import SingularError
+from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
@@ -104,6 +104,20 @@ def test_outliers_are_left_out_and_counted(ticks, predictor, fitted):
     found = again.fit(whole.fit.x)
     assert found.glitches == 12  # two ticks of six lines
     assert np.abs(found.chi - whole.chi).max() < 0.2 * np.sqrt(np.diag(whole.chi_covariance)).max()
+
+
+def test_a_fit_that_gets_nowhere_is_given_up(ticks, predictor, fitted, monkeypatch):
+    """The gyro's axes are swapped. A fit makes up to 25 predictions of the flight otherwise."""
+    _, whole = fitted
+    spoilt = [
+        one._replace(ticks=one.ticks._replace(measured=one.ticks.measured[:, [1, 0, 2, 3, 4, 5]]))
+        for one in segments(ticks)
+    ]
+    predictions, blocks = [], WholeFlight.blocks
+    monkeypatch.setattr(WholeFlight, "blocks", lambda *given: predictions.append(1) or blocks(*given))
+    with pytest.raises(ConvergenceError, match=r"residuals stay at .* times the noise"):
+        WholeFlight(predictor, WIDE, spoilt).fit(whole.fit.x)
+    assert 6 < len(predictions) < 10
 
 
 def test_parts_of_a_sound_flight_agree(fitted):
