@@ -204,12 +204,14 @@ class Mission:
         }
 
     def planned(self, period_s: float) -> Planned | None:
-        """What is known of the motion before it is flown, on a grid; None of a packaged mission.
+        """What is known of the motion before it is flown, on a grid; None of a packaged mission, and of parabolas.
 
         Args:
             period_s: of the grid.
         """
         if not isinstance(self.scenario, VehicleScenario) or not isinstance(self.plant, VehiclePlant):
+            return None
+        if self.scenario.parabolas is not None:  # when it is let go is not planned
             return None
         joints = tuple(joint.name for joint in self.plant.joints)
         return planned(self.scenario, self.plant.program, joints, period_s)

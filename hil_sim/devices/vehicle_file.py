@@ -28,21 +28,23 @@ _WIRING = ("canopen_sync", "sync_pulse")  # together the sync box
 _OURS = ("pps", "pulse_generator")  # of the flight computer itself
 
 
-def scenario_of(name: str | Path, over: str | Path | None = None) -> Scenario:
+def scenario_of(name: str | Path, over: str | Path | None = None, campaign: str | None = None) -> Scenario:
     """The scenario of a packaged mission or test bed by name, of a scenario file, or of a vehicle file's rehearsal.
 
     Args:
         name: of a packaged scenario or a test bed, or the path of a scenario or of a vehicle.toml.
         over: path of a scenario file whose tables lie over it.
+        campaign: of the test bed, by name.
 
     Raises:
-        ScenarioError: see :func:`rehearsal` and :func:`hil_sim.scenario.load.load`.
+        ScenarioError: a campaign that the bed has not; see :func:`rehearsal` and :func:`hil_sim.scenario.load.load`.
     """
+    days = None if campaign is None else bed.campaign(str(name), campaign)
     if str(name).endswith(".toml") and "urdf" in _read(Path(name)).get("vehicle", {}):
         return rehearsal(name, over)
     flown = bed.find(str(name))
     if flown is not None:
-        return rehearsal(flown.vehicle, flown.scenario, over)
+        return rehearsal(flown.vehicle, flown.scenario, days, over)
     if not str(name).endswith(".toml") and name not in names():
         flies = ", ".join(sorted((*names(), *bed.names())))
         raise ScenarioError(

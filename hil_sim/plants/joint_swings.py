@@ -1,13 +1,13 @@
 """Motion of a vehicle's joints: holds and multi-tone swings inside the drawing's limits, or a recorded one.
 
-Besides, segments that the flight computer asks for. The tones are those of ``arm_swings``; every joint has a swing of
-its own size.
+Besides, strokes at constant speed, and segments that the flight computer asks for. The tones are those of
+``arm_swings``; every joint has a swing of its own size.
 """
 
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -21,6 +21,45 @@ from hil_sim.scenario.vehicle_tables import Step, VehicleScenario
 
 _FREE_RAD, _FREE_M = 1.0, 0.2  # way to the end of a joint that has none, or one far away
 _MARGIN = 0.9  # of the way to an end, and of the largest speed, that is used at most
+
+
+class Sweeping(NamedTuple):
+    """Strokes out and back at a constant speed, which is reached and left by quintics within a ramp."""
+
+    start_s: float
+    end_s: float
+    strokes: int
+    ramp_s: float
+    rates: FloatArray  # (joints,) speed of the way out
+
+    @property
+    def way_s(self) -> float:
+        """How long the full speed would take for the way out."""
+        return self._half_s - self.ramp_s
+
+    @property
+    def _half_s(self) -> float:
+        return 0.5 * (self.end_s - self.start_s) / self.strokes
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Way in seconds of full speed at times (n,), and its derivatives; (n,) each."""
+        half_s, ramp_s = self._half_s, self.ramp_s
+        number, t = np.divmod(time_s - self.start_s, half_s)
+        sign = np.where(number % 2.0 == 0.0, 1.0, -1.0)
+        t = np.where(sign > 0.0, t, half_s - t)  # the way back is the way out in reverse
+        up, down = np.clip(t / ramp_s, 0.0, 1.0), np.clip((half_s - t) / ramp_s, 0.0, 1.0)
+        middle = np.clip(t - ramp_s, 0.0, half_s - 2.0 * ramp_s)
+        way = ramp_s * (_ramp(up, 0) + 0.5 - _ramp(down, 0)) + middle
+        rate = np.where(t < 0.5 * half_s, _ramp(up, 1), _ramp(down, 1))
+        change = np.where(t < 0.5 * half_s, _ramp(up, 2), -_ramp(down, 2)) / ramp_s
+        return way, sign * rate, change
+
+
+def _ramp(s: FloatArray, order: int) -> FloatArray:
+    """Integral of a quintic from 0 to 1 over s, the quintic, or its derivative."""
+    if order == 0:
+        return s**4 * (2.5 + s * (-3.0 + s))
+    return s**3 * (10.0 + s * (-15.0 + 6.0 * s)) if order == 1 else 30.0 * (s * (1.0 - s)) ** 2
 
 
 class JointSwings(Program):
@@ -47,12 +86,15 @@ class JointSwings(Program):
         room = np.array([_room(joint, at) for joint, at in zip(joints, self.posture, strict=True)])
         speed = np.array([joint.speed for joint in joints])
         self._swings: list[Swinging] = []
+        self._sweeps: list[Sweeping] = []
         spans: list[PhaseSpan] = []
         now_s = 0.0
         for step in scenario.sequence:
             end_s = round(now_s + step.duration_s, 9)
             if step.action == "swing":
                 self._swings.append(_draw(step, now_s, end_s, room, speed, rng))
+            if step.action == "sweep":
+                self._sweeps.append(_sweep(step, now_s, end_s, joints, self.posture))
             spans.append(PhaseSpan(step.phase, step.action, now_s, end_s))
             now_s = end_s
         self.spans = tuple(spans)
@@ -103,6 +145,12 @@ class JointSwings(Program):
             q[rows] += e * s
             dq[rows] = de * s + e * ds
             ddq[rows] = dde * s + 2.0 * de * ds + e * dds
+        for sweep in self._sweeps:
+            rows = (time_s > sweep.start_s) & (time_s < sweep.end_s)
+            if rows.any():
+                way, rate, change = sweep.at(time_s[rows])
+                q[rows] += np.outer(way, sweep.rates)
+                dq[rows], ddq[rows] = np.outer(rate, sweep.rates), np.outer(change, sweep.rates)
         for start_s, name in self.asked:
             spline = self._segments[name]
             rows = (time_s > start_s) & (time_s < start_s + spline.x[-1])
@@ -138,6 +186,24 @@ def _draw(
     shrunk = np.minimum(room / np.maximum(largest, 1e-12), _MARGIN * speed / np.maximum(fastest, 1e-12))
     amplitude *= np.minimum(shrunk, 1.0)[:, None]
     return Swinging(start_s, end_s, step.ramp_s, amplitude, rate, rng.uniform(0.0, 2.0 * np.pi, shape))
+
+
+def _sweep(step: Step, start_s: float, end_s: float, joints: Sequence[DrawnJoint], posture: FloatArray) -> Sweeping:
+    """Strokes of a step, within the limits and the speed of the joints."""
+    names = [joint.name for joint in joints]
+    if unknown := sorted(step.rates.keys() - set(names)):
+        raise ScenarioError(f"sequence.rates names {', '.join(unknown)}; the joints are {', '.join(names)}")
+    stroke_s = 0.5 * (end_s - start_s) / step.strokes
+    rates = np.array([step.rates.get(name, 0.0) for name in names])
+    sweep = Sweeping(start_s, end_s, step.strokes, min(step.ramp_s, 0.25 * stroke_s), rates)
+    for joint, rate, at in zip(joints, rates.tolist(), posture.tolist(), strict=True):
+        end = at + rate * sweep.way_s
+        if rate and (abs(rate) > joint.speed or not joint.low <= end <= joint.high):
+            raise ScenarioError(
+                f"sequence.rates.{joint.name}: from {at:.3g} to {end:.3g} at {abs(rate):.3g} a second is beyond the "
+                f"URDF's limits, {joint.low:g} to {joint.high:g} at {joint.speed:g}"
+            )
+    return sweep
 
 
 def _recorded(path: Path, joints: Sequence[DrawnJoint]) -> tuple[CubicSpline, float, float]:

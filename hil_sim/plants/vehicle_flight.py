@@ -18,6 +18,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.base_sway import BasePath
 from hil_sim.plants.body import Body
+from hil_sim.plants.cabin import Cabin
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
 _ROUNDING_m_s = 2e-3  # of Coulomb drag
@@ -75,6 +76,7 @@ class VehicleFlight:
         velocity: of the base at the start, MuJoCo's numbers; empty where it is fixed or prescribed.
         path: of a prescribed base, at half steps.
         pucks: of a planar one.
+        cabin: in which it is held, let go and pushed, at half steps.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class VehicleFlight:
         velocity: FloatArray,
         path: BasePath | None = None,
         pucks: Sequence[Puck] = (),
+        cabin: Cabin | None = None,
     ) -> None:
         self.vehicle, self._motion, self._places, self._link = vehicle, motion, places, link
         self._step_s, self._path, self._pucks = step_s, path, pucks
@@ -96,6 +99,9 @@ class VehicleFlight:
         self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._pose = self.data.qpos[: self._np].copy()
         self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
+        self._cabin = cabin
+        if cabin is not None:
+            self._pose, self._velocity = cabin.start()
         self.count = 0  # of the next row
 
     def advance(self, rows: int) -> Rows:
@@ -165,7 +171,7 @@ class VehicleFlight:
             data.qacc[:nb], data.qacc[nb:] = acceleration, ddq
             mujoco.mj_inverse(self.model, data)
         else:
-            acceleration = self._accelerate(self._pose, self._velocity, q, dq, ddq)
+            acceleration = self._accelerate(self._pose, self._velocity, q, dq, ddq, 2 * self.count)
             data.qacc[:nb] = acceleration
             mujoco.mj_inverseSkip(self.model, data, _LATER, 0)
         out.sensors[k], out.joints[k], out.rates[k] = data.sensordata, q, dq
@@ -182,10 +188,10 @@ class VehicleFlight:
         mujoco.mj_forward(self.model, self.data)
 
     def _accelerate(
-        self, pose: FloatArray, velocity: FloatArray, q: FloatArray, dq: FloatArray, ddq: FloatArray
+        self, pose: FloatArray, velocity: FloatArray, q: FloatArray, dq: FloatArray, ddq: FloatArray, stage: int
     ) -> FloatArray:
-        """Of the base, (b,); leaves the joints' accelerations in place."""
-        data, nb = self.data, self._nb
+        """Of the base at a half step, (b,); leaves the joints' accelerations in place."""
+        data, nb, cabin = self.data, self._nb, self._cabin
         self._place(pose, velocity, q, dq)
         data.qacc[:nb], data.qacc[nb:] = 0.0, ddq
         mujoco.mj_inverse(self.model, data)
@@ -194,7 +200,12 @@ class VehicleFlight:
         wrench = -data.qfrc_inverse[:nb]
         if self._pucks:
             wrench += drag_wrench(self._pucks, float(pose[2]), velocity)
-        return np.asarray(np.linalg.solve(self._base_inertia()[:, :nb], wrench), np.float64)
+        if cabin is not None and cabin.held(stage):
+            return cabin.acceleration(stage, pose, velocity, np.zeros(nb))
+        if cabin is not None:
+            wrench += cabin.push(stage)
+        free = np.asarray(np.linalg.solve(self._base_inertia()[:, :nb], wrench), np.float64)
+        return free if cabin is None else cabin.acceleration(stage, pose, velocity, free)
 
     def _base_inertia(self) -> FloatArray:
         """Rows of the inertia matrix at the base, (b, v)."""
@@ -209,7 +220,7 @@ class VehicleFlight:
         for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
             pose = self._moved(rates[-1], part * h)
             velocity = v + part * h * forces[-1]
-            forces.append(self._accelerate(pose, velocity, q[stage], dq[stage], ddq[stage]))
+            forces.append(self._accelerate(pose, velocity, q[stage], dq[stage], ddq[stage], 2 * self.count + stage))
             rates.append(velocity)
         mean = (rates[0] + 2.0 * rates[1] + 2.0 * rates[2] + rates[3]) / 6.0
         self._pose = self._moved(mean, h)

@@ -19,6 +19,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants import urdf_drawing, world
 from hil_sim.plants.base_sway import sway
 from hil_sim.plants.body import Body, built
+from hil_sim.plants.cabin import Cabin, Release
 from hil_sim.plants.driven_vehicle import Drivable, Drive
 from hil_sim.plants.joint_swings import JointSwings
 from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
@@ -43,6 +44,7 @@ class VehiclePlant(world.Plant):
         bodies: every link that has a mass, as built.
         payload: what is held, or caught; None where nothing is.
         events_s: capture and ejection, by name.
+        cabin: in which the vehicle is let go and caught; None where there is none.
         rows_true: true signals of the whole flight; rows from ``count`` on are not yet released.
 
     Raises:
@@ -91,8 +93,11 @@ class VehiclePlant(world.Plant):
         link = scenario.vehicle.payload_link
         if self.payload is not None and scenario.capture is None and link is not None:
             self._model.hold(link, self.payload)
+        self.cabin: Cabin | None = None
+        if scenario.parabolas is not None:
+            self.cabin = Cabin(scenario.parabolas, 0.5 * self._coarse_s, len(half_s), rng)
         given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
-        self._flight = VehicleFlight(*given)
+        self._flight = VehicleFlight(*given, self.cabin)
         self._coming = deque(self._events(rng, self._coarse_s, self._steps))
         joints = len(self.joints)
         self.rows_true = Rows(*(np.zeros((self.rows, n)) for n in (self._model.model.nsensordata, *[joints] * 3)))
@@ -243,6 +248,7 @@ class VehiclePlant(world.Plant):
             "posture": dict(zip(self._model.joints, self.program.posture.tolist(), strict=True)),
             "capture_s": self.events_s.get("capture", 0.0),
             "ejection_s": self.events_s.get("ejection"),
+            "parabolas": [] if self.cabin is None else [_flown(run) for run in self.cabin.runs],
             "asked": [{"start_s": start_s, "segment": name} for start_s, name in self.program.asked],
         }
 
@@ -254,6 +260,17 @@ class VehiclePlant(world.Plant):
     def _run_chunk(self) -> None:
         self.count += self.chunk
         self._compute(min(self.count, self.rows))
+
+
+def _flown(run: Release) -> dict[str, Any]:
+    return {
+        "parabola": run.parabola,
+        "flown": run.flown.label,
+        "release_s": run.release_s,
+        "catch_s": run.catch_s,
+        "bumps_s": [bump.at_s for bump in run.bumps],
+        "bumps_N_s": [float(np.linalg.norm(bump.impulse_N_s)) for bump in run.bumps],
+    }
 
 
 def _joined(before: Rows, after: Rows) -> Rows:

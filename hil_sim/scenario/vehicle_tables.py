@@ -5,10 +5,11 @@ clocks, buses and devices.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from hil_sim.scenario.parabolic_tables import Parabolas
 from hil_sim.scenario.sensor_tables import Fraction, NonNegative, Table, Vector
 from hil_sim.scenario.tables import Scenario
 
@@ -103,21 +104,28 @@ class EjectionTable(Table):
 class Step(Table):
     """``[[sequence]]``: the arm keeps its posture (``hold``), or every joint swings about it (``swing``).
 
+    ``sweep``: the joints named in ``rates`` go out and back ``strokes`` times, at that speed (rad/s or m/s, the sign is
+    the way out), which they reach within ``ramp_s``, or a quarter of a stroke.
+
     ``asked``: it keeps its posture, and plays the segments of ``motion.segments`` that the flight computer asks for.
     ``swing``: rms amplitude of a joint, of the way to its nearer end (a third of a radian at most of one that turns
     freely or far); the motion grows from rest and dies down within ``ramp_s``.
     """
 
     phase: PhaseCode
-    action: Literal["hold", "swing", "asked"]
+    action: Literal["hold", "swing", "sweep", "asked"]
     duration_s: PositiveFloat
     ramp_s: PositiveFloat = 2.0
     swing: Fraction = 0.35
     tones: PositiveInt = 3
     band_Hz: tuple[PositiveFloat, PositiveFloat] = (0.1, 0.6)
+    rates: dict[str, float] = Field(default_factory=dict)
+    strokes: PositiveInt = 1
 
     @model_validator(mode="after")
     def _ramps_fit(self) -> "Step":
+        if (self.action == "sweep") != bool(self.rates):
+            raise ValueError('rates and action = "sweep" need each other')
         if self.action == "swing" and 2.0 * self.ramp_s > self.duration_s:
             raise ValueError("duration_s must hold two ramps of ramp_s")
         return self
@@ -186,10 +194,22 @@ class VehicleScenario(Scenario):
     base_motion: BaseSway = BaseSway()
     friction: JointFriction = JointFriction()
     table: TableTop = TableTop()
+    parabolas: Parabolas | None = None
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_parabolas(cls, tables: Any) -> Any:
+        """The sequence that ``[parabolas]`` makes."""
+        given = tables.get("parabolas")
+        return tables if given is None else {**tables, "sequence": Parabolas.model_validate(given).sequence()}
 
     @model_validator(mode="after")
     def _payload_is_there(self) -> "VehicleScenario":
+        if self.parabolas is not None and self.vehicle.base != "free":
+            raise ValueError('parabolas are flown with base = "free"')
+        if self.parabolas is not None and (self.capture is not None or self.ejection is not None):
+            raise ValueError("in parabolas the payload is held from the start: leave capture and ejection out")
         if self.payload is not None and self.vehicle.payload_link is None:
             raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
         if self.payload is None and (self.capture is not None or self.ejection is not None):

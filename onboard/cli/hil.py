@@ -35,6 +35,7 @@ def add(commands: Commands) -> None:
     hil.add_argument(
         "--scenario", dest="over", type=Path, metavar="TOML", help="a file that says otherwise: docs/rehearsal.md"
     )
+    hil.add_argument("--campaign", metavar="NAME", help="fly a day's runs of a test bed: parabolic has day1, day2")
     hil.add_argument("--seed", type=int, default=1, help="seed of all random numbers of the scenario (default 1)")
     hil.add_argument("--realtime", action="store_true", help="devices and flight app as processes, on the real clock")
     hil.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")
@@ -76,8 +77,10 @@ def _hil(arguments: argparse.Namespace) -> int:
     vehicle = config.with_mission(config.named(arguments.scenario), arguments.until, arguments.segments)
     asks = vehicle.segments_path
     name = vehicle.file.vehicle.name if arguments.scenario.endswith(".toml") else arguments.scenario
+    if arguments.campaign and (arguments.realtime or asks is not None or arguments.controller):
+        raise ValueError("--campaign flies its schedule in virtual time: without --realtime, --until, --controller")
     flown_as = arguments.scenario if asks is None else _rehearsed(vehicle.path, arguments)
-    scenario = scenario_of(flown_as, arguments.over)
+    scenario = scenario_of(flown_as, arguments.over, arguments.campaign)
     scenario = scenario if asks is None else with_segments(scenario, asks, arguments.most)
     vehicle = with_hand_over(vehicle, arguments.hand_over)
     if arguments.controller:

@@ -123,6 +123,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
         fail(["free_body"], f'the base is {file.vehicle.base!r}; a free body needs base = "free"')
     _check_realtime(vehicle, fail)
     _check_planar(vehicle, fail)
+    _check_parabola(vehicle, fail)
     if file.estimation.method == "exiddm":
         _check_exiddm(vehicle, fail)
     if file.estimation.method == "instrumental":
@@ -169,6 +170,18 @@ def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
         fail(["estimation", "phases", "payload_taken"], "nothing is held before it; give exiddm.held_at_start = false")
     if file.free_body:
         fail(["free_body"], 'a free body is identified from rows; remove method = "exiddm"')
+
+
+def _check_parabola(vehicle: Vehicle, fail: Fail) -> None:
+    file, settings = vehicle.file, vehicle.file.estimation
+    if file.parabola is None:
+        return
+    if file.vehicle.base != "free" or settings.method != "exiddm":
+        fail(["parabola"], 'runs between hands are estimated with base = "free" and method = "exiddm"')
+    if settings.carried:
+        fail(["estimation", "carried"], "the runs of a flight are estimated together afterwards; remove carried")
+    if not settings.exiddm.held_at_start:
+        fail(["estimation", "exiddm", "held_at_start"], "in parabolas the payload is held from the start; remove it")
 
 
 def _check_planar(vehicle: Vehicle, fail: Fail) -> None:

@@ -5,6 +5,7 @@ The keys of devices are told by their own modules, in ``docs/devices.md``.
 
 from typing import NamedTuple
 
+from onboard.config.base_meanings import PARABOLA, PLANAR, PUCK
 from onboard.config.drive import Drive
 from onboard.config.drive_meanings import DRIVE, MISSION
 from onboard.config.estimation import (
@@ -26,6 +27,7 @@ from onboard.config.estimation import (
 )
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.mission import MissionKeys
+from onboard.config.parabola import Parabola
 from onboard.config.planar import Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.section import Section
@@ -293,19 +295,9 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "truth_source": _M("Where they are from."),
         "bars_percent": _M("Mean and worst error that are accepted."),
     },
-    Planar: {
-        "tilt_sigma_m_s2": _M(
-            "Gravity along the table, 1 sigma by axis; a milliradian is 0.01 m/s^2.", "the table is level"
-        ),
-        "velocity_sigma_m_s": _M("Velocity of the base where a run begins, 1 sigma by axis.", "runs begin in motion"),
-        "rate_sigma_rad_s": _M("The same of its yaw rate.", "as above"),
-        "puck": _M("Tables: the pucks that the base floats on."),
-    },
-    Puck: {
-        "frame": _M("Frame of the URDF, fixed in the base, whose origin the puck is at."),
-        "viscous_sigma_N_s_m": _M("Drag in proportion to the slip, 1 sigma about none.", "a puck is worn or dry"),
-        "coulomb_sigma_N": _M("Drag that is the same at any slip, 1 sigma about none.", "as above"),
-    },
+    Parabola: {key: _M(*said) for key, said in PARABOLA.items()},
+    Planar: {key: _M(*said) for key, said in PLANAR.items()},
+    Puck: {key: _M(*said) for key, said in PUCK.items()},
     Drive: {key: _M(*said) for key, said in DRIVE.items()},
     MissionKeys: {key: _M(*said) for key, said in MISSION.items()},
 }

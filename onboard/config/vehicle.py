@@ -14,6 +14,7 @@ from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
 from onboard.config.free_body import FreeBody
 from onboard.config.mission import MissionKeys
+from onboard.config.parabola import Parabola
 from onboard.config.planar import Planar
 from onboard.config.segments import Library
 from onboard.config.segments import read as read_segments
@@ -109,6 +110,7 @@ class VehicleFile(Section):
     estimation: Estimation = Estimation()
     free_body: FreeBody | None = None
     planar: Planar | None = None
+    parabola: Parabola | None = None
     recording: Recording = Recording()
     realtime: Realtime = Realtime()
     drive: Drive | None = None

@@ -29,6 +29,7 @@ from onboard.config.estimation import (
 from onboard.config.free_body import Carrier, FreeBody, Load
 from onboard.config.meanings import MEANINGS
 from onboard.config.mission import MissionKeys
+from onboard.config.parabola import Parabola
 from onboard.config.planar import Planar, Puck
 from onboard.config.vehicle import BusSection, LinkSection, Realtime, Recording, VehicleSection
 from onboard.offline.tables.columns import unit_of
@@ -57,6 +58,7 @@ TABLES: dict[str, type[Section]] = {
     "[free_body]": FreeBody,
     "[free_body.carrier]": Carrier,
     "[[free_body.load]]": Load,
+    "[parabola]": Parabola,
     "[planar]": Planar,
     "[[planar.puck]]": Puck,
     "[recording]": Recording,

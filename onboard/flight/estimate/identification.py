@@ -85,12 +85,16 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleMode
 
 
 def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
-    """The ExIDDM of a vehicle file: recursive for a free base, at the end of the run on an air-bearing table.
+    """The ExIDDM of a vehicle file: recursive for a free base, afterwards on an air-bearing table and between hands.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    return build_exiddm(vehicle) if vehicle.file.planar is None else build_planar(vehicle)
+    if vehicle.file.planar is not None:
+        return build_planar(vehicle)
+    online, model = build_exiddm(vehicle)
+    between_hands = vehicle.file.parabola is not None  # its momentum is another one after every release
+    return (TableRun(str(model.spec.payload_link), online.further) if between_hands else online), model
 
 
 def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> OnlineIdentifier:

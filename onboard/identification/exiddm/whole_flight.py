@@ -112,6 +112,7 @@ class WholeFlight:
         further: the predictor's instruments besides the first IMU, be they left out or not.
         instruments: those that take part.
         devices: their numbers.
+        constants: how many of the first parameters are the predictor's without the rate.
         of_a_part: indices of the parameters that differ from part to part of a flight: rates and biases.
     """
 
@@ -134,7 +135,7 @@ class WholeFlight:
         constant = slice(PAYLOAD.start, None)
         walk = np.sqrt(2.0 * KINK_s / DRIFT_MEMORY_s)
         drifts = [drift_at for _, drift_at in predictor.biases]
-        self._constants = len(predictor.names) - PAYLOAD.start
+        self.constants = len(predictor.names) - PAYLOAD.start
         self.names: tuple[str, ...] = (
             *predictor.names[constant],
             *(f"{name}_{k}" for k in range(len(self.segments)) for name in predictor.names[RATE]),
@@ -149,13 +150,13 @@ class WholeFlight:
             ]
         )
         pairs, kinks = len(drifts), len(self._kinks_s)
-        first = self._constants + 3 * len(self.segments)
+        first = self.constants + 3 * len(self.segments)
         self._of_lines: list[IndexArray] = [
             np.array([bias_at - 3, drift_at - 3, *(first + i + pairs * np.arange(kinks))], np.intp)
             for i, (bias_at, drift_at) in enumerate(predictor.biases)
         ]
         self.of_a_part = np.setdiff1d(
-            np.concatenate([np.arange(self._constants, len(self.names)), *self._of_lines]), []
+            np.concatenate([np.arange(self.constants, len(self.names)), *self._of_lines]), []
         ).astype(np.intp)
         self.time_s = np.concatenate([one.ticks.time_s for one in self.segments]) if self.segments else np.zeros(0)
         self._use: list[BoolArray] = [  # (n, devices)
@@ -179,9 +180,9 @@ class WholeFlight:
     def start(self, constants: FloatArray) -> FloatArray:
         """Initial parameters, (p,): constants of the predictor's state, rates by the first readings of each segment."""
         x = np.zeros(len(self.names))
-        x[: self._constants] = constants
+        x[: self.constants] = constants
         for k, one in enumerate(self.segments):
-            at = self._constants + 3 * k
+            at = self.constants + 3 * k
             x[at : at + 3] = first_rate(self._predictor, one.ticks, self._state(x, k), self._imu)
         return x
 
@@ -203,7 +204,7 @@ class WholeFlight:
         x = start
         for length_s in stages_s:
             x = self._settle(x, _ROUGH, length_s)[0].x
-            x = self.start(np.concatenate([start[:10], x[10 : self._constants]]))
+            x = self.start(np.concatenate([start[:10], x[10 : self.constants]]))
         x = self._settle(x, _ROUGH)[0].x
         glitches = self._leave_out()
         found, blocks = self._settle(x, _FINE)
@@ -219,7 +220,7 @@ class WholeFlight:
             covariance,
             blocks,
             misfit,
-            _by_instrument(blocks),
+            misfit_by_instrument(blocks),
             np.concatenate(self._left),
             glitches,
         )
@@ -245,12 +246,12 @@ class WholeFlight:
 
     def without_payload(self, x: FloatArray) -> list[Block]:
         """Normal equations of the held segments if nothing were held, all else as in x, (p,), rates by readings."""
-        bare = x[: self._constants].copy()
+        bare = x[: self.constants].copy()
         bare[:10] = 0.0
         return self.blocks(self.start(bare), held_only=True)
 
     def _settle(self, x: FloatArray, tolerance: float, length_s: float = np.inf) -> tuple[Fit, tuple[Block, ...]]:
-        self._weigh(x)
+        self.weigh(x)
         best = np.inf, tuple[Block, ...](), self._left
         bests: list[float] = []
 
@@ -271,7 +272,7 @@ class WholeFlight:
         self._left = best[2]
         return found, best[1]
 
-    def _weigh(self, x: FloatArray) -> None:
+    def weigh(self, x: FloatArray) -> None:
         """Add the effect of the joints' noise, with the payload of x, to the IMU's."""
         for k, one in enumerate(self.segments):
             noise = self._predictor.joint_noise(one.ticks.q, one.ticks.joint_sigma, self._state(x, k))
@@ -292,8 +293,8 @@ class WholeFlight:
 
     def _state(self, x: FloatArray, segment: int) -> FloatArray:
         """The predictor's state at the start of a segment, without the biases' lines; (predictor's p,)."""
-        at = self._constants + 3 * segment
-        state = np.concatenate([x[at : at + 3], x[: self._constants]])
+        at = self.constants + 3 * segment
+        state = np.concatenate([x[at : at + 3], x[: self.constants]])
         if not self.segments[segment].held:
             state[PAYLOAD] = 0.0
         for bias_at, drift_at in self._predictor.biases:
@@ -350,7 +351,7 @@ class WholeFlight:
             delay_at, ticks = self._wander[instrument.device]
             stretch = np.repeat(np.flatnonzero(use) // ticks, own.stop - own.start)
             apart = _apart(J[:, delay_at] * predictor.sigma[delay_at], stretch)
-        first = self._constants + 3 * segment
+        first = self.constants + 3 * segment
         J = np.concatenate([by_constants[:, seen], by_rate @ along.d_rate[:, RATE], *parts], axis=1)
         which = np.concatenate([np.flatnonzero(seen), np.arange(first, first + 3), *columns]).astype(np.intp)
         if instrument.device in self._wander:
@@ -408,7 +409,7 @@ def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
     return Normal(information, gradient, squares)
 
 
-def _by_instrument(blocks: Sequence[Block]) -> dict[str, float]:
+def misfit_by_instrument(blocks: Sequence[Block]) -> dict[str, float]:
     """Residual sum over the number of rows, of all rows or of the part in which it is largest beyond chance."""
     found = {}
     for instrument in dict.fromkeys(block.instrument for block in blocks):

@@ -58,7 +58,7 @@ _STEP_s = 1.0  # in which the log is read
 _EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
 
-class _Recorder(TableRun):
+class TickRecorder(TableRun):
     """Gates the ticks and keeps them."""
 
     def __init__(self, payload: str, joints: int, further: Sequence[Further]) -> None:
@@ -67,6 +67,7 @@ class _Recorder(TableRun):
         self.attached: list[BoolArray] = [np.zeros(0, np.bool_)]
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
+        """Gates new ticks and keeps them."""
         found = super().update(signals, attached, excluded)
         self.ticks.append(ticks_of(signals, np.where(found == 0, signals.measured, np.nan)))
         self.attached.append(attached)
@@ -91,7 +92,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
     """
     online, model = build_exiddm(vehicle)
     payload = str(model.spec.payload_link)
-    recorder = _Recorder(payload, len(model.joints), online.further)
+    recorder = TickRecorder(payload, len(model.joints), online.further)
     estimator = Estimator(vehicle, recorder)
     for _ in feed(estimator, log, _STEP_s):
         pass
@@ -144,7 +145,9 @@ class _Flight:
             return no_answer(kept, seen, f"the fit failed: {best.kinds[0].text}, and without that: {error}")
         if fit.glitches:
             refused = {**refused, "residual": refused.get("residual", 0) + fit.glitches}
-        return told(kept._replace(refused=refused), self._said(best._replace(found=fit)))
+        return told(
+            kept._replace(refused=refused), fitted_of(best._replace(found=fit), self._period_s, self._online.row_names)
+        )
 
     def _fitted(
         self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
@@ -270,28 +273,35 @@ class _Flight:
         left_out = frozenset(exiddm.fusion.contradicting)
         return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else _STAGES_s, left_out)
 
-    def _said(self, made: Tested) -> Fitted:
-        """A fit, its tests as they were within the stated sigmas, and the prediction of its halves."""
-        flight, found = made.flight, made.found
-        held_out, unchecked = None, Evidence._field_defaults["unchecked"]
-        try:
-            held_out = halves(flight, found)
-        except EstimationError as error:
-            unchecked = half_too_short(error)
-        return Fitted(
-            found.payload,
-            found.chi,
-            found.chi_covariance,
-            sum(block.rows for block in found.blocks),
-            found.misfit,
-            max(1.0, found.misfit, *found.by_instrument.values()),
-            made.corrections,
-            held_out,
-            unchecked,
-            by_axis(flight.time_s, found.residuals, self._period_s, self._online.row_names[6:]),
-            findings=made.findings,
-            leans=leans_on(flight, found),
-        )
+
+def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Fitted:
+    """A fit, its tests as they were within the stated sigmas, and the prediction of its halves.
+
+    Args:
+        made: the fit.
+        period_s: between ticks.
+        row_names: of the lines.
+    """
+    flight, found = made.flight, made.found
+    held_out, unchecked = None, Evidence._field_defaults["unchecked"]
+    try:
+        held_out = halves(flight, found)
+    except EstimationError as error:
+        unchecked = half_too_short(error)
+    return Fitted(
+        found.payload,
+        found.chi,
+        found.chi_covariance,
+        sum(block.rows for block in found.blocks),
+        found.misfit,
+        max(1.0, found.misfit, *found.by_instrument.values()),
+        made.corrections,
+        held_out,
+        unchecked,
+        by_axis(flight.time_s, found.residuals, period_s, row_names[6:]),
+        findings=made.findings,
+        leans=leans_on(flight, found),
+    )
 
 
 def _begin(run: Run) -> int:

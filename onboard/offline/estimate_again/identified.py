@@ -1,7 +1,7 @@
 """Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,6 +41,21 @@ class Answer(NamedTuple):
         return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in self._asdict().items()}
 
 
+class RunAnswer(NamedTuple):
+    """A run of parabolic flights, and what it says by itself."""
+
+    parabola: int  # its number, from 0
+    cut: dict[str, Any]  # release, catch, bumps, motions
+    state: str  # "identified", "pooled" (it determines too little by itself), "refused"
+    reason: str
+    answers: tuple[Answer, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        said = {"state": self.state, "reason": self.reason}
+        return {**self.cut, **said, "quantities": [answer.as_json() for answer in self.answers]}
+
+
 @dataclass(frozen=True)
 class Identified:
     """Result for one log."""
@@ -59,6 +74,11 @@ class Identified:
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
     links: tuple[LinkEstimate, ...] = field(default=())
     residuals: Residuals = field(default_factory=dict)  # whitened
+    runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
+
+    def with_runs(self, runs: tuple[RunAnswer, ...]) -> "Identified":
+        """The same with the runs from which it was pooled."""
+        return replace(self, runs=runs)
 
     @property
     def supported(self) -> bool:
@@ -90,6 +110,7 @@ class Identified:
             "essential": list(self.essential),
             "links": [_link(one) for one in self.links],
             "throw": self.throw.as_json() if self.throw else None,
+            **({"runs": [run.as_json() for run in self.runs]} if self.runs else {}),
         }
 
 

@@ -31,6 +31,7 @@ from onboard.offline.estimate_again.exiddm_log import identify_exiddm
 from onboard.offline.estimate_again.feed import check_channels, check_times, feed
 from onboard.offline.estimate_again.identified import Answer, Identified
 from onboard.offline.estimate_again.likelihood_log import EXIDDM
+from onboard.offline.estimate_again.parabolic_log import identify_parabolas
 from onboard.offline.estimate_again.planar_log import identify_planar
 from onboard.offline.estimate_again.residuals import keep_rows
 from onboard.offline.estimate_again.throws import Calibration, LoadSummary
@@ -118,7 +119,7 @@ def identify(
     calibration: dict[str, Identifier] = {}
     found = []
     by_rows = vehicle.file.estimation.method != EXIDDM
-    by_likelihood = identify_planar if vehicle.file.planar else identify_exiddm
+    by_likelihood = likelihood_of(vehicle)
     for reader, load in zip(readers, loads, strict=True):
         found.append(_one(vehicle, reader, load) if by_rows else by_likelihood(vehicle, reader))
         if load is not None and load.role != "load":
@@ -129,6 +130,13 @@ def identify(
         if progress:
             progress(len(found))
     return Identification(vehicle, tuple(found), throws.calibrate(vehicle, calibration))
+
+
+def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReader], Identified]:
+    """What estimates a log of a vehicle by maximum likelihood."""
+    if vehicle.file.parabola is not None:
+        return identify_parabolas
+    return identify_exiddm if vehicle.file.planar is None else identify_planar
 
 
 def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:

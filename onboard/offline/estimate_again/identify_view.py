@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onboard.identification.verdict import Level, Verdict
+from onboard.offline.estimate_again import runs_view
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.identify import Identification
 from onboard.offline.estimate_again.throws import LoadSummary
@@ -78,7 +79,8 @@ def _one(log: Identified) -> list[RenderableType]:
     for name, text in _notes(log):
         notes.add_row(name, text)
     head = Text(str(log.log), style="bold")
-    return [head, *([answers] if answers.rows else []), notes, Text()]
+    told = runs_view.render([run.as_json() for run in log.runs])
+    return [head, *([answers] if answers.rows else []), notes, *told, Text()]
 
 
 def _notes(log: Identified) -> Iterator[tuple[str, str]]:

@@ -20,6 +20,7 @@ from rich.text import Text
 from drivers import records
 from onboard import config
 from onboard.flight.hil import Flown
+from onboard.offline.estimate_again import runs_view
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.offline.views import accounts, own_mission
 from onboard.offline.views.standing import leans_on, shown
@@ -55,11 +56,13 @@ def result(flown: Flown) -> Result:
     """Everything the table shows, as plain JSON values."""
     log = LogReader(flown.log)
     name = log.metadata["flight"]["vehicle"]
-    own = own_mission.is_own(flown.truth)
+    own, flown_runs = own_mission.is_own(flown.truth), list[Result]()
     if own:
         with tempfile.TemporaryDirectory() as directory:
             vehicle = vehicle_of(log, Path(directory))
-            answers = last_answers(log) if vehicle.file.planar is None else own_mission.after_the_run(vehicle, log)
+            answers = last_answers(log)
+            if own_mission.is_estimated_afterwards(vehicle):
+                answers, flown_runs = own_mission.after_the_run(vehicle, log)
             compared = own_mission.compared(vehicle, answers, flown.truth)
         published: Result = {"title": f"{name}: rehearsed", **compared}
     else:
@@ -84,6 +87,7 @@ def result(flown: Flown) -> Result:
         "accounted": all(account.is_whole for account in counted.values()),
         "accounts": accounts.render(counted),
         "events": _troubles(log),
+        "runs": runs_view.compared(flown_runs, flown.truth),
         "capture": _capture(log, flown.truth),
     }
 
@@ -162,7 +166,7 @@ def render(table: Result) -> RenderableType:
     troubles = [Text(f"! {text}", style="yellow") for text in table["events"][:8]]
     if len(table["events"]) > len(troubles):
         troubles.append(Text(f"! and {len(table['events']) - len(troubles)} more: heft info", style="yellow"))
-    return Group(made, *lines, *map(Text, table["accounts"]), *troubles)
+    return Group(made, *lines, *runs_view.render(table["runs"]), *map(Text, table["accounts"]), *troubles)
 
 
 def _ours(row: dict[str, Any]) -> tuple[str, str, str]:

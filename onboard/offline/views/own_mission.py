@@ -18,7 +18,7 @@ from onboard.flight.estimate.identification import build_identifier
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.verdict import Level
-from onboard.offline.estimate_again.planar_log import identify_planar
+from onboard.offline.estimate_again.identify import likelihood_of
 from onboard.offline.tables.truth import Truth
 from onboard.recording.reader import LogReader
 from onboard.regressor.friction import COLUMNS
@@ -71,14 +71,19 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
     return found
 
 
-def after_the_run(vehicle: config.Vehicle, log: LogReader) -> dict[str, Row]:
-    """Answers of a vehicle that is estimated when its run on the table is over, as ``heft identify`` gives them.
+def is_estimated_afterwards(vehicle: config.Vehicle) -> bool:
+    """Whether a vehicle answers nothing in flight: it moves on a table, or between hands."""
+    return vehicle.file.planar is not None or vehicle.file.parabola is not None
+
+
+def after_the_run(vehicle: config.Vehicle, log: LogReader) -> tuple[dict[str, Row], list[Row]]:
+    """Answers of a vehicle that is estimated when its run is over, as ``heft identify`` gives them; and its runs.
 
     Args:
         vehicle: that flew.
         log: of the run.
     """
-    found = identify_planar(vehicle, log)
+    found = likelihood_of(vehicle)(vehicle, log)
     refused = "" if found.verdict.level is not Level.DO_NOT_USE else f"do not use: {'; '.join(found.verdict.reasons)}"
     names = {f"{kind}_{vehicle.file.vehicle.payload_link}": unit for kind, unit in zip(BODY, BODY_UNITS, strict=True)}
     rows: dict[str, Row] = {name: _answer(unit, refused or _UNDETERMINED) for name, unit in names.items()}
@@ -87,7 +92,7 @@ def after_the_run(vehicle: config.Vehicle, log: LogReader) -> dict[str, Row]:
         standing = one.standing.text if told else refused or _UNDETERMINED
         rows[one.name] = _answer(one.unit, standing, told=told)
         rows[one.name] |= {"value": one.value, "low": one.low, "high": one.high, "sigma": one.sigma}
-    return rows
+    return rows, [run.as_json() for run in found.runs]
 
 
 def _answer(unit: str, standing: str, *, told: bool = False) -> Row:

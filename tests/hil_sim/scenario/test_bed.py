@@ -11,7 +11,7 @@ from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import config
 from onboard.cli import main
 
-BASES = {"air_bearing": "planar", "capture": "free", "fixed_arm": "fixed"}
+BASES = {"air_bearing": "planar", "capture": "free", "fixed_arm": "fixed", "parabolic": "free"}
 
 
 @pytest.mark.parametrize("name", bed.names())
@@ -33,6 +33,22 @@ def test_a_payload_that_is_captured_tumbles() -> None:
     assert scenario.capture is not None
     assert scenario.capture.rate_sigma_rad_s == 0.1
     assert scenario.capture.earliest_s < scenario.capture.latest_s
+
+
+@pytest.mark.parametrize(("day", "runs", "slow"), [("day1", 32, 13), ("day2", 33, 0)])
+def test_a_day_has_the_runs_of_table_4_4(day: str, runs: int, slow: int) -> None:
+    scenario = scenario_of("parabolic", campaign=day)
+    assert isinstance(scenario, VehicleScenario)
+    assert scenario.parabolas is not None
+    strapped, *flown = scenario.parabolas.flown
+    assert strapped is None
+    assert len(flown) == runs
+    assert sum(one is not None and one.speed == "slow" for one in flown) == slow
+    moving = [step for step in scenario.sequence if step.action == "sweep"]
+    assert len(moving) == runs + sum(one is not None and one.joints == "pitch_then_yaw" for one in flown)
+    assert bed.campaigns("capture") == ()
+    with pytest.raises(ScenarioError, match="no campaign 'day3': parabolic has day1, day2"):
+        scenario_of("parabolic", campaign="day3")
 
 
 def test_other_names_are_no_beds() -> None:

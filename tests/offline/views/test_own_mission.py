@@ -20,9 +20,10 @@ FOUND = (
 @pytest.mark.parametrize("reasons", [(), ("the fit failed: not converged",)])
 def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
     verdict = Verdict(Level.DO_NOT_USE if reasons else Level.WEAK, reasons, ())
-    found = SimpleNamespace(verdict=verdict, answers=() if reasons else FOUND)
-    monkeypatch.setattr(own_mission, "identify_planar", lambda *_: found)
-    rows = own_mission.after_the_run(VEHICLE, None)
+    found = SimpleNamespace(verdict=verdict, answers=() if reasons else FOUND, runs=())
+    monkeypatch.setattr(own_mission, "likelihood_of", lambda _: lambda *_: found)
+    rows, runs = own_mission.after_the_run(VEHICLE, None)
+    assert runs == []
     assert len(rows) == (10 if reasons else 11)
     if reasons:
         assert not any(row["supported"] for row in rows.values())

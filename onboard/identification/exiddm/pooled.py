@@ -1,0 +1,210 @@
+"""One payload from several flights: maximum likelihood with what is common to them, and what is each one's own.
+
+Common are the payload, the links, the joints and the constants of the instruments; the rate at the start and the biases
+are each flight's own. The likelihood is that of :mod:`onboard.identification.exiddm.whole_flight` of every flight, so
+that an error common to them all is told once and not averaged away. In every Gauss-Newton step a flight's own unknowns
+are eliminated from its normal equations: with o its own, c the common ones and prior information L about zero,
+
+    S = N_cc - N_co (N_oo + L_oo)^-1 N_oc,    s = g_c - N_co (N_oo + L_oo)^-1 (g_o + L_oo x_o),
+
+and the step is ``d = -(L_cc + sum S)^-1 (L_cc x_c + sum s)``: flights that determine nothing by themselves count for
+what they tell.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.payload import BodyEstimate, body_estimate
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.errors import ConvergenceError
+from onboard.estimation.maximum_likelihood import Normal, inverse_of
+from onboard.identification.exiddm.chance import Chance, squares_of
+from onboard.identification.exiddm.whole_flight import Block, WholeFlight, misfit_by_instrument, total_of
+from onboard.identification.rows.held_out import HeldOut, HeldOutFit
+
+_PAYLOAD = slice(0, 10)
+_STEPS = 12
+_DONE = 1e-2  # promised decrease of the residual sum at which a step is the last
+_DETERMINED = 1e-6  # see parts
+_HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class Disagreement(Chance):
+    """How far the payload of one flight is from that of all."""
+
+
+class _Reduced(NamedTuple):
+    """A flight at an estimate, its own unknowns eliminated."""
+
+    S: FloatArray  # (c, c)
+    s: FloatArray  # (c,)
+    squares: float  # at the estimate, its own unknowns' prior included
+    gained: float  # by their step
+    step: FloatArray  # (o,) of its own for no change of the common ones
+    by_common: FloatArray  # (o, c) change of its own for a change of these
+    blocks: tuple[Block, ...]
+
+
+class Pooled(NamedTuple):
+    """The payload of all flights."""
+
+    payload: BodyEstimate  # in the payload link's frame
+    chi: FloatArray  # (10,) standard parameters
+    chi_covariance: FloatArray  # (10, 10)
+    names: tuple[str, ...]  # of the common parameters
+    common: FloatArray  # (c,)
+    covariance: FloatArray  # (c, c)
+    x: tuple[FloatArray, ...]  # parameters of each flight, (p,)
+    misfit: float  # residual sum over its degrees of freedom
+    by_instrument: dict[str, float]
+    misfits: tuple[float, ...]  # of each flight, over its rows
+    disagreements: tuple[Disagreement, ...]  # of each flight
+    held_out: HeldOut | None  # later flights from earlier ones and the reverse; None of a single one
+    rows: int
+
+
+class Pool:
+    """Flights of one vehicle with one payload, held in all of their segments.
+
+    Args:
+        flights: with the same instruments.
+    """
+
+    def __init__(self, flights: Sequence[WholeFlight]) -> None:
+        self._flights = tuple(flights)
+        self._own = [flight.of_a_part for flight in flights]
+        self._common: list[IndexArray] = [
+            np.setdiff1d(np.arange(len(flight.names)), flight.of_a_part).astype(np.intp) for flight in flights
+        ]
+        self.names = tuple(flights[0].names[k] for k in self._common[0])
+        self._prior = np.nan_to_num(1.0 / flights[0].sigma[self._common[0]] ** 2)
+
+    def fit(self, starts: Sequence[FloatArray], common: FloatArray) -> Pooled:
+        """The estimate.
+
+        Args:
+            starts: parameters of each flight, (p,), of which its own are used.
+            common: (c,) from where the common ones start.
+
+        Raises:
+            ConvergenceError, SingularError: flights that determine too little, or contradict each other.
+            SignalError: a payload without a mass.
+        """
+        x = [start.copy() for start in starts]
+        for flight, at, one in zip(self._flights, self._common, x, strict=True):
+            one[at] = common
+            flight.weigh(one)
+        z, parts = common.copy(), self._reduced(x)
+        for _ in range(_STEPS):
+            information = np.diag(self._prior) + sum(part.S for part in parts)
+            gradient = self._prior * z + sum(part.s for part in parts)
+            d = -inverse_of(information) @ gradient
+            promised = float(-gradient @ d) + sum(part.gained for part in parts)
+            x, z, parts = self._moved(x, z, d, parts)
+            if promised < _DONE:
+                return self._pooled(x, z, parts)
+        raise ConvergenceError(f"the flights together did not converge in {_STEPS} steps")
+
+    def _moved(
+        self, x: list[FloatArray], z: FloatArray, d: FloatArray, parts: list[_Reduced]
+    ) -> tuple[list[FloatArray], FloatArray, list[_Reduced]]:
+        """After a step, or the largest half, quarter ... of it that makes the residual sum no larger."""
+        before = self._cost(z, parts)
+        for k in range(_HALVINGS):
+            share = 0.5**k
+            moved = [one.copy() for one in x]
+            for one, own, at, part in zip(moved, self._own, self._common, parts, strict=True):
+                one[own] += share * (part.step + part.by_common @ d)
+                one[at] = z + share * d
+            found = self._reduced(moved)
+            if self._cost(z + share * d, found) <= before + _DONE:
+                return moved, z + share * d, found
+        raise ConvergenceError("no step of all flights together makes their residuals smaller")
+
+    def _cost(self, z: FloatArray, parts: Sequence[_Reduced]) -> float:
+        return float(self._prior @ z**2) + sum(part.squares for part in parts)
+
+    def _reduced(self, x: Sequence[FloatArray]) -> list[_Reduced]:
+        found = []
+        for flight, own, at, one in zip(self._flights, self._own, self._common, x, strict=True):
+            blocks = tuple(flight.blocks(one))
+            found.append(_reduced(total_of(blocks, one.size), one, own, at, flight.sigma, blocks))
+        return found
+
+    def _pooled(self, x: list[FloatArray], z: FloatArray, parts: list[_Reduced]) -> Pooled:
+        P = inverse_of(np.diag(self._prior) + sum(part.S for part in parts))
+        blocks = [block for part in parts for block in part.blocks]
+        rows = sum(block.rows for block in blocks)
+        unknown = int((self._prior == 0.0).sum()) + 3 * sum(len(flight.segments) for flight in self._flights)
+        misfit = self._cost(z, parts) / max(1, rows - unknown)
+        misfits = tuple(
+            sum(b.normal.squares for b in part.blocks) / max(1, sum(b.rows for b in part.blocks)) for part in parts
+        )
+        return Pooled(
+            body_estimate(z[:10], P[_PAYLOAD, _PAYLOAD]),
+            z[:10],
+            P[_PAYLOAD, _PAYLOAD],
+            self.names,
+            z,
+            P,
+            tuple(x),
+            misfit,
+            misfit_by_instrument(blocks),
+            misfits,
+            tuple(_disagreement(part, P, misfit) for part in parts),
+            self._halves(x, z, parts),
+            rows,
+        )
+
+    def _halves(self, x: Sequence[FloatArray], z: FloatArray, parts: Sequence[_Reduced]) -> HeldOut | None:
+        """Prediction of the later flights from the earlier ones, and the reverse."""
+        if len(parts) < 2:
+            return None
+        bare = [total_of(f.without_payload(one), one.size).squares for f, one in zip(self._flights, x, strict=True)]
+        squares = [sum(block.normal.squares for block in part.blocks) for part in parts]
+        rows, middle = [sum(block.rows for block in part.blocks) for part in parts], (len(parts) + 1) // 2
+        predicted = []
+        for own in (slice(middle, None), slice(0, middle)):
+            others = [part for k, part in enumerate(parts) if k not in range(len(parts))[own]]
+            known = np.diag(self._prior) + sum(part.S for part in others)
+            a = -inverse_of(known) @ (self._prior * z + sum(part.s for part in others))
+            more = sum(float(2.0 * part.s @ a + a @ part.S @ a) for part in parts[own])
+            left = max(0.0, sum(squares[own]) + more)
+            predicted.append(HeldOutFit(float(np.sqrt(left / sum(bare[own]))), left / sum(rows[own])))
+        fit = HeldOutFit(float(np.sqrt(sum(squares) / sum(bare))), sum(squares) / sum(rows))
+        return HeldOut(predicted[0], predicted[1], fit)
+
+
+def _reduced(
+    rows: Normal, x: FloatArray, own: IndexArray, common: IndexArray, sigma: FloatArray, blocks: tuple[Block, ...]
+) -> _Reduced:
+    prior = np.nan_to_num(1.0 / sigma[own] ** 2)
+    A = rows.information[np.ix_(own, own)] + np.diag(prior)
+    A[np.diag_indices_from(A)] += np.where(np.diag(A) > 0.0, 0.0, 1.0)  # a rate that no row shows
+    across, g = rows.information[np.ix_(common, own)], rows.gradient[own] + prior * x[own]
+    inverse = inverse_of(A)
+    step, by_common = -inverse @ g, -inverse @ across.T
+    S = rows.information[np.ix_(common, common)] + across @ by_common
+    return _Reduced(
+        0.5 * (S + S.T),
+        rows.gradient[common] + across @ step,
+        rows.squares + float(prior @ x[own] ** 2),
+        float(-g @ step),
+        step,
+        by_common,
+        blocks,
+    )
+
+
+def _disagreement(part: _Reduced, P: FloatArray, misfit: float) -> Disagreement:
+    """Score test: does the payload of one flight differ, all else common?"""
+    across = part.S[_PAYLOAD]
+    own = across[:, _PAYLOAD]
+    scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
+    spread = (own - across @ P @ across.T) / np.outer(scale, scale)
+    squares, freedom = squares_of(part.s[_PAYLOAD] / scale, spread, _DETERMINED)
+    return Disagreement(squares / max(1.0, misfit), freedom)
