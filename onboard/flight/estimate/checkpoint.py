@@ -12,7 +12,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.state import Places, StateError, from_bytes, write
 from onboard.flight.store.directories import open_private, write_private
 
-_NAME, _UNDERWAY = "estimator.checkpoint.npz", "estimator.redoing"
+_NAME, _UNDERWAY = "estimator.checkpoint", "estimator.redoing"
 
 
 class Checkpoint(NamedTuple):

@@ -1,18 +1,22 @@
 """Serialises the estimator's object tree as data (JSON and arrays), without executable content.
 
+A state is a head (:data:`_HEAD`), the tree as JSON, and the bytes of all arrays, each from a multiple of 8 on. The head
+has the tree's length and CRC, and the sum of the arrays' 64-bit words: a CRC over megabytes, as ZIP files have it, takes
+as long as all else that is done to write them.
+
 Only values are written: numbers, text, arrays, containers, and the attributes of instances of our own numerical
 classes. Parts that a new object of the same kind has anyway and that never change (vehicle file, models, types,
 functions, arrays that cannot be written to) are referred to by their place in that new object. Nothing is imported, and
 no constructor, ``__setstate__`` or ``__reduce__`` is called, when a state is read.
 """
 
-import contextlib
 import dataclasses
 import io
 import json
 import math
+import struct
 import sys
-import zipfile
+import zlib
 from collections import deque
 from collections.abc import Collection, Iterator
 from enum import Enum
@@ -26,11 +30,12 @@ from numpy.typing import NDArray
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 
-FORMAT = 3
+FORMAT = 4
 _ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "devices", "flight")
 _PACKAGES = tuple(f"onboard.{room}." for room in _ROOMS)
 _MODELS = (VehicleModel, ImuPredictor)  # of ours, the same all flight
-_TREE, _DATA = "tree", "data"
+_HEAD = struct.Struct("<8sIIQQ")  # magic, format, CRC-32 of the tree, bytes of the tree, sum of the arrays' words
+_MAGIC, _WORD = b"heftstat", 8
 _PLAIN = (bool, int, float, str, type(None))
 _KINDS = frozenset(_PLAIN)
 _SEQUENCES: dict[str, type] = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
@@ -102,7 +107,7 @@ class _Writer:
     def __init__(self, places: Places) -> None:
         self._places, self._number = places, dict[int, int]()
         self._kept: list[object] = []  # so that no number is given twice
-        self.arrays: list[memoryview] = []  # their bytes, to be copied before anything changes them
+        self.arrays: list[memoryview | bytes] = []  # their bytes, to be copied before anything changes them
         self._end = 0
 
     def node(self, thing: object) -> Any:
@@ -128,10 +133,11 @@ class _Writer:
         if array.dtype.hasobject:
             raise StateError(f"an array of {array.dtype} cannot be written as values")
         order: Literal["F", "C"] = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
-        flat = np.ravel(array, order=order)
-        self.arrays.append(flat.view(np.uint8).data if flat.nbytes else memoryview(b""))
-        self._end += array.nbytes
-        return [np.lib.format.dtype_to_descr(array.dtype), order, list(array.shape), self._end - array.nbytes]
+        flat, start = np.ravel(array, order=order), self._end
+        if flat.nbytes:
+            self.arrays += [flat.view(np.uint8).data, bytes(-flat.nbytes % _WORD)]
+            self._end += -(-flat.nbytes // _WORD) * _WORD
+        return [np.lib.format.dtype_to_descr(array.dtype), order, list(array.shape), start]
 
     def _new(self, thing: object) -> Any:
         kind = type(thing)
@@ -161,7 +167,7 @@ class _Writer:
 
 
 class _Reader:
-    def __init__(self, places: Places, data: bytes) -> None:
+    def __init__(self, places: Places, data: memoryview) -> None:
         self._places, self._data = places, data
         self._made: list[Any] = []
 
@@ -261,10 +267,10 @@ def to_bytes(thing: object, places: Places) -> bytes:
 
 
 def write(file: IO[bytes], thing: object, places: Places) -> None:
-    """Write ``thing`` as an NPZ file: a tree, and its arrays.
+    """Write ``thing``: head, tree, arrays.
 
     Args:
-        file: that can be sought in.
+        file: to write to.
         thing: an object of ours, or containers of them.
         places: of what a new one has anyway.
 
@@ -272,13 +278,12 @@ def write(file: IO[bytes], thing: object, places: Places) -> None:
         StateError: a part of it is neither data nor in ``places``; nothing is written.
     """
     writer = _Writer(places)
-    tree = json.dumps({"format": FORMAT, "root": writer.node(thing)}).encode()
-    with zipfile.ZipFile(file, "w") as container:  # as np.savez writes it, in few and large pieces
-        for name, content in ((_TREE, tree), (_DATA, b"".join(writer.arrays))):
-            with container.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                about = {"descr": "|u1", "fortran_order": False, "shape": (len(content),)}
-                np.lib.format.write_array_header_1_0(entry, about)
-                entry.write(content)
+    tree = json.dumps(writer.node(thing)).encode()
+    tree += b" " * (-len(tree) % _WORD)  # so that the words of the arrays are aligned
+    data = b"".join(writer.arrays)
+    file.write(_HEAD.pack(_MAGIC, FORMAT, zlib.crc32(tree), len(tree), _sum(data)))
+    file.write(tree)
+    file.write(data)
 
 
 def from_bytes(data: bytes, places: Places) -> Any:
@@ -288,13 +293,20 @@ def from_bytes(data: bytes, places: Places) -> Any:
         StateError: it is damaged, of another version, or none of ours.
     """
     try:
-        with contextlib.closing(np.load(io.BytesIO(data), allow_pickle=False)) as file:
-            tree, arrays = (file[name].tobytes() for name in (_TREE, _DATA))
-        content = json.loads(tree)
-        if content["format"] != FORMAT:
-            raise StateError(f"a state of format {content['format']}, not {FORMAT}")
-        return _Reader(places, arrays).value(content["root"])
+        magic, version, crc, length, words = _HEAD.unpack_from(data)
+        if magic == _MAGIC and version != FORMAT:
+            raise StateError(f"a state of format {version}, not {FORMAT}")
+        tree = data[_HEAD.size : _HEAD.size + length]
+        arrays = memoryview(data)[_HEAD.size + length :]
+        if magic != _MAGIC or len(tree) != length or zlib.crc32(tree) != crc or _sum(arrays) != words:
+            raise StateError("this is no state of an estimator, or a damaged one")
+        return _Reader(places, arrays).value(json.loads(tree))
     except StateError:
         raise
     except Exception as error:
         raise StateError(f"this is no state of an estimator ({type(error).__name__}: {error})") from error
+
+
+def _sum(data: bytes | memoryview) -> int:
+    """Of the 64-bit words, without what exceeds 64 bits: any change of one of them changes it."""
+    return int(np.frombuffer(data, np.uint64).sum())

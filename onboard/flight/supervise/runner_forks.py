@@ -231,9 +231,11 @@ def serve(control: Connection, *built: object) -> None:
         control.close()
         pipe = Connection(end)
         name_process("spare")
-        with contextlib.suppress(EOFError, OSError):  # it was not needed
+        try:
             pipe.recv()
-            body(*arguments, *built, pipe)
+        except (EOFError, OSError):
+            return  # it was not needed
+        body(*arguments, *built, pipe)
         return
 
 
