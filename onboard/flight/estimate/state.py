@@ -1,8 +1,8 @@
 """Serialises the estimator's object tree as data (JSON and arrays), without executable content.
 
 A state is a head (:data:`_HEAD`), the tree as JSON, and the bytes of all arrays, each from a multiple of 8 on. The head
-has the tree's length and CRC, and the sum of the arrays' 64-bit words: a CRC over megabytes, as ZIP files have it, takes
-as long as all else that is done to write them.
+has the tree's length and CRC, and the sum of the arrays' 64-bit words: a CRC over megabytes, as ZIP files have it,
+takes as long as all else that is done to write them.
 
 Only values are written: numbers, text, arrays, containers, and the attributes of instances of our own numerical
 classes. Parts that a new object of the same kind has anyway and that never change (vehicle file, models, types,
