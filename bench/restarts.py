@@ -27,18 +27,19 @@ from onboard.recording.reader import LogReader
 
 BACK_MS, HOLE_MS = 300.0, 500.0
 START_S, PAUSE_S = 4.0, 2.5  # before the first kill, after each
+FOUND_S = 1.5  # that finding a worker's process may take on a busy computer
 
 
 def fly(vehicle: str, place: Path, nice: int, kills: int, load: int) -> tuple[Path, list[tuple[str, int]]]:
     """Fly, kill each worker so many times; the log, and who was killed when."""
     killed: list[tuple[str, int]] = []
-    over = longer(vehicle, START_S + 3 * PAUSE_S * kills + 30.0, place)
+    over = longer(vehicle, START_S + 3 * (PAUSE_S + FOUND_S) * kills + 30.0, place)
     with flying(vehicle, place, name="restarts", over=over, nice=nice) as flight, busy(load):
         print(memory_line(flight.process.pid))
         time.sleep(START_S)
         for _ in range(kills):
             for name, worker in WORKERS.items():
-                pid = processes(flight.process.pid)[name]  # takes up to 100 ms at load
+                pid = processes(flight.process.pid)[name]
                 killed.append((worker, time.monotonic_ns()))
                 os.kill(pid, signal.SIGKILL)
                 time.sleep(PAUSE_S)
