@@ -104,8 +104,6 @@ class RecursiveExiddm(BoundedWork):
         if known is not None:
             mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
             self.held, self._before, hypotheses = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
-        for known_before in (mean, covariance):
-            known_before.setflags(write=False)  # the same in every estimator of the vehicle: no part of a checkpoint
         self._initial = mean, covariance
         self._open(hypotheses, mean, covariance)
 
