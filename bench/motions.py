@@ -201,15 +201,15 @@ def run() -> None:
     both = there_and_back(len(own.posture), (0, 1))
     _show("yaw and pitch", own.known(own.scaled(both)), wanted, asked.seconds)
     best, evaluations = searched(own, own.bound, steps, Criterion.D)
+    _show("heft plan", own.known(best), wanted, asked.seconds)
+    _show("heft plan, at its limits", own.known(own.scaled(best)), wanted, asked.seconds)
+    half = bench_of(*given, 0.5 * asked.seconds, asked.rate)
+    short, _ = searched(half, half.bound, steps, Criterion.D)
+    _show("heft plan of half the time", half.known(short), wanted, asked.seconds)
     _show("best of random splines", own.known(drawn(own, evaluations)), wanted, asked.seconds)
     conditioned = bench_of(*given, asked.seconds, asked.rate, Conditioned).bound
     flat, _ = searched(own, conditioned, steps, Criterion.WORST)
     _show("condition number", own.known(own.scaled(flat)), wanted, asked.seconds)
-    _show("heft plan", own.known(best), wanted, asked.seconds)
-    _show("heft plan, at its limits", own.known(own.scaled(best)), wanted, asked.seconds)
-    half = bench_of(*given, 0.5 * asked.seconds, asked.rate)
-    best, _ = searched(half, half.bound, steps, Criterion.D)
-    _show("heft plan of half the time", half.known(best), wanted, asked.seconds)
     print(f"{evaluations} motions looked at")
 
 

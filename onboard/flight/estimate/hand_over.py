@@ -19,6 +19,7 @@ from onboard import config
 from onboard.dynamics.inertia import RigidBody, pseudo_inertia, symmetric
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.urdf import with_bodies
+from onboard.flight.estimate.answers import PAYLOAD_CHANGES
 from onboard.identification.quantities import BODY
 from onboard.identification.verdict import LEVELS, Level
 
@@ -52,6 +53,9 @@ class HandOver:
             now_ns: time of the step.
             made: by the estimator.
         """
+        codes = [batch.rows["code"][0].decode() for batch in made if batch.channel == "event"]
+        if changed := [code for code in codes if code in PAYLOAD_CHANGES]:
+            return self._withdraw(now_ns, f"the payload is doubted ({changed[0]})")
         answers = next((batch.rows for batch in made if batch.channel == "quantity"), None)
         if answers is None:
             late = now_ns - self._answered_ns > EVERY_NS
@@ -92,7 +96,7 @@ class HandOver:
         except OSError as error:
             why = f"{why}; it cannot be removed: {error}"
         self._there = False
-        return [_said(now_ns, Severity.WARNING, "hand_over_withdrawn", why)]
+        return [_said(now_ns, Severity.WARNING, "hand_over_withdrawn", f"{self._path.name}: {why}")]
 
 
 def check(vehicle: config.Vehicle, names: Collection[str]) -> None:

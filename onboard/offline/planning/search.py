@@ -52,7 +52,7 @@ def search(
     Args:
         over: what.
         starts: drawn; the better half of them, two at most, are gone on with.
-        iterations: of each descent.
+        iterations: of each descent; 0: the best that was drawn.
         rng: draws the starts.
         step: is told the share that is done, 0 to 1.
 
@@ -64,7 +64,7 @@ def search(
     drawn.sort(key=problem.value)
     best = problem.kept(drawn[0])
     best_value = start_value = problem.value(best)
-    gone_on = drawn[: max(1, min(2, starts // 2))]
+    gone_on = drawn[: max(1, min(2, starts // 2)) if iterations else 0]
     bounds = list(zip(problem.low.tolist(), problem.high.tolist(), strict=True))
     rounds = count(1)
 

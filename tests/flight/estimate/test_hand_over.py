@@ -16,8 +16,10 @@ from onboard.dynamics.inertia import RigidBody, elements
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
 from onboard.dynamics.payload import standard_of
+from onboard.flight.estimate.answers import change_event
 from onboard.flight.estimate.hand_over import HandOver, check
 from onboard.flight.estimate.identification import build_model
+from onboard.identification.change import Change
 from onboard.identification.quantities import BODY, BODY_UNITS
 
 S = 1_000_000_000
@@ -105,6 +107,15 @@ def test_an_answer_that_is_withdrawn_is_gone_at_once_and_must_hold_again(handed,
     assert handed[0].step(2 * S + 1, answers(vehicle, **one)) == []
     assert handed[0].step(3 * S, answers(vehicle)) == []
     assert codes(handed[0].step(4 * S, answers(vehicle))) == ["handed_over"]
+
+
+def test_a_detected_change_withdraws_before_it_is_known_what_it_is(handed, vehicle):
+    good(handed, vehicle)
+    left_out = change_event(2 * S, Change("left_out", 2.0, 2.0, np.nan, "imu_2"))
+    assert handed[0].step(2 * S, [left_out, *answers(vehicle)]) == []
+    change = change_event(2 * S, Change("change", 2.0, 1.9, 3.0))
+    assert codes(handed[0].step(2 * S, [change, *answers(vehicle)])) == ["hand_over_withdrawn"]
+    assert not handed[1].exists()
 
 
 def test_an_estimator_that_says_nothing_withdraws(handed, vehicle):
