@@ -81,6 +81,12 @@ def pss_mb(pid: int) -> float:
     return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) * 1.024e-3
 
 
+def pss_by_kind_mb(pid: int) -> dict[str, float]:
+    """:func:`pss_mb` by kind: Anon (a process's own), File (programs), Shmem (rings that it has touched)."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return {line.split(":")[0][4:]: int(line.split()[1]) * 1.024e-3 for line in lines if line.startswith("Pss_")}
+
+
 def cpu_s(pid: int) -> float:
     """CPU time that a process has had."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.real_flight import WORKERS, RealFlight, all_processes, flying, longer, pss_mb
+from bench.real_flight import WORKERS, RealFlight, all_processes, flying, longer, pss_by_kind_mb, pss_mb
 from onboard.recording.reader import LogReader
 
 EVERY_S = 10.0
@@ -38,24 +38,28 @@ class Look(NamedTuple):
     threads: int
     processes: int
     shared_bytes: int
+    kinds_mb: dict[str, float]  # PSS by process and kind: a ring counts for who has touched it, at most once round
 
 
 def look(flight: RealFlight, at_s: float) -> Look:
     """Now."""
     pss: dict[str, float] = {}
+    kinds: dict[str, float] = {}
     files = threads = processes = 0
     for pid, name in all_processes(flight.process.pid).items():
         place = Path(f"/proc/{pid}")
         try:
             own = WORKERS.get(name, name)
             pss[own] = pss.get(own, 0.0) + pss_mb(pid)
+            for kind, mb in pss_by_kind_mb(pid).items():
+                kinds[f"{own}, {kind}"] = kinds.get(f"{own}, {kind}", 0.0) + mb
             files += len(list((place / "fd").iterdir()))
             threads += len(list((place / "task").iterdir()))
         except (OSError, StopIteration):
             continue  # it has just ended
         processes += 1
     shared = sum(path.stat().st_blocks * 512 for path in flight.rings.rglob("*") if path.is_file())
-    return Look(at_s, pss, files, threads, processes, shared)
+    return Look(at_s, pss, files, threads, processes, shared, kinds)
 
 
 class Growth(NamedTuple):
@@ -80,6 +84,8 @@ def judge(looks: list[Look]) -> tuple[list[str], dict[str, Growth]]:
     hours = (at_s[-1] - at_s[0]) / 3600.0
     names = sorted({name for one in looks for name in one.pss_mb})
     found = {f"PSS of {name}": growth(at_s, np.array([one.pss_mb.get(name, 0.0) for one in looks])) for name in names}
+    for name in sorted({name for one in looks for name in one.kinds_mb}):
+        found[f"PSS of {name}"] = growth(at_s, np.array([one.kinds_mb.get(name, 0.0) for one in looks]))
     total = growth(at_s, np.array([sum(one.pss_mb.values()) for one in looks]))
     found["PSS of all"] = total
     too_much = total.gained > max(GROWTH_MB_H * hours, total.scatter)

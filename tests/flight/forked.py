@@ -26,6 +26,11 @@ def tell(*arguments: object) -> None:
     sys.exit(3)
 
 
+def fail(pipe: Connection) -> None:
+    """Meet an error of the system's."""
+    raise OSError("no space left on device")
+
+
 def answer(pipe: Connection) -> None:
     """Say that it is at work, and end when told to."""
     pipe.send(True)

@@ -56,6 +56,22 @@ def test_an_array_whose_header_is_none(tmp_path, header):
         read_npz(file)
 
 
+@pytest.mark.parametrize("mapping", ["kuka_lwr4", "tudelft"])  # NPZ, CSV
+@pytest.mark.parametrize("kind", ["pipe", "device", "endless"])
+def test_a_recording_that_is_no_file_is_not_waited_for(tmp_path, capsys, mapping, kind):
+    source = tmp_path / "run"
+    if kind == "pipe":
+        os.mkfifo(source)
+    elif kind == "device":
+        source.symlink_to("/dev/zero")
+    else:
+        with source.open("wb") as file:
+            file.truncate(3 << 30)
+    assert cli.main(["import", mapping, str(source), "-o", str(tmp_path / "logs")]) == cli.BAD_INPUT
+    assert ("the limit is 2.1 GB" if kind == "endless" else "a pipe, a device") in capsys.readouterr().err
+    assert not list((tmp_path / "logs").iterdir())
+
+
 def test_a_log_whose_rows_have_no_time_is_damaged(tmp_path):
     rows = np.zeros(2, records.CAN_SYNC)
     sink = MemorySink(tmp_path / "x.mcap")

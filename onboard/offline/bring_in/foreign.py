@@ -4,6 +4,7 @@ import csv
 import lzma
 import os
 import re
+import stat
 import struct
 import tokenize
 import warnings
@@ -141,7 +142,18 @@ def _numbers(path: Path, name: str, cells: list[str]) -> Values:
 
 
 def read(path: Path, layout: Csv, kind: str) -> Recording:
-    """The columns of a file of ``kind`` (csv or npz); see ``read_csv`` and ``read_npz``."""
+    """The columns of a file of ``kind`` (csv or npz); see ``read_csv`` and ``read_npz``.
+
+    Raises:
+        SourceError: as these; a pipe or a device, which may never end; more than a recording holds.
+        OSError: as these.
+    """
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise SourceError(f"{path} is no file, but a pipe, a device or a directory; give the path of a recording")
+    if about.st_size > LARGEST_BYTES:
+        limit = f"{LARGEST_BYTES / 1e9:.1f} GB"
+        raise SourceError(f"{path} has {about.st_size / 1e9:.3g} GB; the limit is {limit}: divide it")
     return read_csv(path, layout) if kind == "csv" else Recording(read_npz(path))
 
 

@@ -94,6 +94,15 @@ def test_servers_that_were_killed_are_replaced_and_their_processes_live_on(
     assert told(light.fork(forked.tell, 1))[0] == 1
 
 
+def test_an_error_of_the_system_in_a_process_is_no_end_in_order(light: ForkServer) -> None:
+    process = light.fork(forked.fail)
+    process.pipe.send(True)
+    assert exit_code(process.pid, wait=True) == 1
+    unneeded = light.fork(forked.fail)
+    unneeded.pipe.close()
+    assert exit_code(unneeded.pid, wait=True) == 0
+
+
 def test_a_server_ends_with_its_supervisor(tmp_path: Path) -> None:
     program = (
         "import os\n"
