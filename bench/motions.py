@@ -184,7 +184,7 @@ def run() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=0.4, help="limit of the base's rate, rad/s")
     parser.add_argument("--seeds", type=int, default=5, help="draws of the multi-sine")
-    parser.add_argument("--starts", type=int, default=8)
+    parser.add_argument("--starts", type=int, default=64)
     parser.add_argument("--iterations", type=int, default=15)
     asked = parser.parse_args()
     vehicle = config.named(asked.vehicle)

@@ -6,6 +6,7 @@ from pathlib import Path
 from onboard.cli.common import OK, Commands, load_vehicle, progress, show
 
 SEGMENT_S = 6.0
+STARTS, SEGMENT_STARTS = 64, 8
 
 
 def add(commands: Commands) -> None:
@@ -29,7 +30,12 @@ def add(commands: Commands) -> None:
         choices=("D", "A", "worst"),
         help="least volume (D), sum of variances (A), or longest axis of the error ellipsoid (default D)",
     )
-    plan.add_argument("--starts", type=int, default=8, metavar="N", help="random motions to begin with (default 8)")
+    plan.add_argument(
+        "--starts",
+        type=int,
+        metavar="N",
+        help=f"random motions; the two best are improved (default {STARTS}; of each segment {SEGMENT_STARTS})",
+    )
     plan.add_argument("--iterations", type=int, default=15, metavar="N", help="of each descent (default 15)")
     plan.add_argument("--seed", type=int, default=1, metavar="N", help="of the random motions (default 1)")
     plan.add_argument(
@@ -56,11 +62,12 @@ def _plan(arguments: argparse.Namespace) -> int:
     _check(arguments)
     vehicle = load_vehicle(arguments.vehicle)
     seconds = arguments.seconds or (SEGMENT_S if arguments.segments else None)
+    starts = arguments.starts or (SEGMENT_STARTS if arguments.segments else STARTS)
     room = room_for_motion(rehearsal(vehicle.path, arguments.over), seconds)
     wanted = Wanted(
         *(room.start_s, room.end_s, tuple(arguments.asked), Criterion(arguments.criterion)),
         limits.LimitsFile() if arguments.limits is None else limits.read(arguments.limits),
-        *(arguments.starts, arguments.iterations, arguments.seed, _masses(arguments.masses)),
+        *(starts, arguments.iterations, arguments.seed, _masses(arguments.masses)),
     )
     with progress() as bar:
         task = bar.add_task("planning segments" if arguments.segments else "planning", total=1.0)
@@ -90,7 +97,7 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.seconds is not None and not 4.0 <= arguments.seconds <= 600.0:
         raise ValueError(f"--seconds {arguments.seconds:g}: give 4 to 600")
     for option, value in (("--starts", arguments.starts), ("--iterations", arguments.iterations)):
-        if not 1 <= value <= 10_000:
+        if value is not None and not 1 <= value <= 10_000:
             raise ValueError(f"{option} {value}: give 1 to 10000")
     if arguments.masses is not None and not arguments.segments:
         raise ValueError("--masses needs --segments")

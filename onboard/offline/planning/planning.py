@@ -29,7 +29,7 @@ class Wanted(NamedTuple):
     asked: tuple[str, ...] = ()  # quantities by name, or by its first part (mass: m); all where none is named
     criterion: Criterion = Criterion.D
     limits: LimitsFile = LimitsFile()
-    starts: int = 8
+    starts: int = 64
     iterations: int = 15
     seed: int = 1
     masses: tuple[float, ...] = ()  # kg, of a library's payloads
