@@ -19,6 +19,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.base_sway import BasePath
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
+from hil_sim.plants.soft_parts import SoftParts, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
 _ROUNDING_m_s = 2e-3  # of Coulomb drag
@@ -77,6 +78,7 @@ class VehicleFlight:
         path: of a prescribed base, at half steps.
         pucks: of a planar one.
         cabin: in which it is held, let go and pushed, at half steps.
+        soft: its springs; none of a prescribed base.
     """
 
     def __init__(
@@ -90,12 +92,15 @@ class VehicleFlight:
         path: BasePath | None = None,
         pucks: Sequence[Puck] = (),
         cabin: Cabin | None = None,
+        soft: SoftParts | None = None,
     ) -> None:
         self.vehicle, self._motion, self._places, self._link = vehicle, motion, places, link
         self._step_s, self._path, self._pucks = step_s, path, pucks
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np = vehicle.freedom, vehicle.pose
         self._free = path is None and self._nb > 0
+        self._soft = SoftParts(np.zeros(0), 0.0, None) if soft is None else soft
+        self._integrated = self._free or soft is not None
         self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._pose = self.data.qpos[: self._np].copy()
         self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
@@ -103,6 +108,9 @@ class VehicleFlight:
         if cabin is not None:
             self._pose, self._velocity = cabin.start()
         self.count = 0  # of the next row
+        self._soft_rates = np.zeros_like(self._soft.state)
+        if soft is not None:
+            self._start_soft(soft)
 
     def advance(self, rows: int) -> Rows:
         """The next ``rows`` rows; the vehicle then stands at the row after them."""
@@ -112,7 +120,7 @@ class VehicleFlight:
         for k in range(rows):
             stage = 2 * k
             self._show(k, out, q[stage], dq[stage], ddq[stage])
-            if self._free:
+            if self._integrated:
                 self._step(q[stage : stage + 3], dq[stage : stage + 3], ddq[stage : stage + 3])
             self.count += 1
         return out
@@ -171,7 +179,8 @@ class VehicleFlight:
             data.qacc[:nb], data.qacc[nb:] = acceleration, ddq
             mujoco.mj_inverse(self.model, data)
         else:
-            acceleration = self._accelerate(self._pose, self._velocity, q, dq, ddq, 2 * self.count)
+            now = self._pose, self._velocity, self._soft.state
+            acceleration, self._soft_rates = self._accelerate(*now, q, dq, ddq, 2 * self.count)
             data.qacc[:nb] = acceleration
             mujoco.mj_inverseSkip(self.model, data, _LATER, 0)
         out.sensors[k], out.joints[k], out.rates[k] = data.sensordata, q, dq
@@ -188,24 +197,85 @@ class VehicleFlight:
         mujoco.mj_forward(self.model, self.data)
 
     def _accelerate(
-        self, pose: FloatArray, velocity: FloatArray, q: FloatArray, dq: FloatArray, ddq: FloatArray, stage: int
-    ) -> FloatArray:
-        """Of the base at a half step, (b,); leaves the joints' accelerations in place."""
+        self,
+        pose: FloatArray,
+        velocity: FloatArray,
+        soft: FloatArray,
+        q: FloatArray,
+        dq: FloatArray,
+        ddq: FloatArray,
+        stage: int,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Of the base at a half step, (b,), and rates of the springs; leaves the joints' accelerations in place."""
         data, nb, cabin = self.data, self._nb, self._cabin
-        self._place(pose, velocity, q, dq)
+        bends = self._soft.joints > 0
+        bend, bending = self._soft.bend(soft) if bends else (0.0, 0.0)
+        self._place(pose, velocity, q + bend, dq + bending)
         data.qacc[:nb], data.qacc[nb:] = 0.0, ddq
         mujoco.mj_inverse(self.model, data)
-        if nb == 0:
-            return velocity
-        wrench = -data.qfrc_inverse[:nb]
+        wrench, pull = -data.qfrc_inverse[:nb], np.zeros(3)
         if self._pucks:
             wrench += drag_wrench(self._pucks, float(pose[2]), velocity)
-        if cabin is not None and cabin.held(stage):
-            return cabin.acceleration(stage, pose, velocity, np.zeros(nb))
-        if cabin is not None:
+        if self._soft.slosh is not None:
+            pull = self._soft.pull(soft, self._anchor(pose, velocity), level=nb == 3)
+            wrench += self._at_base(-pull, soft[-6:-3], pose)
+        if cabin is not None and not cabin.held(stage):
             wrench += cabin.push(stage)
-        free = np.asarray(np.linalg.solve(self._base_inertia()[:, :nb], wrench), np.float64)
-        return free if cabin is None else cabin.acceleration(stage, pose, velocity, free)
+        held = nb == 0 or (cabin is not None and cabin.held(stage))
+        load = self._soft.torque(soft) - data.qfrc_inverse[nb:] if bends else np.zeros(0)
+        M = full_inertia(self.model, data) if bends else np.zeros((0, 0))
+        if held:
+            free = np.zeros(nb)
+        elif bends:
+            free = np.linalg.solve(M, np.concatenate([wrench, load]))[:nb]
+        else:
+            free = np.linalg.solve(self._base_inertia()[:, :nb], wrench)
+        base = free if cabin is None else cabin.acceleration(stage, pose, velocity, free)
+        more = np.linalg.solve(M[nb:, nb:], load - M[nb:, :nb] @ base) if bends else np.zeros(0)
+        if bends:
+            data.qacc[nb:] = ddq + more
+        return np.asarray(base, np.float64), self._soft.rates(soft, more, pull)
+
+    def _start_soft(self, soft: SoftParts) -> None:
+        """Springs at rest, in the pose of the first row."""
+        nb, (q, dq, _) = self._nb, self._motion.at(np.zeros(1))
+        self._place(self._pose, self._velocity, q[0], dq[0])
+        self.data.qacc[:] = 0.0
+        mujoco.mj_inverse(self.model, self.data)
+        M = full_inertia(self.model, self.data)
+        if nb:
+            M = M[nb:, nb:] - M[nb:, :nb] @ np.linalg.solve(M[:nb, :nb], M[:nb, nb:])
+        anchor = self._anchor(self._pose, self._velocity) if soft.slosh is not None else (np.zeros(3), np.zeros(3))
+        load = self.data.qfrc_inverse[nb:] if self.model.opt.gravity.any() else np.zeros(len(M))
+        soft.start(np.diag(M).copy(), load, anchor)
+
+    def _turn(self, pose: FloatArray) -> FloatArray:
+        """Rotation from the base's axes to the world's, (3, 3)."""
+        if self._nb == 3:
+            c, s = math.cos(pose[2]), math.sin(pose[2])
+            return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        out = np.zeros(9)
+        mujoco.mju_quat2Mat(out, pose[3:])
+        return out.reshape(3, 3)
+
+    def _anchor(self, pose: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Place and velocity of the anchor of what swings, world axes."""
+        assert self._soft.slosh is not None
+        R = self._turn(pose)
+        r = R @ self._soft.slosh.anchor_m
+        if self._nb == 3:
+            at, v, w = np.array([pose[0], pose[1], 0.0]), np.array([*velocity[:2], 0.0]), [0.0, 0.0, velocity[2]]
+        else:
+            at, v, w = pose[:3], velocity[:3], R @ velocity[3:]
+        return at + r, v + np.cross(w, r)
+
+    def _at_base(self, force_n: FloatArray, at_m: FloatArray, pose: FloatArray) -> FloatArray:
+        """Generalised force on the base of a force at a place, world axes, (b,)."""
+        if self._nb == 3:
+            dx, dy = at_m[:2] - pose[:2]
+            return np.array([force_n[0], force_n[1], dx * force_n[1] - dy * force_n[0]])
+        moment = self._turn(pose).T @ np.cross(at_m - pose[:3], force_n)
+        return np.concatenate([force_n, moment])
 
     def _base_inertia(self) -> FloatArray:
         """Rows of the inertia matrix at the base, (b, v)."""
@@ -214,21 +284,24 @@ class VehicleFlight:
 
     def _step(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
         """One Runge-Kutta step; joints at its start, middle and end."""
-        h, v = self._step_s, self._velocity
+        h, v, y = self._step_s, self._velocity, self._soft.state
         rates: list[FloatArray] = [v]
         forces = [self.data.qacc[: self._nb].copy()]  # as _show left it
+        soft = [self._soft_rates]
         for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
             pose = self._moved(rates[-1], part * h)
             velocity = v + part * h * forces[-1]
-            forces.append(self._accelerate(pose, velocity, q[stage], dq[stage], ddq[stage], 2 * self.count + stage))
+            now = pose, velocity, y + part * h * soft[-1], q[stage], dq[stage], ddq[stage], 2 * self.count + stage
+            for found, one in zip((forces, soft), self._accelerate(*now), strict=True):
+                found.append(one)
             rates.append(velocity)
-        mean = (rates[0] + 2.0 * rates[1] + 2.0 * rates[2] + rates[3]) / 6.0
-        self._pose = self._moved(mean, h)
-        self._velocity = v + h * (forces[0] + 2.0 * forces[1] + 2.0 * forces[2] + forces[3]) / 6.0
+        self._pose = self._moved(_mean(rates), h)
+        self._velocity = v + h * _mean(forces)
+        self._soft.state = y + h * _mean(soft)
 
     def _moved(self, velocity: FloatArray, step_s: float) -> FloatArray:
         """The base's pose after a step from where it stands."""
-        if self._nb == 3:
+        if self._nb in (0, 3):
             return np.asarray(self._pose + step_s * velocity, np.float64)
         pose: FloatArray = self._pose.copy()
         pose[:3] += step_s * velocity[:3]
@@ -288,6 +361,11 @@ class VehicleFlight:
             angular += axes @ (self.model.body_inertia[body] * (axes.T @ motion[:3]))
             angular += np.cross(self.data.xipos[body] - about, p)
         return linear, angular
+
+
+def _mean(rates: Sequence[FloatArray]) -> FloatArray:
+    """Of the four stages of a Runge-Kutta step."""
+    return np.asarray((rates[0] + 2.0 * rates[1] + 2.0 * rates[2] + rates[3]) / 6.0, np.float64)
 
 
 def drag_wrench(pucks: Sequence[Puck], yaw: float, velocity: FloatArray) -> FloatArray:

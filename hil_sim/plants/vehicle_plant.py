@@ -22,6 +22,7 @@ from hil_sim.plants.body import Body, built
 from hil_sim.plants.cabin import Cabin, Release
 from hil_sim.plants.driven_vehicle import Drivable, Drive
 from hil_sim.plants.joint_swings import JointSwings
+from hil_sim.plants.soft_parts import Slosh, SoftParts
 from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
 from hil_sim.plants.vehicle_flight import Jolt, Puck, Released, Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
@@ -96,8 +97,9 @@ class VehiclePlant(world.Plant):
         self.cabin: Cabin | None = None
         if scenario.parabolas is not None:
             self.cabin = Cabin(scenario.parabolas, 0.5 * self._coarse_s, len(half_s), rng)
+        self.soft = self._springs(rng)
         given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
-        self._flight = VehicleFlight(*given, self.cabin)
+        self._flight = VehicleFlight(*given, self.cabin, self.soft)
         self._coming = deque(self._events(rng, self._coarse_s, self._steps))
         joints = len(self.joints)
         self.rows_true = Rows(*(np.zeros((self.rows, n)) for n in (self._model.model.nsensordata, *[joints] * 3)))
@@ -106,6 +108,24 @@ class VehiclePlant(world.Plant):
         )
         self._window_at = self._done = 0
         self._jolt: Jolt | None = None
+
+    def _springs(self, rng: np.random.Generator) -> SoftParts | None:
+        """What is not stiff; a swinging mass is taken from the base."""
+        scenario, base = self._scenario, self._scenario.vehicle.base_link
+        flexible, slosh = scenario.flexibility, scenario.slosh
+        if flexible is None and slosh is None:
+            return None
+        frequency = np.zeros(0) if flexible is None else rng.uniform(*flexible.frequency_Hz, len(self.joints))
+        swings = None
+        if slosh is not None:
+            own = self.bodies[base]
+            if slosh.mass_kg >= own.mass_kg:
+                raise ScenarioError(f"slosh.mass_kg: {base} weighs {own.mass_kg:.3g} kg; give less")
+            rate = 2.0 * np.pi * slosh.frequency_Hz
+            springs = slosh.mass_kg * rate**2, 2.0 * slosh.damping_ratio * slosh.mass_kg * rate
+            swings = Slosh(slosh.mass_kg, *springs, own.centre_of_mass_m)
+            self._model.build({base: Body(own.mass_kg - slosh.mass_kg, own.centre_of_mass_m, own.inertia_kg_m2)})
+        return SoftParts(frequency, 0.0 if flexible is None else flexible.damping_ratio, swings)
 
     def _compute(self, rows: int) -> None:
         """True signals on the sensors' grid, so many rows at least."""
@@ -248,6 +268,7 @@ class VehiclePlant(world.Plant):
             "posture": dict(zip(self._model.joints, self.program.posture.tolist(), strict=True)),
             "capture_s": self.events_s.get("capture", 0.0),
             "ejection_s": self.events_s.get("ejection"),
+            "joint_stiffness_N_m_rad": None if self.soft is None else self.soft.stiffness_N_m_rad,
             "parabolas": [] if self.cabin is None else [_flown(run) for run in self.cabin.runs],
             "asked": [{"start_s": start_s, "segment": name} for start_s, name in self.program.asked],
         }

@@ -171,6 +171,24 @@ class JointFriction(Table):
     effort_N_m: PositiveFloat = 10.0
 
 
+class Flexibility(Table):
+    """``[flexibility]``: every joint gives way between its drive, which has the encoder, and its link.
+
+    ``frequency_Hz``: of each joint's bend at the start, drawn between; a harmonic drive with its load has 2 to 5 Hz.
+    """
+
+    frequency_Hz: tuple[PositiveFloat, PositiveFloat] = (2.0, 5.0)
+    damping_ratio: NonNegative = 0.02
+
+
+class SloshTable(Table):
+    """``[slosh]``: a part of the base's mass that swings about its centre of mass; on a table, along the table."""
+
+    mass_kg: PositiveFloat
+    frequency_Hz: PositiveFloat
+    damping_ratio: NonNegative = 0.005
+
+
 class TableTop(Table):
     """``[table]`` of a planar base: sigmas of its tilt; drag of a puck is drawn between none and these."""
 
@@ -194,6 +212,8 @@ class VehicleScenario(Scenario):
     base_motion: BaseSway = BaseSway()
     friction: JointFriction = JointFriction()
     table: TableTop = TableTop()
+    flexibility: Flexibility | None = None
+    slosh: SloshTable | None = None
     parabolas: Parabolas | None = None
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
 
@@ -210,6 +230,10 @@ class VehicleScenario(Scenario):
             raise ValueError('parabolas are flown with base = "free"')
         if self.parabolas is not None and (self.capture is not None or self.ejection is not None):
             raise ValueError("in parabolas the payload is held from the start: leave capture and ejection out")
+        if self.slosh is not None and (self.vehicle.base in ("prescribed", "fixed") or self.parabolas is not None):
+            raise ValueError("slosh needs a base that floats all the time, free or planar")
+        if self.flexibility is not None and self.vehicle.base == "prescribed":
+            raise ValueError("flexibility is for a base that floats or stands")
         if self.payload is not None and self.vehicle.payload_link is None:
             raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
         if self.payload is None and (self.capture is not None or self.ejection is not None):

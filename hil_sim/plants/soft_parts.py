@@ -1,0 +1,88 @@
+"""Springs in a vehicle: joints that give way between drive and link, and a mass that swings in the base.
+
+A joint's drive, with its encoder, moves as told; the link is turned further by its bend, on which a spring and a damper
+act. The swinging mass is a point on a spring about the base's centre of mass, without a moment of its own; on a level
+table it moves along the table. Both are states beside the base's motion, integrated with it.
+"""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+
+
+class Slosh(NamedTuple):
+    """A part of the base's mass that swings."""
+
+    mass_kg: float
+    stiffness_N_m: float  # noqa: N815
+    damping_N_s_m: float  # noqa: N815
+    anchor_m: FloatArray  # (3,) base axes
+
+
+class SoftParts:
+    """The springs' state: bends of the joints and their rates, then place and velocity of the mass, world axes.
+
+    Args:
+        frequency_Hz: of each joint's bend, all else as it stands at the start; none: stiff joints.
+        damping_ratio: of these.
+        slosh: the swinging mass, if any.
+
+    Attributes:
+        state: (s,) where the vehicle stands.
+        stiffness_N_m_rad: of each joint; empty before ``start``.
+    """
+
+    def __init__(self, frequency_Hz: FloatArray, damping_ratio: float, slosh: Slosh | None) -> None:
+        self._frequency, self._ratio, self.slosh = frequency_Hz, damping_ratio, slosh
+        self.joints = len(frequency_Hz)
+        self.state = np.zeros(2 * self.joints + (0 if slosh is None else 6))
+        self.stiffness_N_m_rad = self._damping = np.zeros(0)
+
+    def start(self, inertia: FloatArray, load_n_m: FloatArray, anchor: tuple[FloatArray, FloatArray]) -> None:
+        """Set springs and state at rest.
+
+        Args:
+            inertia: that each joint's bend accelerates, (j,).
+            load_n_m: torque of each joint at rest, (j,).
+            anchor: place and velocity of the mass's anchor, world axes.
+        """
+        if self.joints:
+            w = 2.0 * np.pi * self._frequency
+            self.stiffness_N_m_rad, self._damping = w**2 * inertia, 2.0 * self._ratio * w * inertia
+            self.state[: self.joints] = -load_n_m / self.stiffness_N_m_rad
+        if self.slosh is not None:
+            self.state[2 * self.joints :] = np.concatenate(anchor)
+
+    def bend(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the joints and its rate, (j,) each; zeros of none."""
+        return state[: self.joints], state[self.joints : 2 * self.joints]
+
+    def torque(self, state: FloatArray) -> FloatArray:
+        """Of the springs on the links, (j,)."""
+        bend, rate = self.bend(state)
+        return np.asarray(-self.stiffness_N_m_rad * bend - self._damping * rate, np.float64)
+
+    def pull(self, state: FloatArray, anchor: tuple[FloatArray, FloatArray], *, level: bool) -> FloatArray:
+        """Force of the spring on the mass, world axes, (3,)."""
+        assert self.slosh is not None
+        at, velocity = state[2 * self.joints :].reshape(2, 3)
+        force = self.slosh.stiffness_N_m * (anchor[0] - at) + self.slosh.damping_N_s_m * (anchor[1] - velocity)
+        return force * [1.0, 1.0, 0.0] if level else force
+
+    def rates(self, state: FloatArray, bend_rad_s2: FloatArray, pull_n: FloatArray) -> FloatArray:
+        """Derivative of the state, (s,)."""
+        parts = [state[self.joints : 2 * self.joints], bend_rad_s2]
+        if self.slosh is not None:
+            parts += [state[2 * self.joints + 3 :], pull_n / self.slosh.mass_kg]
+        return np.concatenate(parts)
+
+
+def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Inertia matrix at the pose in ``data``, (v, v)."""
+    out = np.zeros((model.nv, model.nv))
+    for row, unit in zip(out, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, unit)
+    return out
