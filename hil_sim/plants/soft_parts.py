@@ -11,6 +11,9 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
+from hil_sim.plants.body import Body
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 
 
 class Slosh(NamedTuple):
@@ -78,6 +81,34 @@ class SoftParts:
         if self.slosh is not None:
             parts += [state[2 * self.joints + 3 :], pull_n / self.slosh.mass_kg]
         return np.concatenate(parts)
+
+
+def springs(
+    scenario: VehicleScenario, base: Body, joints: int, rng: np.random.Generator
+) -> tuple[SoftParts | None, Body]:
+    """What of a scenario is not stiff, and its base without the mass that swings.
+
+    Args:
+        scenario: its ``[flexibility]`` and ``[slosh]``.
+        base: as built.
+        joints: how many it has.
+        rng: draws the frequencies.
+
+    Raises:
+        ScenarioError: more swings than the base weighs.
+    """
+    flexible, table = scenario.flexibility, scenario.slosh
+    frequency = np.zeros(0) if flexible is None else rng.uniform(*flexible.frequency_Hz, joints)
+    ratio = 0.0 if flexible is None else flexible.damping_ratio
+    if table is None:
+        return (None if flexible is None else SoftParts(frequency, ratio, None)), base
+    if table.mass_kg >= base.mass_kg:
+        raise ScenarioError(f"slosh.mass_kg: the base weighs {base.mass_kg:.3g} kg; give less")
+    rate = 2.0 * np.pi * table.frequency_Hz
+    of_spring = table.mass_kg * rate**2, 2.0 * table.damping_ratio * table.mass_kg * rate
+    swings = Slosh(table.mass_kg, *of_spring, base.centre_of_mass_m)
+    left = Body(base.mass_kg - table.mass_kg, base.centre_of_mass_m, base.inertia_kg_m2)
+    return SoftParts(frequency, ratio, swings), left
 
 
 def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:

@@ -264,7 +264,8 @@ class VehicleFlight:
         R = self._turn(pose)
         r = R @ self._soft.slosh.anchor_m
         if self._nb == 3:
-            at, v, w = np.array([pose[0], pose[1], 0.0]), np.array([*velocity[:2], 0.0]), [0.0, 0.0, velocity[2]]
+            at, v, w = np.zeros((3, 3))
+            at[:2], v[:2], w[2] = pose[:2], velocity[:2], velocity[2]
         else:
             at, v, w = pose[:3], velocity[:3], R @ velocity[3:]
         return at + r, v + np.cross(w, r)

@@ -22,7 +22,7 @@ from hil_sim.plants.body import Body, built
 from hil_sim.plants.cabin import Cabin, Release
 from hil_sim.plants.driven_vehicle import Drivable, Drive
 from hil_sim.plants.joint_swings import JointSwings
-from hil_sim.plants.soft_parts import Slosh, SoftParts
+from hil_sim.plants.soft_parts import springs
 from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
 from hil_sim.plants.vehicle_flight import Jolt, Puck, Released, Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
@@ -97,10 +97,12 @@ class VehiclePlant(world.Plant):
         self.cabin: Cabin | None = None
         if scenario.parabolas is not None:
             self.cabin = Cabin(scenario.parabolas, 0.5 * self._coarse_s, len(half_s), rng)
-        self.soft = self._springs(rng)
+        self.soft, own = springs(scenario, self.bodies[scenario.vehicle.base_link], len(self.joints), rng)
+        self._model.build({scenario.vehicle.base_link: own})
         given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
         self._flight = VehicleFlight(*given, self.cabin, self.soft)
         self._coming = deque(self._events(rng, self._coarse_s, self._steps))
+        self._caught = next((moves for name, _, moves in self._coming if name == "capture"), None)
         joints = len(self.joints)
         self.rows_true = Rows(*(np.zeros((self.rows, n)) for n in (self._model.model.nsensordata, *[joints] * 3)))
         self._window: Rows | None = (
@@ -108,24 +110,6 @@ class VehiclePlant(world.Plant):
         )
         self._window_at = self._done = 0
         self._jolt: Jolt | None = None
-
-    def _springs(self, rng: np.random.Generator) -> SoftParts | None:
-        """What is not stiff; a swinging mass is taken from the base."""
-        scenario, base = self._scenario, self._scenario.vehicle.base_link
-        flexible, slosh = scenario.flexibility, scenario.slosh
-        if flexible is None and slosh is None:
-            return None
-        frequency = np.zeros(0) if flexible is None else rng.uniform(*flexible.frequency_Hz, len(self.joints))
-        swings = None
-        if slosh is not None:
-            own = self.bodies[base]
-            if slosh.mass_kg >= own.mass_kg:
-                raise ScenarioError(f"slosh.mass_kg: {base} weighs {own.mass_kg:.3g} kg; give less")
-            rate = 2.0 * np.pi * slosh.frequency_Hz
-            springs = slosh.mass_kg * rate**2, 2.0 * slosh.damping_ratio * slosh.mass_kg * rate
-            swings = Slosh(slosh.mass_kg, *springs, own.centre_of_mass_m)
-            self._model.build({base: Body(own.mass_kg - slosh.mass_kg, own.centre_of_mass_m, own.inertia_kg_m2)})
-        return SoftParts(frequency, 0.0 if flexible is None else flexible.damping_ratio, swings)
 
     def _compute(self, rows: int) -> None:
         """True signals on the sensors' grid, so many rows at least."""
@@ -267,6 +251,8 @@ class VehiclePlant(world.Plant):
             "gravity_m_s2": self._gravity,
             "posture": dict(zip(self._model.joints, self.program.posture.tolist(), strict=True)),
             "capture_s": self.events_s.get("capture", 0.0),
+            "capture_velocity_m_s": self._caught.velocity_m_s if self._caught else None,
+            "capture_rate_rad_s": self._caught.rate_rad_s if self._caught else None,
             "ejection_s": self.events_s.get("ejection"),
             "joint_stiffness_N_m_rad": None if self.soft is None else self.soft.stiffness_N_m_rad,
             "parabolas": [] if self.cabin is None else [_flown(run) for run in self.cabin.runs],

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.errors import ModelError
+from onboard.dynamics.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
@@ -23,6 +23,7 @@ from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.change import Change
+from onboard.identification.exiddm.before_capture import BeforeCapture, before_capture, jump_of
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
@@ -54,6 +55,7 @@ from onboard.regressor.signals import Signals
 _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
+_ABOUT_s = 0.4  # of a capture, on each side of the time that belongs to no segment
 _STEP_s = 1.0  # in which the log is read
 _EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
@@ -145,9 +147,25 @@ class _Flight:
             return no_answer(kept, seen, f"the fit failed: {best.kinds[0].text}, and without that: {error}")
         if fit.glitches:
             refused = {**refused, "residual": refused.get("residual", 0) + fit.glitches}
-        return told(
-            kept._replace(refused=refused), fitted_of(best._replace(found=fit), self._period_s, self._online.row_names)
-        )
+        made = best._replace(found=fit)
+        said = told(kept._replace(refused=refused), fitted_of(made, self._period_s, self._online.row_names))
+        return said.with_before(self._before(made))
+
+    def _before(self, made: Tested) -> BeforeCapture | None:
+        """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
+        segments, vehicle = made.flight.segments, self._online.exiddm.predictor.vehicle
+        taken = [(a, b) for a, b in pairwise(segments) if b.held and not a.held]
+        if not taken or 0 not in made.flight.devices:
+            return None
+        begin_s, end_s = taken[0][0].ticks.time_s[-1] - _ABOUT_s, taken[0][1].ticks.time_s[0] + _ABOUT_s
+        first, last = np.searchsorted(self._ticks.time_s, [begin_s, end_s]).tolist()
+        about = self._ticks.part(slice(first, last))
+        frame = self._online.exiddm.predictor.imu_frames[0]
+        try:
+            jump = jump_of(about, *vehicle.pose_in_base(frame), self._period_s)
+            return before_capture(vehicle, about.q[jump.at], jump, made.found.chi, made.found.chi_covariance)
+        except SignalError:
+            return None
 
     def _fitted(
         self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]

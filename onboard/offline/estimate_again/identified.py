@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.vehicle import STANDARD
+from onboard.identification.exiddm.before_capture import BeforeCapture
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut
@@ -75,6 +76,11 @@ class Identified:
     links: tuple[LinkEstimate, ...] = field(default=())
     residuals: Residuals = field(default_factory=dict)  # whitened
     runs: tuple[RunAnswer, ...] = ()  # of parabolic flights
+    before: BeforeCapture | None = None  # how a payload that was captured moved until then
+
+    def with_before(self, before: BeforeCapture | None) -> "Identified":
+        """The same with the motion of the payload before it was captured."""
+        return replace(self, before=before)
 
     def with_runs(self, runs: tuple[RunAnswer, ...]) -> "Identified":
         """The same with the runs from which it was pooled."""
@@ -110,8 +116,20 @@ class Identified:
             "essential": list(self.essential),
             "links": [_link(one) for one in self.links],
             "throw": self.throw.as_json() if self.throw else None,
+            **({} if self.before is None else {"before_capture": _before(self.before)}),
             **({"runs": [run.as_json() for run in self.runs]} if self.runs else {}),
         }
+
+
+def _before(one: BeforeCapture) -> dict[str, Any]:
+    """Against the gripper, at the payload's frame and in its axes."""
+    sigma = one.sigma.tolist()
+    return {
+        "velocity_m_s": one.velocity_m_s.tolist(),
+        "velocity_sigma_m_s": sigma[:3],
+        "rate_rad_s": one.rate_rad_s.tolist(),
+        "rate_sigma_rad_s": sigma[3:],
+    }
 
 
 def _predictions(held_out: HeldOut | None) -> dict[str, Any] | None:

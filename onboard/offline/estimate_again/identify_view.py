@@ -101,6 +101,10 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
         seen = log.observability
         condition = f", condition number {seen.condition:.0f}" if seen.determined else ""
         yield "observable", f"{seen.determined} of {seen.of} directions{condition}"
+    if log.before is not None:
+        half = 1.96 * log.before.sigma
+        yield "before capture", f"turned at {_within(log.before.rate_rad_s, half[3:])} rad/s against the gripper"
+        yield "", f"and moved at {_within(1e3 * log.before.velocity_m_s, 1e3 * half[:3])} mm/s, payload's axes"
     for one in log.links:
         if one.body is not None:
             said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
@@ -112,6 +116,10 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
 
 def _numbers(values: NDArray[np.float64]) -> str:
     return ", ".join(f"{value:.1f}" for value in values)
+
+
+def _within(values: NDArray[np.float64], half: NDArray[np.float64]) -> str:
+    return ", ".join(f"{value:.3g} ± {wide:.2g}" for value, wide in zip(values, half, strict=True))
 
 
 def _throws(logs: Sequence[Identified]) -> Table:
