@@ -1,10 +1,12 @@
 """Springs in a vehicle: joints that give way between drive and link, and a mass that swings in the base.
 
 A joint's drive, with its encoder, moves as told; the link is turned further by its bend, on which a spring and a damper
-act. The swinging mass is a point on a spring about the base's centre of mass, without a moment of its own; on a level
-table it moves along the table. Both are states beside the base's motion, integrated with it.
+act, and neither within the joint's play. The swinging mass is a point on a spring about the base's centre of mass,
+without a moment of its own; on a level table it moves along the table. All are states beside the base's motion,
+integrated with it.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -14,6 +16,8 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
+
+_STIFF_Hz, _STIFF_RATIO = 25.0, 0.1  # of joints that have play and are not said to be flexible
 
 
 class Slosh(NamedTuple):
@@ -32,15 +36,25 @@ class SoftParts:
         frequency_Hz: of each joint's bend, all else as it stands at the start; none: stiff joints.
         damping_ratio: of these.
         slosh: the swinging mass, if any.
+        gap_rad: of each joint's play, at the start and at the end, (2, j); none of it where not given.
+        duration_s: in which the play grows.
 
     Attributes:
         state: (s,) where the vehicle stands.
         stiffness_N_m_rad: of each joint; empty before ``start``.
     """
 
-    def __init__(self, frequency_Hz: FloatArray, damping_ratio: float, slosh: Slosh | None) -> None:
+    def __init__(
+        self,
+        frequency_Hz: FloatArray,
+        damping_ratio: float,
+        slosh: Slosh | None,
+        gap_rad: FloatArray | None = None,
+        duration_s: float = 1.0,
+    ) -> None:
         self._frequency, self._ratio, self.slosh = frequency_Hz, damping_ratio, slosh
         self.joints = len(frequency_Hz)
+        self._gap, self._duration_s = np.zeros((2, self.joints)) if gap_rad is None else gap_rad, duration_s
         self.state = np.zeros(2 * self.joints + (0 if slosh is None else 6))
         self.stiffness_N_m_rad = self._damping = np.zeros(0)
 
@@ -55,7 +69,7 @@ class SoftParts:
         if self.joints:
             w = 2.0 * np.pi * self._frequency
             self.stiffness_N_m_rad, self._damping = w**2 * inertia, 2.0 * self._ratio * w * inertia
-            self.state[: self.joints] = -load_n_m / self.stiffness_N_m_rad
+            self.state[: self.joints] = -load_n_m / self.stiffness_N_m_rad - 0.5 * self._gap[0] * np.sign(load_n_m)
         if self.slosh is not None:
             self.state[2 * self.joints :] = np.concatenate(anchor)
 
@@ -63,10 +77,13 @@ class SoftParts:
         """Of the joints and its rate, (j,) each; zeros of none."""
         return state[: self.joints], state[self.joints : 2 * self.joints]
 
-    def torque(self, state: FloatArray) -> FloatArray:
-        """Of the springs on the links, (j,)."""
+    def torque(self, state: FloatArray, time_s: float) -> FloatArray:
+        """Of the springs on the links, (j,): none while a bend is within its joint's play."""
         bend, rate = self.bend(state)
-        return np.asarray(-self.stiffness_N_m_rad * bend - self._damping * rate, np.float64)
+        half = 0.5 * (self._gap[0] + min(1.0, time_s / self._duration_s) * (self._gap[1] - self._gap[0]))
+        beyond = bend - np.clip(bend, -half, half)
+        touches = (beyond != 0.0) | (half == 0.0)
+        return np.asarray(-self.stiffness_N_m_rad * beyond - self._damping * rate * touches, np.float64)
 
     def pull(self, state: FloatArray, anchor: tuple[FloatArray, FloatArray], *, level: bool) -> FloatArray:
         """Force of the spring on the mass, world axes, (3,)."""
@@ -84,31 +101,40 @@ class SoftParts:
 
 
 def springs(
-    scenario: VehicleScenario, base: Body, joints: int, rng: np.random.Generator
-) -> tuple[SoftParts | None, Body]:
+    scenario: VehicleScenario, bodies: Mapping[str, Body], joints: Sequence[str], rng: np.random.Generator
+) -> tuple[SoftParts | None, dict[str, Body]]:
     """What of a scenario is not stiff, and its base without the mass that swings.
 
     Args:
-        scenario: its ``[flexibility]`` and ``[slosh]``.
-        base: as built.
-        joints: how many it has.
+        scenario: its ``[flexibility]``, ``[backlash]`` and ``[slosh]``.
+        bodies: links as built.
+        joints: their names.
         rng: draws the frequencies.
 
     Raises:
-        ScenarioError: more swings than the base weighs.
+        ScenarioError: more swings than the base weighs, or a joint that is not there.
     """
-    flexible, table = scenario.flexibility, scenario.slosh
-    frequency = np.zeros(0) if flexible is None else rng.uniform(*flexible.frequency_Hz, joints)
-    ratio = 0.0 if flexible is None else flexible.damping_ratio
+    flexible, play, table = scenario.flexibility, scenario.backlash, scenario.slosh
+    frequency, ratio, gap = np.zeros(0), 0.0, np.zeros((2, len(joints)))
+    if play is not None:
+        if play.joint not in joints:
+            raise ScenarioError(f"backlash.joint: the joints are {', '.join(joints)}")
+        gap[:, joints.index(play.joint)] = np.multiply(1e-3, play.gap_mrad)
+        frequency, ratio = np.full(len(joints), _STIFF_Hz), _STIFF_RATIO
+    if flexible is not None:
+        frequency, ratio = rng.uniform(*flexible.frequency_Hz, len(joints)), flexible.damping_ratio
+    duration_s = sum(step.duration_s for step in scenario.sequence)
     if table is None:
-        return (None if flexible is None else SoftParts(frequency, ratio, None)), base
-    if table.mass_kg >= base.mass_kg:
-        raise ScenarioError(f"slosh.mass_kg: the base weighs {base.mass_kg:.3g} kg; give less")
+        return (SoftParts(frequency, ratio, None, gap, duration_s) if frequency.size else None), {}
+    name = scenario.vehicle.base_link
+    base = bodies.get(name)
+    if base is None or table.mass_kg >= base.mass_kg:
+        raise ScenarioError(f"slosh.mass_kg: {name} weighs {0.0 if base is None else base.mass_kg:.3g} kg; give less")
     rate = 2.0 * np.pi * table.frequency_Hz
     of_spring = table.mass_kg * rate**2, 2.0 * table.damping_ratio * table.mass_kg * rate
     swings = Slosh(table.mass_kg, *of_spring, base.centre_of_mass_m)
     left = Body(base.mass_kg - table.mass_kg, base.centre_of_mass_m, base.inertia_kg_m2)
-    return SoftParts(frequency, ratio, swings), left
+    return SoftParts(frequency, ratio, swings, gap, duration_s), {name: left}
 
 
 def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:

@@ -222,7 +222,7 @@ class VehicleFlight:
         if cabin is not None and not cabin.held(stage):
             wrench += cabin.push(stage)
         held = nb == 0 or (cabin is not None and cabin.held(stage))
-        load = self._soft.torque(soft) - data.qfrc_inverse[nb:] if bends else np.zeros(0)
+        load = self._soft.torque(soft, 0.5 * self._step_s * stage) - data.qfrc_inverse[nb:] if bends else np.zeros(0)
         M = full_inertia(self.model, data) if bends else np.zeros((0, 0))
         if held:
             free = np.zeros(nb)

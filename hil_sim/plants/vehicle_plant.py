@@ -97,8 +97,8 @@ class VehiclePlant(world.Plant):
         self.cabin: Cabin | None = None
         if scenario.parabolas is not None:
             self.cabin = Cabin(scenario.parabolas, 0.5 * self._coarse_s, len(half_s), rng)
-        self.soft, own = springs(scenario, self.bodies[scenario.vehicle.base_link], len(self.joints), rng)
-        self._model.build({scenario.vehicle.base_link: own})
+        self.soft, lightened = springs(scenario, self.bodies, self._model.joints, rng)
+        self._model.build(lightened)
         given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
         self._flight = VehicleFlight(*given, self.cabin, self.soft)
         self._coming = deque(self._events(rng, self._coarse_s, self._steps))

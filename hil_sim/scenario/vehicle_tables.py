@@ -181,6 +181,16 @@ class Flexibility(Table):
     damping_ratio: NonNegative = 0.02
 
 
+class BacklashTable(Table):
+    """``[backlash]``: play of a joint between its drive, which has the encoder, and its link; it grows in the mission.
+
+    ``gap_mrad``: at the start and at the end. The joints then have springs of 25 Hz where none are given.
+    """
+
+    joint: str
+    gap_mrad: tuple[NonNegative, NonNegative]
+
+
 class SloshTable(Table):
     """``[slosh]``: a part of the base's mass that swings about its centre of mass; on a table, along the table."""
 
@@ -213,6 +223,7 @@ class VehicleScenario(Scenario):
     friction: JointFriction = JointFriction()
     table: TableTop = TableTop()
     flexibility: Flexibility | None = None
+    backlash: BacklashTable | None = None
     slosh: SloshTable | None = None
     parabolas: Parabolas | None = None
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
@@ -232,8 +243,8 @@ class VehicleScenario(Scenario):
             raise ValueError("in parabolas the payload is held from the start: leave capture and ejection out")
         if self.slosh is not None and (self.vehicle.base in ("prescribed", "fixed") or self.parabolas is not None):
             raise ValueError("slosh needs a base that floats all the time, free or planar")
-        if self.flexibility is not None and self.vehicle.base == "prescribed":
-            raise ValueError("flexibility is for a base that floats or stands")
+        if (self.flexibility or self.backlash) and self.vehicle.base == "prescribed":
+            raise ValueError("flexibility and backlash are for a base that floats or stands")
         if self.payload is not None and self.vehicle.payload_link is None:
             raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
         if self.payload is None and (self.capture is not None or self.ejection is not None):

@@ -35,7 +35,9 @@ def add(commands: Commands) -> None:
     hil.add_argument(
         "--scenario", dest="over", type=Path, metavar="TOML", help="a file that says otherwise: docs/rehearsal.md"
     )
-    hil.add_argument("--campaign", metavar="NAME", help="fly a day's runs of a test bed: parabolic has day1, day2")
+    hil.add_argument(
+        "--campaign", metavar="NAME", help="runs of a test bed: parabolic has day1, day2; air_bearing pitch, yaw, both"
+    )
     hil.add_argument("--seed", type=int, default=1, help="seed of all random numbers of the scenario (default 1)")
     hil.add_argument("--realtime", action="store_true", help="devices and flight app as processes, on the real clock")
     hil.add_argument("--json", type=Path, metavar="FILE", help="also write the result as JSON")

@@ -23,7 +23,6 @@ from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.change import Change
-from onboard.identification.exiddm.before_capture import BeforeCapture, before_capture, jump_of
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
@@ -35,6 +34,7 @@ from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
 from onboard.identification.exiddm.witnesses import HARDLY, Tested, tested, without_each
 from onboard.identification.verdict import Evidence
+from onboard.offline.estimate_again.before_capture import BeforeCapture, before_capture, jump_of
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.likelihood_log import (

@@ -89,3 +89,16 @@ def test_what_swings_takes_momentum_from_the_base_and_gives_it_back(motion):
     assert np.abs(total - total[0]).max() < 1e-5
     assert mass > 25.0
     assert np.abs(soft.state[:3] - flight._anchor(flight._pose, flight._velocity)[0]).max() > 1e-5
+
+
+def test_within_its_play_a_joint_is_loose_and_the_play_grows():
+    gap = np.zeros((2, 5))
+    gap[:, 1] = 2e-3, 6e-3
+    soft = SoftParts(np.full(5, 25.0), 0.1, None, gap, 10.0)
+    soft.start(np.ones(5), np.zeros(5), (np.zeros(3), np.zeros(3)))
+    state = np.zeros(10)
+    state[1] = 1.5e-3
+    assert soft.torque(state, 0.0)[1] == pytest.approx(-soft.stiffness_N_m_rad[1] * 0.5e-3)
+    assert soft.torque(state, 10.0)[1] == 0.0
+    state[:] = 1e-4
+    assert np.flatnonzero(soft.torque(state, 0.0)).tolist() == [0, 2, 3, 4]

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants.planned import default_plan
 from hil_sim.scenario import bed
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
@@ -47,8 +48,22 @@ def test_a_day_has_the_runs_of_table_4_4(day: str, runs: int, slow: int) -> None
     moving = [step for step in scenario.sequence if step.action == "sweep"]
     assert len(moving) == runs + sum(one is not None and one.joints == "pitch_then_yaw" for one in flown)
     assert bed.campaigns("capture") == ()
-    with pytest.raises(ScenarioError, match="no campaign 'day3': parabolic has day1, day2"):
+    with pytest.raises(ScenarioError, match=r"no campaign .day3.: .*parabolic has day1, day2"):
         scenario_of("parabolic", campaign="day3")
+
+
+@pytest.mark.parametrize("joints", ["pitch", "yaw", "both"])
+def test_the_table_is_run_at_three_speeds(joints: str) -> None:
+    scenario = scenario_of("air_bearing", campaign=joints)
+    assert isinstance(scenario, VehicleScenario)
+    assert scenario.backlash is not None
+    moved = [step.rates for step in scenario.sequence if step.action == "sweep"]
+    assert len(moved) == 3
+    slow, _, fast = ({name: abs(rate) for name, rate in one.items()} for one in moved)
+    assert all(fast[name] == pytest.approx(5.0 * slow[name], rel=0.02) for name in slow)
+    plan = default_plan(scenario, 0.05)
+    assert abs(plan.dq).max() == pytest.approx(max(fast.values()), rel=0.01)
+    assert abs(plan.q[0] - plan.q[-1]).max() < 1e-9
 
 
 def test_other_names_are_no_beds() -> None:

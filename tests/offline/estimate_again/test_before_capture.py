@@ -9,7 +9,7 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.identification.exiddm.before_capture import before_capture, jump_of
+from onboard.offline.estimate_again.before_capture import before_capture, jump_of
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.exiddm.test_recursive import BIASED, recorded, ticks_of
 
