@@ -14,6 +14,7 @@ from onboard.identification.exiddm.imu_prediction import ImuPredictor, Predictio
 from onboard.identification.exiddm.misfit import InnovationMisfit
 
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
+_SCALES = ("gyro_scale", "accelerometer_scale")
 _FREE = 1e3  # stated sigmas of an error that may be of any size
 
 
@@ -57,6 +58,10 @@ class Innovations:
         own = predictor.of_further
         self.cells = [k for k, one in further if isinstance(one, FurtherCell) and own[k - 1].size]
         self._scales = np.array([own[k - 1][0] for k in self.cells], np.intp)
+        self._common = {  # scales of an IMU's axes, of gyro and accelerometer
+            k: [[at for at in predictor.of_each[k] if predictor.names[at].startswith(kind)] for kind in _SCALES]
+            for k in range(len(predictor.imu_frames))
+        }
 
     def of(self, batch: Batch, there: BoolArray, order: Sequence[int], covariance: FloatArray) -> Innovation:
         """Of a batch's lines, those of each instrument together.
@@ -108,7 +113,7 @@ class Innovations:
 
         The sigma of a correction's estimate about zero is ``(prior variance - posterior variance)^(1/2)`` (Hausman,
         Econometrica 46, 1978): of the scale of a cell it tells what the other instruments make of it long before it is
-        many of its stated sigmas.
+        many of its stated sigmas; of an IMU too, of the mean of its axes, which a reference voltage changes alike.
 
         Args:
             innovation: of a batch.
@@ -132,9 +137,18 @@ class Innovations:
             moved = predictor.stated[own] ** 2
             if k in self.cells:
                 moved = np.maximum(moved - np.diag(covariance)[own], _LEAST_TOLD * moved)
-            if (state[own] ** 2 > FARTHEST**2 * moved).any():
+            if (state[own] ** 2 > FARTHEST**2 * moved).any() or self._off_together(k, state, covariance):
                 return Accusation(k, 0, for_good=True)
         return None
+
+    def _off_together(self, imu: int, state: FloatArray, covariance: FloatArray) -> bool:
+        """Whether the mean scale of the axes of an IMU's gyro or accelerometer is corrected by more than chance."""
+        for at in self._common.get(imu, ()):
+            prior = float(np.sum(self._predictor.sigma[at] ** 2))
+            told = max(prior - float(covariance[np.ix_(at, at)].sum()), _LEAST_TOLD * prior)
+            if at and float(state[at].sum()) ** 2 > FARTHEST**2 * told:
+                return True
+        return False
 
     def misled(self, state: FloatArray, but: int | None = None) -> bool:
         """Whether a correction is larger than stated: an instrument has been wrong for longer than it shows.
