@@ -105,7 +105,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "the computer swaps, or memory is short",
         ),
         "freeze_gc": _M(
-            "The garbage collectors of the workers leave alone what was there at the start, and seldom run.",
+            "The garbage collectors of the workers leave alone what was there at the start.",
             "never in flight; to look for leaks",
         ),
     },

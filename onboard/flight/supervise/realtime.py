@@ -22,7 +22,6 @@ from onboard.flight.health.status import Status
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 SERVICE = "deploy/heft.service"
-COLLECTED_EVERY = 20_000  # objects made more than given back: a flight makes hardly any cycles
 
 
 class Settings(NamedTuple):
@@ -32,7 +31,7 @@ class Settings(NamedTuple):
         priority: of SCHED_FIFO; 0 leaves the scheduler as it is.
         cpus: that it may run on; none leaves them as they are.
         lock_memory: whether its pages stay in memory.
-        freeze: whether the garbage collector leaves alone what was there at the start, and seldom looks at the rest.
+        freeze: whether the garbage collector leaves alone what was there at the start.
         by_file: whether the vehicle file has any of these.
     """
 
@@ -145,5 +144,4 @@ def apply(wanted: Settings, system: System = OF_THE_KERNEL) -> Asked:
     if wanted.freeze:
         gc.collect()
         gc.freeze()
-        gc.set_threshold(COLLECTED_EVERY, *gc.get_threshold()[1:])
     return Asked(tuple(granted), tuple(refused), wanted.by_file)
