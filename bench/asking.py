@@ -26,12 +26,13 @@ from onboard.channels import Act
 from onboard.cli import main
 from onboard.config import named, packaged
 from onboard.config.segments import read
+from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.segment_choice import Asked, choose
 from onboard.offline.foresee.plan import plan_of
-from onboard.offline.planning.bound import FreeBound
+from onboard.offline.planning.bound import TICK_HZ, FreeBound
 from onboard.offline.tables import truth
 from onboard.recording.reader import LogReader
 
@@ -51,7 +52,8 @@ action = "swing"
 duration_s = {seconds}
 swing = {swing}
 """
-TICK_HZ = 50.0
+HELD_s, CAUGHT_s = 5.0, 3.4  # when the swings begin, and the payload is caught in the middle
+HALF = 1.959964  # of a 95 % interval, in standard deviations
 SWING = 0.35  # of a rehearsal, where nothing else is said
 
 
@@ -133,25 +135,67 @@ def flown(log: Path, goal: float, asked: bool) -> Told:
     return Told(float(at_s[np.argmax(fine) + 9]) if fine.any() else np.nan, percent, 0, "", rate)
 
 
+class Swings(NamedTuple):
+    """The swings of a rehearsal as a seed draws them, and their bound."""
+
+    bound: FreeBound
+    moved: FloatArray  # angle, rate, acceleration, (3, n, joints)
+
+    @classmethod
+    def of(cls, path: Path, scenario: Path, seed: int) -> "Swings":
+        """Those of a scenario of :data:`SEQUENCE`."""
+        coarse = named(str(path)).with_row_rate(TICK_HZ)
+        plan = plan_of(coarse, Mission(rehearsal(path, scenario), seed).planned(1.0 / TICK_HZ))
+        first = int(np.searchsorted(plan.time_s, HELD_s - 1e-9))
+        return cls(FreeBound(coarse, plan, first), np.stack([plan.q, plan.dq, plan.ddq])[:, first:])
+
+    def at(self, size: float) -> FloatArray:
+        """So many times as large."""
+        own = size * self.moved
+        own[0] = self.moved[0, 0] + size * (self.moved[0] - self.moved[0, 0])
+        return own
+
+    def rate(self, size: float) -> float:
+        """Of the base, the largest, rad/s."""
+        rates = self.bound.base(self.at(size), 1.0 / TICK_HZ).rate_rad_s
+        return float(np.linalg.norm(rates, axis=1).max())
+
+    def largest(self, rate: float, most: float) -> float:
+        """The size, ``most`` at most, at which the base turns at ``rate`` at most."""
+        least = 0.0
+        if self.rate(most) <= rate:
+            return most
+        for _ in range(10):
+            middle = 0.5 * (least + most)
+            least, most = (middle, most) if self.rate(middle) <= rate else (least, middle)
+        return least
+
+    def known(self, size: float, mass_kg: float, goal: float) -> str:
+        """By the bound: when half of the mass's interval is as wanted, from the capture, and what it is at the end."""
+        ticks, sigma = self.bound.along(self.at(size))
+        half = HALF * sigma[:, 0] / mass_kg
+        fine = ticks[half <= goal] / TICK_HZ + HELD_s - CAUGHT_s
+        took = f"{fine[0]:5.1f} s" if fine.size else "  never"
+        return f"size {size:.2f}, {self.rate(size):.2f} rad/s: {took}, {100.0 * half[-1]:.2f} % at the end"
+
+
 def limited(path: Path, write: Callable[[float], Path], seed: int, rate: float) -> Path:
     """The scenario whose swings turn the base at ``rate`` at most, as its seed draws them."""
-    swing, vehicle = SWING, named(str(path))
+    swing = SWING
     for _ in range(3):  # the program shrinks large swings by itself
-        planned = Mission(rehearsal(path, write(swing)), seed).planned(1.0 / TICK_HZ)
-        coarse = vehicle.with_row_rate(TICK_HZ)
-        plan = plan_of(coarse, planned)
-        first = int(np.searchsorted(plan.time_s, 5.0 - 1e-9))  # of the swings
-        bound = FreeBound(coarse, plan, first)
-        moved = np.stack([plan.q, plan.dq, plan.ddq])[:, first:]
-        least, most = 0.0, 4.0
-        for _ in range(12):
-            middle = 0.5 * (least + most)
-            own = middle * moved
-            own[0] = moved[0, 0] + middle * (moved[0] - moved[0, 0])
-            largest = float(np.linalg.norm(bound.base(own, 1.0 / TICK_HZ).rate_rad_s, axis=1).max())
-            least, most = (middle, most) if largest <= rate else (least, middle)
-        swing = min(1.0, least * swing)
+        swing = min(1.0, swing * Swings.of(path, write(swing), seed).largest(rate, 4.0))
     return write(swing)
+
+
+def foresee(directory: Path, name: str, seed: int, asked: argparse.Namespace) -> None:
+    """Print what swings would tell by the bound: as drawn, and as small as the limit has them."""
+    case = CASES[name]
+    scenario, own = directory / f"{name}_foreseen.toml", SEQUENCE.format(seconds=asked.seconds, swing=SWING)
+    scenario.write_text(f"payload.mass_kg = [{case.mass_kg}, {case.mass_kg}]\n{own}")
+    swings = Swings.of(packaged(case.vehicle), scenario, seed)
+    goal = float(asked.goal.split()[1]) / 100.0
+    told = [swings.known(size, case.mass_kg, goal) for size in (1.0, swings.largest(asked.rate, 1.0))]
+    print(f"{name:16s} {seed:3d}  " + "   ".join(told), flush=True)
 
 
 def fly(directory: Path, name: str, seed: int, asked: bool, goal: str, seconds: float, rate: float, free: bool) -> Path:
@@ -208,6 +252,7 @@ def run() -> None:
     parser.add_argument("--goal", default="mass 1 %")
     parser.add_argument("--seconds", type=float, default=30.0, help="of the swings; twice that for asking")
     parser.add_argument("--rate", type=float, default=0.4, help="limit of the base's rate, rad/s, for the segments")
+    parser.add_argument("--foresee", action="store_true", help="swings by the bound only, nothing is flown (packaged)")
     parser.add_argument("--free", action="store_true", help="swings that keep no limit")
     parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--directory", type=Path, default=Path("asking"))
@@ -216,6 +261,9 @@ def run() -> None:
     share = float(asked.goal.split()[1]) / 100.0
     for name in asked.only:
         for seed in range(1, asked.seeds + 1):
+            if asked.foresee:
+                foresee(asked.directory, name, seed, asked)
+                continue
             told = []
             for asks in (True, False):
                 with contextlib.redirect_stdout(io.StringIO()):
@@ -228,6 +276,8 @@ def run() -> None:
                 f"swings {other.took_s:6.1f} s {other.percent:6.2f} % {other.rate:.2f} rad/s  {one.why}",
                 flush=True,
             )
+    if asked.foresee:
+        return
     log = asked.directory / f"{asked.only[-1]}_1_asked.mcap"
     choice_ms, made_ms, count = timed(log, asked.directory)
     print(f"a choice among {count} segments: {choice_ms:.1f} ms; one segment linearised again: {made_ms:.1f} ms")
