@@ -10,12 +10,12 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian, possible_body
 from onboard.dynamics.vehicle import STANDARD
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.corrections import too_large
-from onboard.identification.exiddm.further import Further
+from onboard.identification.exiddm.further import Further, FurtherCell
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
@@ -38,6 +38,7 @@ _SWINGING = "slosh, a flexible joint, or an instrument that drifts"
 _WORST_MISFIT = 1.5  # of an instrument's innovations
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
 _RECENT_s = 60.0
+_DOUBTED = 20.0  # times the stated sigma of a cell's scale
 
 
 def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
@@ -66,6 +67,9 @@ class ExiddmIdentifier:
     A quantity is supported if the data, not the prior, determine it; all but the mass also require a sigma of the mass
     of at most a fifth of it. Variances are multiplied by the innovations' misfit, of the instrument that has the
     largest, where that is above one (:mod:`onboard.identification.exiddm.misfit`).
+
+    Where an IMU contradicts the others, one calibration is not as stated, and those of load cells, which the other IMU
+    alone checks slowly, are hardly relied on: the answer is that of a much larger sigma of their scales.
 
     Args:
         exiddm: the estimator.
@@ -139,8 +143,7 @@ class ExiddmIdentifier:
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
         if exiddm.holds and exiddm.state is not None:
-            mean = exiddm.state[PAYLOAD]
-            P = self._covariance()
+            mean, P = self._payload(exiddm.state)
             sigma = np.sqrt(np.diag(P))
             try:
                 possible = possible_body(mean, P)
@@ -178,8 +181,9 @@ class ExiddmIdentifier:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
         if self.exiddm.holds and self.exiddm.state is not None:
-            R = cholesky(np.linalg.inv(self._covariance()))
-            out[:10, :10], out[:10, 10] = R, R @ self.exiddm.state[PAYLOAD]
+            mean, P = self._payload(self.exiddm.state)
+            R = cholesky(np.linalg.inv(P))
+            out[:10, :10], out[:10, 10] = R, R @ mean
         return out
 
     def findings(self) -> Findings:
@@ -217,11 +221,30 @@ class ExiddmIdentifier:
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
         return ""
 
-    def _covariance(self) -> FloatArray:
-        """Of the payload's standard parameters, (10, 10), multiplied by misfit or strongest line where above one."""
-        line = self.exiddm.lines.strongest
+    def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Standard parameters, (10,), and their covariance, (10, 10).
+
+        The covariance is multiplied by misfit or strongest line where above one. Taking the part A of a prior's
+        information on parameters k, of mean zero, away changes a covariance P by ``P_.k (A^-1 - P_kk)^-1 P_k.`` and
+        the mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
+        """
+        line, P = self.exiddm.lines.strongest, self.exiddm.covariance
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
-        return np.asarray(misfit * self.exiddm.covariance[PAYLOAD, PAYLOAD], np.float64)
+        mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]
+        if (at := self._doubted()).size:
+            taken = np.diag(self.exiddm.predictor.sigma[at] ** 2 / (1.0 - _DOUBTED**-2))
+            gain = np.linalg.solve(taken - P[np.ix_(at, at)], P[at, PAYLOAD]).T
+            mean, covariance = mean + gain @ state[at], covariance + gain @ P[at, PAYLOAD]
+        return mean, np.asarray(misfit * covariance, np.float64)
+
+    def _doubted(self) -> IndexArray:
+        """Scales of the load cells in use, if an IMU contradicts the others."""
+        predictor, fusion = self.exiddm.predictor, self.exiddm.fusion
+        if not any(k < len(predictor.imu_frames) and k not in fusion.absent for k in fusion.left_out):
+            return np.zeros(0, np.intp)
+        cells = enumerate(zip(predictor.further, predictor.of_further, strict=True), 1)
+        used = [own for k, (one, own) in cells if isinstance(one, FurtherCell) and k not in fusion.left_out]
+        return np.concatenate([np.zeros(0, np.intp), *used])
 
     def _unexplained(self) -> int:
         """Largest number of recent changes at any time that no capture and no ejection explained."""
