@@ -17,7 +17,8 @@ from hil_sim.plants.body import Body
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
-_STIFF_Hz, _STIFF_RATIO = 25.0, 0.1  # of joints that have play and are not said to be flexible
+_LARGEST_STEP = 2.2  # of a Runge-Kutta scheme of fourth order, in radians of the fastest mode; 2.8 is its limit
+_STIFF_Hz, _STIFF_RATIO = 20.0, 0.1  # of joints that have play and are not said to be flexible
 
 
 class Slosh(NamedTuple):
@@ -72,6 +73,27 @@ class SoftParts:
             self.state[: self.joints] = -load_n_m / self.stiffness_N_m_rad - 0.5 * self._gap[0] * np.sign(load_n_m)
         if self.slosh is not None:
             self.state[2 * self.joints :] = np.concatenate(anchor)
+
+    def require(self, inertia: FloatArray, step_s: float) -> None:
+        """Check that a Runge-Kutta step is short enough for the fastest mode of the joints.
+
+        Args:
+            inertia: of the joints while the base gives way, (j, j).
+            step_s: of the integration.
+
+        Raises:
+            ScenarioError: it is not.
+        """
+        if not self.joints:
+            return
+        fastest = float(
+            np.sqrt(np.linalg.eigvals(np.linalg.solve(inertia, np.diag(self.stiffness_N_m_rad))).real.max())
+        )
+        if fastest * step_s > _LARGEST_STEP:
+            raise ScenarioError(
+                f"joints with these springs swing at {fastest / (2.0 * np.pi):.0f} Hz together, too fast for steps of "
+                f"{1e3 * step_s:g} ms; give [physics] a smaller integration_steps, or [flexibility] lower frequencies"
+            )
 
     def bend(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of the joints and its rate, (j,) each; zeros of none."""

@@ -248,6 +248,7 @@ class VehicleFlight:
         anchor = self._anchor(self._pose, self._velocity) if soft.slosh is not None else (np.zeros(3), np.zeros(3))
         load = self.data.qfrc_inverse[nb:] if self.model.opt.gravity.any() else np.zeros(len(M))
         soft.start(np.diag(M).copy(), load, anchor)
+        soft.require(M, self._step_s)
 
     def _turn(self, pose: FloatArray) -> FloatArray:
         """Rotation from the base's axes to the world's, (3, 3)."""

@@ -184,7 +184,7 @@ class Flexibility(Table):
 class BacklashTable(Table):
     """``[backlash]``: play of a joint between its drive, which has the encoder, and its link; it grows in the mission.
 
-    ``gap_mrad``: at the start and at the end. The joints then have springs of 25 Hz where none are given.
+    ``gap_mrad``: at the start and at the end. The joints then have springs of 20 Hz where none are given.
     """
 
     joint: str
