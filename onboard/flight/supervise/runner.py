@@ -191,10 +191,12 @@ class _Crew:
         self.acquisition.start()
         self.acquisition.wait_ready()
 
-    def finish(self, before_the_log: Callable[[], None]) -> None:
+    def finish(self, before_the_log: Callable[[], None], tell: Callable[[Severity, str, str, str], None]) -> None:
         """Stop them; ``before_the_log`` is called before the recorder, which closes the log."""
-        self.acquisition.finish()
-        self.estimation.finish()
+        for worker in (self.acquisition, self.estimation):
+            if waited_s := worker.finish():
+                text = f"had not ended {waited_s:.0f} s after it was asked to: it is killed; its last rows are missing"
+                tell(Severity.ERROR, "worker_killed", worker.name, text)
         before_the_log()
         if self.recording.is_dead:
             self.recording.start()  # to end the log
@@ -265,7 +267,7 @@ def _fly(
     finally:
         notifier.stopping()
         modes.end(why)
-        crew.finish(modes.stopped)
+        crew.finish(modes.stopped, tell)
         modes.close()
         asked_to_stop.restore()
         announcer.end(time.monotonic())

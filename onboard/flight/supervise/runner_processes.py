@@ -161,17 +161,27 @@ class Worker:
         if math.isnan(self.started_in_s):
             self.started_in_s = now_s - self._started_s
 
-    def finish(self) -> None:
-        """Tell it to end, wait for that, and kill it where it does not."""
+    def finish(self) -> float:
+        """Tell it to end, wait for that as long as it works, and kill it where it does not end; after how many s, or 0.
+
+        On a busy computer the estimator has seconds of readings to work off, which takes many times as long.
+        """
         if self.pid is None or self._pipe is None:
-            return
+            return 0.0
         with contextlib.suppress(OSError):  # it is dead, and reaped below
             self._pipe.send(True)
-        deadline = time.monotonic() + STOP_TIMEOUT_S
+        asked_s = time.monotonic()
+        look_s, last_s, had_s, killed_s = asked_s + STOP_TIMEOUT_S, asked_s + LONGEST_SILENCE_S, _cpu_s(self.pid), 0.0
         while not self.is_dead:
-            if time.monotonic() > deadline:
-                os.kill(self.pid, signal.SIGKILL)
-                self.exit_code = exit_code(self.pid, wait=True)
+            now_s = time.monotonic()
+            if now_s > look_s:
+                has_s = _cpu_s(self.pid)
+                if has_s - had_s > PROGRESS_S and now_s < last_s:
+                    look_s, had_s = min(last_s, now_s + HUNG_S), has_s
+                else:
+                    killed_s = now_s - asked_s
+                    os.kill(self.pid, signal.SIGKILL)
+                    self.exit_code = exit_code(self.pid, wait=True)
             time.sleep(_JOIN_PERIOD_S)
         self._pipe.close()
         self.died |= self.exit_code != 0
@@ -180,3 +190,4 @@ class Worker:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(spare.pid, signal.SIGKILL)  # it holds nothing yet
             exit_code(spare.pid, wait=True)
+        return killed_s

@@ -78,7 +78,23 @@ def test_a_worker_that_works_is_slow_and_one_that_stands_hangs(
         assert happened[: len(expected)] == expected
         assert happened[-1] == "hung"  # in the end whatever says nothing is killed
         assert ("slow" in happened) == bool(expected)
-        worker.finish()
+        assert worker.finish() == 0.0
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(120)
+def test_at_the_end_a_worker_is_waited_for_while_it_works(light: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner_processes, "STOP_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(runner_processes, "HUNG_S", 1.0)
+    monkeypatch.setattr(runner_processes, "LONGEST_SILENCE_S", 4.0)
+    waited_s = []
+    for body in (forked.work_long, forked.stand):
+        worker = Worker("test", partial(light.fork, body))
+        worker.start()
+        worker.wait_ready()
+        waited_s.append(worker.finish())
+        assert worker.died
+    assert waited_s[0] >= 4.0 > waited_s[1] >= 1.0
 
 
 @pytest.mark.parametrize("killed", [False, True])
