@@ -17,7 +17,7 @@ Every dtype begins with ``sequence`` and ``host_ns``:
 """
 
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +112,9 @@ def event(now_ns: int, severity: Severity, code: str, source: str, text: str) ->
     row = np.zeros(1, EVENT)
     row[0] = (0, now_ns, severity, code.encode(), source.encode(), text.encode()[:160])
     return Batch("event", row)
+
+
+CHANGES_UNHEARD: Final = "changes_unheard"  # cause of a gap: at least so many, for nobody heard the device meanwhile
 
 
 def gap(

@@ -114,6 +114,7 @@ def test_a_bus_that_appears_late_joins_and_the_gap_until_then_is_in_the_log(tmp_
         assert int(gap["last_missing"]) > 600  # 200 Hz, and more than three seconds of it
         assert len(rows) > 100
     assert b"imu_base" not in absent["channel"].tolist()
+    assert gaps["channel"][gaps["cause"] == records.CHANGES_UNHEARD.encode()].tolist() == [b"arm_phase"]
     assert b"bus_opened" in read.read("event")["code"].tolist()
 
 

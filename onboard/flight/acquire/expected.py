@@ -5,13 +5,14 @@ from onboard import config
 from onboard.flight.acquire.publisher import Expected
 
 
-def expected(vehicle: config.Vehicle, bus: str) -> dict[str, Expected]:
-    """Of the channels of a bus; those without a rate of their own have period 0."""
+def expected(vehicle: config.Vehicle, bus: str, *, is_open: bool = True) -> dict[str, Expected]:
+    """Of the channels of a bus, which may not be there yet; those without a rate of their own have period 0."""
     channels: dict[str, Expected] = {}
     for name, device in vehicle.devices_on(bus).items():
         period_ns = 0.0 if device.tells_changes else 1e9 / vehicle.rate_hz(name)
         within_ns = round(1e9 * device.first_row_s)
         for place, (channel, dtype) in enumerate(device.channels(name).items()):
             has_rate = place == 0 or dtype in (IMU, SCALAR)
-            channels[channel] = Expected(period_ns if has_rate else 0.0, within_ns)
+            unheard = device.tells_changes and not is_open
+            channels[channel] = Expected(period_ns if has_rate else 0.0, within_ns, unheard)
     return channels

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.records import CAN_FRAME, Batch, Rows, SampleStatus, gap
+from drivers.records import CAN_FRAME, CHANGES_UNHEARD, Batch, Rows, SampleStatus, gap
 from onboard.ring import RingWriter
 
 SHARED_CHANNELS = ("event", "gap")
@@ -23,10 +23,12 @@ class Expected(NamedTuple):
     Attributes:
         period_ns: nominal, between rows; 0 where it has no rate.
         within_ns: a first row that comes so long after the start is in time: devices take a while to be set up.
+        unheard: it tells changes, and its bus is not there: nobody knows how many are lost until its first row.
     """
 
     period_ns: float
     within_ns: int
+    unheard: bool = False
 
 
 class _Left(NamedTuple):
@@ -81,14 +83,15 @@ class Publisher:
             channels: what is expected of each.
             since_ns: CLOCK_MONOTONIC.
         """
-        for channel, (period_ns, within_ns) in channels.items():
+        for channel, (period_ns, within_ns, unheard) in channels.items():
             if not self._rings[channel].published:
-                left = _Left(-1, since_ns, period_ns, ABSENT, SampleStatus.OK)
+                cause = CHANGES_UNHEARD if unheard else ABSENT
+                left = _Left(-1, since_ns, period_ns, cause, SampleStatus.OK)
                 self._left[channel] = left._replace(within_ns=within_ns)
 
     def finish(self, now_ns: int) -> None:
         """Last call: channels that were expected and never brought a row are a gap from the start."""
-        for channel in [name for name, left in self._left.items() if left.cause == ABSENT]:
+        for channel in [name for name, left in self._left.items() if left.cause in (ABSENT, CHANGES_UNHEARD)]:
             self._take_over(channel, now_ns)
 
     def publish(self, batches: Iterable[Batch]) -> None:
@@ -127,7 +130,8 @@ class Publisher:
         """Continue the numbers of ``channel``, record the rows lost until ``host_ns``; the next row's status."""
         sequence, left_ns, period_ns, cause, status, last_value, within_ns = self._left.pop(channel)
         is_told = period_ns and host_ns - left_ns > within_ns
-        missed = max(0, round((host_ns - left_ns) / period_ns) - 1) if is_told else int(value != last_value)
+        is_other = cause == CHANGES_UNHEARD or value != last_value
+        missed = max(0, round((host_ns - left_ns) / period_ns) - 1) if is_told else int(is_other)
         self._shift[channel] = sequence + 1 + missed
         if missed:
             told = gap(host_ns, channel, sequence + 1, sequence + missed, host_ns - left_ns, cause)

@@ -143,7 +143,7 @@ def _run_bus(vehicle: config.Vehicle, acquisition: Acquisition, opened: "OpenDev
 
     bus, stop, _ = its
     since_ns, pause_s, tries = time.monotonic_ns(), FIRST_PAUSE_S, 1
-    acquisition.expect(expected(vehicle, bus), since_ns)
+    acquisition.expect(expected(vehicle, bus, is_open=bus in opened.by_bus), since_ns)
     while bus not in opened.by_bus:
         if stop.wait(pause_s):
             return

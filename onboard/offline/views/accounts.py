@@ -5,7 +5,8 @@ that asks for them cannot know. A channel is accounted for where
 
 - without an estimate: produced = recorded + missing, exactly;
 - with one: recorded + missing is at most the estimate above what was produced, and at most ``SHORT_PART`` of the
-  estimate and ``SHORT_EACH`` samples per estimated gap below it.
+  estimate and ``SHORT_EACH`` samples per estimated gap below it;
+- with a gap of changes that nobody heard (``changes_unheard``): however many more were produced.
 """
 
 from typing import Any, NamedTuple
@@ -56,6 +57,8 @@ class Account(NamedTuple):
     def is_whole(self) -> bool:
         """Whether all samples are accounted for, see the module."""
         estimates = sum(1 for gap in self.gaps if gap["about"])
+        if any(gap["cause"] == records.CHANGES_UNHEARD for gap in self.gaps):
+            return self.left >= -self.about
         return -self.about <= self.left <= SHORT_PART * self.about + SHORT_EACH * estimates
 
     def as_json(self) -> dict[str, Any]:

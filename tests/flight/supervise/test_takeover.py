@@ -12,7 +12,7 @@ import pytest
 from drivers import records
 from drivers.records import Batch, Rows, SampleStatus, event, gap
 from onboard import config
-from onboard.flight.acquire.publisher import Publisher
+from onboard.flight.acquire.publisher import Expected, Publisher
 from onboard.flight.estimate import estimation
 from onboard.flight.estimate.estimation import CHECKPOINT_CPU_NS, CHECKPOINT_TICKS, DurableEstimation
 from onboard.flight.estimate.estimator import Estimator
@@ -222,3 +222,20 @@ def test_a_channel_that_tells_changes_lost_one_at_least_if_its_value_is_another(
     Publisher(writers, renumber=True, changes=["phase"]).publish([Batch("phase", after)])
     assert pushed(tmp_path, "phase")["sequence"].tolist() == [*range(20), 20 + lost, 21 + lost]
     assert [(g["cause"], g["counted"]) for g in pushed(tmp_path, "gap")] == [(b"worker_restart", 0)] * lost
+
+
+def test_changes_before_a_bus_is_there_are_a_gap_of_at_least_one(tmp_path: Path) -> None:
+    kinds = {"phase": records.SCALAR, "door": records.SCALAR, "lamp": records.SCALAR, "gap": records.GAP}
+    writers = {name: RingWriter(tmp_path / f"{name}.ring", dtype, 500) for name, dtype in kinds.items()}
+    publisher = Publisher(writers, renumber=True, changes=["phase", "door", "lamp"])
+    expected = {"phase": Expected(0.0, 0, unheard=True), "door": Expected(0.0, 0, unheard=True)}
+    publisher.expect({**expected, "lamp": Expected(0.0, 0)}, 1_000_000_000)
+    publisher.publish([Batch(name, scalars(0, 2, 9_000_000_000)) for name in ("phase", "lamp")])
+    publisher.finish(20_000_000_000)
+    assert pushed(tmp_path, "phase")["sequence"].tolist() == [1, 2]
+    assert pushed(tmp_path, "lamp")["sequence"].tolist() == [0, 1]
+    gaps = [(g["channel"], g["cause"], int(g["duration_ns"]), g["counted"]) for g in pushed(tmp_path, "gap")]
+    assert gaps == [
+        (b"phase", b"changes_unheard", 8_000_000_000, 0),
+        (b"door", b"changes_unheard", 19_000_000_000, 0),
+    ]

@@ -14,7 +14,7 @@ START_NS = 5_000_000_000
 PERIOD_NS = 5_000_000
 
 
-def written(path: Path, numbers: list[int], *gaps: tuple[int, int, bool]) -> Account:
+def written(path: Path, numbers: list[int], *gaps: tuple[int, int, bool], cause: str = "test") -> Account:
     """The account of 200 samples, of which ``numbers`` were recorded; gaps: first, last, counted."""
     rows = np.zeros(len(numbers), records.SCALAR)
     rows["sequence"] = numbers
@@ -25,7 +25,7 @@ def written(path: Path, numbers: list[int], *gaps: tuple[int, int, bool]) -> Acc
         writer.write("joint", rows)
         for first, last, counted in gaps:
             end_ns, span_ns = START_NS + PERIOD_NS * (last + 1), PERIOD_NS * (last + 1 - first)
-            writer.write("gap", records.gap(end_ns, "joint", first, last, span_ns, "test", counted=counted).rows)
+            writer.write("gap", records.gap(end_ns, "joint", first, last, span_ns, cause, counted=counted).rows)
             writer.write("gap", records.gap(end_ns, "tick", first, last, span_ns, "of no device").rows)
     return accounts(LogReader(path), {"joint": 200}, START_NS)["joint"]
 
@@ -70,6 +70,12 @@ def test_counted_gaps_are_exact_and_estimated_ones_nearly(
     assert account.about == (0 if counted else named[1] - named[0] + 1)
     (line,) = render({"joint": account})
     assert ("about" in line) is (not counted and is_whole)
+
+
+@pytest.mark.parametrize(("cause", "is_whole"), [("test", False), ("changes_unheard", True)])
+def test_changes_that_nobody_heard_may_be_any_number(tmp_path: Path, cause: str, is_whole: bool) -> None:
+    account = written(tmp_path / "log.mcap", but(0, 99), (0, 0, False), cause=cause)
+    assert (account.left, account.is_whole) == (99, is_whole)
 
 
 def test_a_channel_without_a_row_is_said_to_have_none(tmp_path: Path) -> None:
