@@ -37,6 +37,7 @@ def honest(rows):
             assert abs(row["value"] - row["truth"]) < FOUR_SIGMA * row["sigma"], row
         else:
             assert row["standing"].startswith("weak"), row
+            assert row["value"] is None
 
 
 def test_a_free_flyer_of_one_s_own(tmp_path, capsys):

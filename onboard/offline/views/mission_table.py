@@ -105,6 +105,7 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
     standing = "" if answer is None else answer["standing"]
     leans = "" if answer is None else answer["leans"]
     made: dict[str, Any] = {**row, "truth": true, "supported": supported, "standing": standing, "leans": leans}
+    made["value"] = None
     if answer is not None and supported:
         made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "drawn", "unit")}
         made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true else None
