@@ -41,10 +41,10 @@ def render(runs: Sequence[Row]) -> Iterator[RenderableType]:
     if not runs:
         return
     known = any("flown" in run for run in runs)
-    table = Table(title="runs", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    headings = ("", *(("flown",) if known else ()), "released s", "caught s", "bumps", "motions", "mass kg", "")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in ("flown", "") else "right", no_wrap=True)
+    table = Table(title="runs", title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    headings = ("", *(("flown",) if known else ()), "free s", "caught s", "bumps", "moves", "mass kg", "")
+    for heading in headings:  # where there is little room the names are folded, and no number is cut
+        table.add_column(heading, justify="left" if heading in ("flown", "") else "right", no_wrap=heading != "flown")
     for run in runs:
         flown = (str(run.get("flown", "—")),) if known else ()
         times = ["—" if run[key] is None else f"{run[key]:.2f}" for key in ("release_s", "catch_s")]

@@ -104,8 +104,8 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
     true = float(truth["quantities"][row["quantity"]] if true is None else true)
     standing = "" if answer is None else answer["standing"]
     leans = "" if answer is None else answer["leans"]
-    made: dict[str, Any] = {**row, "truth": true, "supported": supported, "standing": standing, "leans": leans}
-    made["value"] = None
+    made: dict[str, Any] = {**row, "value": None, "truth": true, "supported": supported}
+    made |= {"standing": standing, "leans": leans}
     if answer is not None and supported:
         made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "drawn", "unit")}
         made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true else None
