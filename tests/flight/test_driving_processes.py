@@ -68,6 +68,14 @@ def until(flight, word, seconds=60.0):
             said += more
 
 
+def await_event(log, code, seconds=60.0):
+    """Wait until a log that is still written has an event."""
+    deadline = time.monotonic() + seconds
+    while code not in LogReader(log).read("event")["code"].tolist():
+        assert time.monotonic() < deadline, f"no {code.decode()} within {seconds:.0f} s"
+        time.sleep(0.3)
+
+
 @pytest.mark.parametrize("how", ["kill", "term"])
 def test_the_arm_stops_in_mid_motion(tmp_path, how):
     vehicle = written(tmp_path, PRIOR, ROWS, csv=csv_of(*swing(SECONDS)))
@@ -91,7 +99,8 @@ def test_the_arm_stops_in_mid_motion(tmp_path, how):
             ended(flight),
         ):
             until(flight, b"drive_armed")
-            time.sleep(8.0)  # enabling takes up to 3 s of it
+            await_event(log, b"drive_started")
+            time.sleep(5.0)  # a fifth of the motion
             if how == "kill":
                 os.kill(pids(flight.pid)["heft-acquire"], signal.SIGKILL)
                 until(flight, b"drive_not_rearmed")
