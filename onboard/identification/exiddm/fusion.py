@@ -30,6 +30,7 @@ _AGREES_BATCHES = 100  # in a row: it is used again
 _HARDLY = 0.5  # share of the ticks in which the reference has to be there
 _ABSENT_BATCHES = 10  # in a row: it is left out
 _GAIN_WINDOWS = (5, 10, 20)  # batches
+_MISLED_BATCHES = 64  # for which a scale that is off may have misled the estimate before it shows
 _GAIN_SIGMAS, _GAIN_STATED = 6.0, 5.0  # of a window's scale error: of its standard error, and of the stated sigma
 
 
@@ -39,6 +40,13 @@ class Accusation(NamedTuple):
     instrument: int
     batches: int  # for how many; 0: since the start
     for_good: bool  # if it is left out
+
+    @property
+    def back(self) -> int | None:
+        """Batches before this one of which the estimates are not to be used either; None: since the start."""
+        if not self.batches:
+            return None
+        return max(self.batches + 1, _MISLED_BATCHES) if self.for_good else self.batches + 1
 
 
 class Fusion:

@@ -7,13 +7,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.identification.corrections import DOUBTFUL, FARTHEST
+from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
 from onboard.identification.exiddm.further import FurtherCell
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.imu_prediction import ImuPredictor, Prediction
 from onboard.identification.exiddm.misfit import InnovationMisfit
 
-_LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
 _SCALES = ("gyro_scale", "accelerometer_scale")
 _FREE = 1e3  # stated sigmas of an error that may be of any size
 
@@ -111,9 +110,9 @@ class Innovations:
     ) -> Accusation | None:
         """An instrument in use that contradicts the others.
 
-        The sigma of a correction's estimate about zero is ``(prior variance - posterior variance)^(1/2)`` (Hausman,
-        Econometrica 46, 1978): of the scale of a cell it tells what the other instruments make of it long before it is
-        many of its stated sigmas; of an IMU too, of the mean of its axes, which a reference voltage changes alike.
+        What the data tell (:mod:`onboard.identification.corrections`) of the scale of a cell is what the other
+        instruments make of it, long before it is many of its stated sigmas; of an IMU too, of the mean of its axes,
+        which a reference voltage changes alike.
 
         Args:
             innovation: of a batch.
@@ -134,19 +133,18 @@ class Innovations:
         for k, own in enumerate([predictor.of_each[0], *predictor.of_further]):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue
-            moved = predictor.stated[own] ** 2
+            moved = predictor.stated[own]
             if k in self.cells:
-                moved = np.maximum(moved - np.diag(covariance)[own], _LEAST_TOLD * moved)
-            if (state[own] ** 2 > FARTHEST**2 * moved).any() or self._off_together(k, state, covariance):
+                moved = told(moved**2, np.diag(covariance)[own])
+            if (np.abs(state[own]) > FARTHEST * moved).any() or self._off_together(k, state, covariance):
                 return Accusation(k, 0, for_good=True)
         return None
 
     def _off_together(self, imu: int, state: FloatArray, covariance: FloatArray) -> bool:
         """Whether the mean scale of the axes of an IMU's gyro or accelerometer is corrected by more than chance."""
         for at in self._common.get(imu, ()):
-            prior = float(np.sum(self._predictor.sigma[at] ** 2))
-            told = max(prior - float(covariance[np.ix_(at, at)].sum()), _LEAST_TOLD * prior)
-            if at and float(state[at].sum()) ** 2 > FARTHEST**2 * told:
+            moved = told(np.sum(self._predictor.sigma[at] ** 2), covariance[np.ix_(at, at)].sum())
+            if at and abs(float(state[at].sum())) > FARTHEST * moved:
                 return True
         return False
 

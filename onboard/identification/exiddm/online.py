@@ -14,7 +14,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.corrections import too_large
+from onboard.identification.corrections import DOUBTFUL, contradicted, told, too_large
 from onboard.identification.exiddm.further import Further, FurtherCell
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import RecursiveExiddm
@@ -193,16 +193,30 @@ class ExiddmIdentifier:
         predictor, fusion, state = self.exiddm.predictor, self.exiddm.fusion, self.exiddm.state
         if state is None:
             return Findings()
-        stated, names = predictor.stated, predictor.names
-        out = np.concatenate([[], *(predictor.of_each[k] for k in fusion.left_out)])
-        known = [k for k in np.flatnonzero(np.isfinite(stated) & (stated > 0.0)) if k not in out]
+        known, names, stated = self._known(), predictor.names, predictor.stated
         off = {name: ratio for name, ratio in self.exiddm.misfit.by_instrument().items() if ratio > _WORST_MISFIT}
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
-        return Findings(too_large({names[k]: float(state[k] / stated[k]) for k in known}), tuple(doubts))
+        against = too_large({names[k]: float(state[k] / stated[k]) for k in known})
+        return Findings(against or contradicted(self._by_the_data(state)), tuple(doubts))
+
+    def _known(self) -> IndexArray:
+        """Corrections with a stated sigma, of what is in use."""
+        predictor = self.exiddm.predictor
+        known = np.isfinite(predictor.stated) & (predictor.stated > 0.0)
+        for k in self.exiddm.fusion.left_out:
+            known[predictor.of_each[k]] = False
+        return np.flatnonzero(known)
+
+    def _by_the_data(self, state: FloatArray) -> dict[str, float]:
+        """Corrections by name in sigmas of what the data tell of each, but for delays that wander."""
+        predictor = self.exiddm.predictor
+        at = np.setdiff1d(self._known(), [k for k, _ in predictor.wandering])
+        sigmas = state[at] / told(predictor.stated[at] ** 2, np.diag(self.exiddm.covariance)[at])
+        return {predictor.names[k]: float(one) for k, one in zip(at, sigmas, strict=True)}
 
     def _refusal(self) -> str:
         """Why no answer is to be used, whatever the estimate; empty if nothing says so."""
@@ -224,12 +238,15 @@ class ExiddmIdentifier:
     def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard parameters, (10,), and their covariance, (10, 10).
 
-        The covariance is multiplied by misfit or strongest line where above one. Taking the part A of a prior's
-        information on parameters k, of mean zero, away changes a covariance P by ``P_.k (A^-1 - P_kk)^-1 P_k.`` and
-        the mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
+        The covariance is multiplied by the largest that is above one: misfit, strongest line, or the square of the most
+        contradicted correction over three of its sigmas. Taking the part A of a prior's information on parameters k, of
+        mean zero, away changes a covariance P by ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the mean by ``P_.k (A^-1 -
+        P_kk)^-1 x_k``.
         """
         line, P = self.exiddm.lines.strongest, self.exiddm.covariance
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
+        worst = max(map(abs, self._by_the_data(state).values()), default=0.0)
+        misfit = max(misfit, (worst / DOUBTFUL) ** 2)
         mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]
         if (at := self._doubted()).size:
             taken = np.diag(self.exiddm.predictor.sigma[at] ** 2 / (1.0 - _DOUBTED**-2))

@@ -39,7 +39,6 @@ _WINDOWS_s = *SOLVED_AT_s, SOLVED_AGAIN_AT_s  # the longest where two IMUs contr
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
-_SNAPSHOTS = 28  # batches of states kept, to restore the one before a change
 
 
 class RecursiveExiddm(BoundedWork):
@@ -98,7 +97,7 @@ class RecursiveExiddm(BoundedWork):
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
         self.fusion = Fusion(predictor.instruments, predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self._snapshots, self._innovations = Snapshots(_SNAPSHOTS), Innovations(predictor, self.fusion)
+        self._snapshots, self._innovations = Snapshots(), Innovations(predictor, self.fusion)
         mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
@@ -355,7 +354,7 @@ class RecursiveExiddm(BoundedWork):
         if accused is not None:
             self._before = bool(self.held)
             kept = Hypothesis.SAME if accused.batches else Hypothesis.NEW
-            self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.batches + 1 if accused.batches else None)
+            self._reopen((kept if self.held else Hypothesis.NOTHING,), accused.back)
             self._accused = accused
 
     def _acquit(self, accused: Accusation) -> None:

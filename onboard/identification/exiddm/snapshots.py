@@ -1,9 +1,9 @@
 """States that a filter was in, to go back to one.
 
-They are most of a checkpoint: covariances are kept as triangles, and of the older states every fourth.
+They are most of a checkpoint: covariances are kept as triangles, and of older states only some.
 """
 
-from collections import deque
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -11,8 +11,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
 
-_EVERY = 8  # of the newest batches, from which nearly all changes are gone back; of those before one in _OF
-_OF = 4
+TIERS = ((8, 1), (28, 4), (80, 16))  # of the so many newest batches one in so many is kept
 
 
 class _Kept(NamedTuple):
@@ -25,12 +24,12 @@ class Snapshots:
     """The newest states.
 
     Args:
-        most: of the newest that can be gone back to, itself or one shortly before it.
+        tiers: batches that can be gone back to, to itself or one shortly before it, and of how many one is kept.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most, self._newest = most, -1
-        self._kept: deque[_Kept] = deque()
+    def __init__(self, tiers: Sequence[tuple[int, int]] = TIERS) -> None:
+        self._tiers, self._newest = tuple(tiers), -1
+        self._kept: list[_Kept] = []
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -43,10 +42,11 @@ class Snapshots:
         """Keep a state, (p,), and its covariance, (p, p)."""
         self._newest += 1
         self._kept.append(_Kept(self._newest, state, covariance.ravel()[_upper(len(state))]))
-        if len(self._kept) > _EVERY and self._kept[-1 - _EVERY].number % _OF:
-            del self._kept[-1 - _EVERY]
-        if len(self._kept) > 1 and self._newest - self._kept[1].number >= self._most - 1:
-            self._kept.popleft()
+        oldest = [one for one in self._kept if self._newest - one.number >= self._tiers[-1][0] - 1][-1:]
+        self._kept = oldest + [one for one in self._kept if self._stays(self._newest - one.number, one.number)]
+
+    def _stays(self, age: int, number: int) -> bool:
+        return age < self._tiers[-1][0] - 1 and any(age < most and number % every == 0 for most, every in self._tiers)
 
     def back(self, batches: int) -> tuple[FloatArray, FloatArray]:
         """State and covariance so many before the newest, or of the next older one; the oldest where there is none."""

@@ -5,6 +5,7 @@ them. What shows them is a link whose mass is known from the drawing.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from onboard.identification.quantities import Leaning, Quantity
 from onboard.identification.rows.considered import Considered
 
 REFUSED, DOUBTFUL = 5.0, 3.29  # sigmas between what was found and the drawing
+_EXPECTED = 1.96  # that many sigmas off the drawing are expected of a sound flight; intervals widen beyond
 _OF_SIGMA = 0.2  # part of the sigma from which on a cause is named
 _COMMON = 0.5  # relative change of the answer per relative change of a scale: it stands and falls with it
 _SCALES = ("scale", "joint_scale", "gyro_scale", "accelerometer_scale")
@@ -48,6 +50,19 @@ def leans_on(
     return f"leans on {', '.join(said)}" if said else ""
 
 
+def widening(quantities: Sequence[Quantity], jackknife: JackknifeEstimate) -> float:
+    """By how much the intervals of all masses widen where one is not the drawing's: 1 within what is expected.
+
+    What makes the known mass wrong (a scale, an IMU that is turned, a centre of mass off its drawing) makes the unknown
+    ones wrong too, and by no less in sigmas (the Birge ratio, of one check).
+
+    Args:
+        quantities: those that the drawing knows are looked at.
+        jackknife: the estimate.
+    """
+    return max((_off(quantity, jackknife).sigmas / _EXPECTED for quantity in quantities if quantity.known), default=1.0)
+
+
 def judged_drawing(
     quantity: Quantity, jackknife: JackknifeEstimate, considered: Sequence[Considered]
 ) -> tuple[list[str], list[str]]:
@@ -60,15 +75,26 @@ def judged_drawing(
     """
     if quantity.known is None:
         return [], []
-    drawn, tolerance = quantity.known
-    interval = jackknife.combination(quantity.weights)
-    shape = [float(one.weights @ jackknife.mean) for one in quantity.leanings]
-    found = float(interval.mean[0])
-    spread = float(np.hypot.reduce([interval.sigma[0], tolerance, *shape]))
-    away = abs(found - drawn) / spread
+    found, drawn, away = _off(quantity, jackknife)
     if away < DOUBTFUL:
         return [], []
     names = [cause.key for cause in considered if cause.effect in ("scale", "joint_scale")]
     check = f": check {', '.join(names)}" if names else ""
     said = f"{quantity.name} is {found:.3g} {quantity.unit}, drawn {drawn:.3g} ({away:.0f} sigmas off){check}"
     return ([said], []) if away > REFUSED else ([], [said])
+
+
+class _Off(NamedTuple):
+    found: float
+    drawn: float
+    sigmas: float
+
+
+def _off(quantity: Quantity, jackknife: JackknifeEstimate) -> _Off:
+    """A mass that the drawing knows: found, drawn, and how far the one is from the other."""
+    assert quantity.known is not None
+    drawn, tolerance = quantity.known
+    interval = jackknife.combination(quantity.weights)
+    shape = [float(one.weights @ jackknife.mean) for one in quantity.leanings]
+    found = float(interval.mean[0])
+    return _Off(found, drawn, abs(found - drawn) / float(np.hypot.reduce([interval.sigma[0], tolerance, *shape])))

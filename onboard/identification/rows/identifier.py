@@ -32,7 +32,7 @@ from onboard.identification.quantities import (
 )
 from onboard.identification.rows.agreement import instrument_fits, judged_fit
 from onboard.identification.rows.considered import Considered, check, columns, of_motion
-from onboard.identification.rows.drawing import judged_drawing, leans_on
+from onboard.identification.rows.drawing import judged_drawing, leans_on, widening
 from onboard.identification.rows.fitted_corrections import FittedCorrections
 from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
@@ -348,7 +348,7 @@ class Identifier:
         interval = jackknife.combination(weights)
         shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / self._prior_spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
-        causes = jackknife.causes(weights)
+        causes, wider = jackknife.causes(weights), max(1.0, widening(self.quantities, jackknife))
         quantities = []
         for index, quantity in enumerate(self.quantities, start=p):
             fine = bool(supported[index])
@@ -358,11 +358,22 @@ class Identifier:
             )
             note = quantity.note if fine else "not determined by the data so far"
             drawn = float(np.hypot.reduce([one.weights @ jackknife.mean for one in quantity.leanings], initial=0.0))
-            if drawn and fine:
-                half = np.hypot(high - mean, _normal(level) * drawn)
-                sigma, low, high = float(np.hypot(sigma, drawn)), mean - float(half), mean + float(half)
+            if fine:
+                half = wider * float(np.hypot(high - mean, _normal(level) * drawn))
+                sigma, low, high = wider * float(np.hypot(sigma, drawn)), mean - half, mean + half
             leans = leans_on(self.considered, causes[index], mean, sigma, quantity.leanings, jackknife.mean)
-            told = quantity.name, quantity.unit, mean, sigma, low, high, float(shrinkage[index]), fine, note, drawn
+            told = (
+                quantity.name,
+                quantity.unit,
+                mean,
+                sigma,
+                low,
+                high,
+                float(shrinkage[index]),
+                fine,
+                note,
+                wider * drawn,
+            )
             quantities.append(QuantityEstimate(*told, leans if fine else ""))
         if self._payload:
             residual = self.refused[GateReason.RESIDUAL]

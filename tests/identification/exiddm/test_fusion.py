@@ -121,3 +121,10 @@ def test_a_scale_is_seen_over_batches_that_hide_it(fusion: Fusion, rng: np.rando
     assert window(0.006) == 0  # seen, and within what is stated
     assert window(-0.02) > 0
     assert window(0.05) == 5
+
+
+def test_a_scale_that_is_off_has_misled_the_estimate_for_longer_than_it_shows() -> None:
+    assert Accusation(2, 5, for_good=False).back == 6
+    assert Accusation(2, 5, for_good=True).back == 64
+    assert Accusation(2, 90, for_good=True).back == 91
+    assert Accusation(2, 0, for_good=True).back is None

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from onboard.identification.corrections import contradicted, told
 from onboard.identification.exiddm.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
@@ -32,10 +33,15 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
         return np.linalg.solve(information, A.T @ b), np.linalg.inv(information)
 
     state, covariance = solved(SIGMA)
+    nothing = np.zeros(0, np.intp)
     predictor = SimpleNamespace(
+        stated=np.full(SCALE_AT + 1, np.nan),
+        of_each=[nothing] * 3,
+        wandering=[],
+        names=(),
         vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
         further=(SimpleNamespace(name="imu_2", width=6), CELL),
-        of_further=[np.zeros(0, np.intp), np.array([SCALE_AT])],
+        of_further=[nothing, np.array([SCALE_AT])],
         imu_frames=("imu", "imu_2"),
         sigma=np.full(SCALE_AT + 1, SIGMA),
     )
@@ -47,3 +53,50 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
     mean, told = online._payload(state)
     np.testing.assert_allclose(mean, wanted[PAYLOAD], rtol=1e-9)
     np.testing.assert_allclose(told, wide[PAYLOAD, PAYLOAD], rtol=1e-6, atol=1e-12)
+
+
+def test_a_correction_that_the_data_hardly_tell_of_is_held_against_what_they_tell() -> None:
+    """A scale of 3 % that is stated to 0.1 % and measured to 0.4 %: moved by 1.8 of its stated sigmas, seven off."""
+    stated, measured, wrong = 0.001, 0.004, 0.03
+    variance = 1.0 / (stated**-2 + measured**-2)
+    moved = variance * wrong / measured**2
+    assert moved < 1.8 * stated
+    sigmas = moved / told(np.array([stated**2]), np.array([variance]))[0]
+    assert sigmas == pytest.approx(wrong / np.hypot(stated, measured))
+    assert contradicted({"scale_joint_2": -sigmas, "zero": 4.9}) == (
+        "the motion contradicts what is stated of scale_joint_2 by 7 sigmas: it has changed, or is not so",
+    )
+    assert contradicted({"zero": 4.9}) == contradicted({}) == ()
+
+
+def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_left_out_or_wanders(
+    rng: np.random.Generator,
+) -> None:
+    half = rng.standard_normal((15, 15))
+    covariance = 1e-3 * half @ half.T
+    fusion = Fusion(("imu", "imu_2", "cell"), (slice(0, 6), slice(6, 12), slice(12, 13)))
+    stated = np.full(15, np.nan)
+    stated[13:] = 2.0 * np.sqrt(np.diag(covariance)[13:])
+    state = np.zeros(15)
+    state[13] = 6.0 * np.sqrt(0.75) * stated[13]  # of what the data tell
+    nothing = np.zeros(0, np.intp)
+    predictor = SimpleNamespace(
+        stated=stated,
+        of_each=[nothing, nothing, np.array([13])],
+        wandering=[],
+        names=tuple(f"unknown_{k}" for k in range(15)),
+        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
+        further=(),
+        of_further=[],
+        imu_frames=("imu", "imu_2"),
+    )
+    quiet = SimpleNamespace(strongest=None, by_instrument=dict)
+    online = ExiddmIdentifier(
+        SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
+    )
+    np.testing.assert_allclose(online._payload(state)[1], 4.0 * covariance[PAYLOAD, PAYLOAD])
+    predictor.wandering = [(13, 30.0)]
+    np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
+    predictor.wandering = []
+    fusion.leave_out(2)
+    np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])

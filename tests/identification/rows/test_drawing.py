@@ -26,6 +26,21 @@ def test_an_arm_that_does_not_weigh_what_was_drawn_tells_of_a_wrong_scale(rng, s
         assert said.endswith("check load_cell scale_sigma, joint_1 scale_sigma")
 
 
+def test_intervals_widen_as_far_as_the_arm_is_off_its_drawing(rng):
+    signals, held, _ = flight(rng)
+    sigmas = []
+    for scale in (1.0, 0.85):
+        who = identifier(CAUSES)
+        feed(who, signals._replace(measured=scale * signals.measured), held)
+        tip = next(one for one in who.estimate().quantities if one.name == "m_tip_mass")
+        assert tip.high - tip.mean == pytest.approx(tip.mean - tip.low)
+        assert tip.drawn < tip.sigma
+        sigmas.append(tip.sigma / tip.mean)
+    [said] = who.findings().doubts
+    off = float(said.split("(")[1].split()[0])
+    assert sigmas[1] / sigmas[0] == pytest.approx(off / 1.96, rel=0.15)  # what is said is rounded
+
+
 def test_before_the_release_nothing_is_known_of_the_arm_and_nothing_is_said(rng):
     signals, held, _ = flight(rng)
     who = identifier(CAUSES)
