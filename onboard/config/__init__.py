@@ -1,7 +1,7 @@
 """Reads vehicle.toml into frozen objects. Units are in the keys; unknown keys are refused with line and remedy."""
 
 from onboard.config.errors import ConfigError, Origin
-from onboard.config.estimation import JointKeys, Phases, Zero
+from onboard.config.estimation import ImuPriorKeys, JointKeys, Phases, Zero
 from onboard.config.free_body import Load
 from onboard.config.loader import load, named, packaged, parse, parse_tree, validated, with_mission
 from onboard.config.text import laid_over, read, tree_of
@@ -9,6 +9,7 @@ from onboard.config.vehicle import Recording, Vehicle
 
 __all__ = [
     "ConfigError",
+    "ImuPriorKeys",
     "JointKeys",
     "Load",
     "Origin",

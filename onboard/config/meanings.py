@@ -160,7 +160,10 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "carried": _M("Table: what an earlier flight had learned; heft fly --continue writes it."),
         "exiddm": _M('Table of method "exiddm".'),
-        "imu_prior": _M('Table: standard deviations of the base IMU\'s errors, for method "exiddm".'),
+        "imu_prior": _M(
+            'Table: standard deviations of the base IMU\'s errors, for method "exiddm"; of rows, the two biases of a '
+            "prescribed base's.",
+        ),
     },
     Phases: {
         "channel": _M("SCALAR channel whose value is the phase."),

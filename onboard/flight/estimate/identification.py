@@ -1,6 +1,6 @@
 """From vehicle.toml to an :class:`Identifier`: which rows, which prior, what is considered, what is reported."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from onboard import config
 from onboard.config.vehicle import LinkSection
-from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
+from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.errors import ModelError, UrdfError
 from onboard.dynamics.inertia import RigidBody, symmetric
 from onboard.dynamics.payload import body_of, standard_covariance
@@ -17,6 +17,7 @@ from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSp
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
+from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.further import CellPrior, Further, FurtherCell, FurtherImu
 from onboard.identification.exiddm.imu_errors import ImuPrior
@@ -27,7 +28,7 @@ from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
-from onboard.identification.rows.considered import Considered, Effect
+from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier, Start
@@ -271,9 +272,11 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         for cell in roles.cells:
             scaled = settings.scales == "estimated" and cell.keys.relative_sigma > 0.0
             rows.append(_cell_row(cell, model, scaled))
-            considered += _considered(cell, scaled)
+            considered += of_cell(cell, scaled=scaled)
             scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
-        considered += _of_motion(roles)
+        considered += of_motion(roles)
+        if model.spec.base is BaseKind.PRESCRIBED and roles.imus:
+            considered += of_bias(roles.imu, settings.imu_prior)
         if "force" in settings.base_rows:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
@@ -362,51 +365,6 @@ def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
     own = [Motor(t.joint, ((t.joint, 1.0),), t.presliding_rad) for t in torques if t.friction]
     given = vehicle.file.estimation.motor.items()
     return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
-
-
-def _of_motion(roles: Roles) -> list[Considered]:
-    """Errors of the sensors of motion, where the file states how well they are known."""
-    found = list[Considered]()
-    for joint in roles.joints:
-        name, at = joint.channel, joint.joint
-        found.append(Considered(f"scale of {name}", at, "joint_scale", joint.scale_sigma, f"{name} scale_sigma"))
-        found.append(Considered(f"zero of {name}", at, "joint_zero", joint.zero_sigma_rad, f"{name} zero_sigma_rad"))
-        found.append(Considered(f"delay of {name}", at, "joint_delay", joint.delay_sigma_s, f"{name} delay_sigma_ms"))
-    for imu in roles.imus[:1]:
-        found += _of_imu(imu)
-    return [cause for cause in found if cause.sigma > 0.0]
-
-
-def _of_imu(imu: ImuRole) -> Iterator[Considered]:
-    channel, turn = imu.channels[0], imu.misalignment_sigma_rad
-    kinds: tuple[tuple[str, str, Effect, Effect, Effect, float], ...] = (
-        ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay", imu.gyro_scale_sigma),
-        (
-            "accel",
-            "accelerometer",
-            "accelerometer_scale",
-            "accelerometer_misalignment",
-            "accelerometer_delay",
-            imu.accel_scale_sigma,
-        ),
-    )
-    for short, name, scale, misalignment, delay, sigma in kinds:
-        what, key = f"of {channel}'s {name}", f"{channel} {short}_scale_sigma"
-        yield Considered(f"scale {what}", imu.frame, scale, sigma, key)
-        yield Considered(f"delay {what}", imu.frame, delay, imu.delay_sigma_s, f"{channel} delay_sigma_ms")
-        for axis, letter in enumerate("xyz"):
-            turned = f"{channel} misalignment_sigma_rad"
-            yield Considered(f"scale {what} along {letter}", imu.frame, scale, sigma, key, axis)
-            yield Considered(f"misalignment {what} about {letter}", imu.frame, misalignment, turn, turned, axis)
-
-
-def _considered(cell: LoadCellRole, scaled: bool) -> list[Considered]:
-    """What one cell alone can never tell from mass, and what its rows do not estimate."""
-    name, keys = cell.name, cell.keys
-    lever = " and lever_sigma_m" if isinstance(keys, LoadCellKeys) and keys.lever_sigma_m else ""
-    scale = Considered(f"scale of {name}", name, "scale", keys.relative_sigma, f"{name} scale_sigma{lever}")
-    delay = Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3, f"{name} delay_sigma_ms")
-    return [delay] if scaled else [scale, delay]
 
 
 class Method(NamedTuple):

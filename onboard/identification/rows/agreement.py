@@ -4,7 +4,8 @@ Per instrument, at the estimate of all rows:
 
 - *Gain*: ratio of readings to readings predicted by the estimate, per block of time. A jump of the instrument's scale,
   or an error that begins in the measured motion, is a step of it. The likeliest step is tested by Student's t on the
-  scatter of the gains on its two sides, corrected for the number of places tried.
+  scatter of the gains on its two sides, corrected for the number of places tried. A side whose own gains scatter more
+  than all do is judged by its own scatter: one block of noise at an end is no step.
 - *Misfit*: residual relative to the noise and to the signal.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
@@ -106,10 +107,13 @@ def _steps(times_s: FloatArray, gain: FloatArray, weight: FloatArray) -> list[St
     n = len(gain)
     best: list[Step] = []
     for cut in range(_FEWEST, n - _FEWEST + 1):
-        W = weight[:cut].sum(), weight[cut:].sum()
-        m = (weight[:cut] @ gain[:cut]) / W[0], (weight[cut:] @ gain[cut:]) / W[1]
-        around = weight @ (gain - np.where(np.arange(n) < cut, m[0], m[1])) ** 2 / (n - 2)
-        t = abs(m[1] - m[0]) / np.sqrt(max(around, np.finfo(np.float64).tiny) * (1.0 / W[0] + 1.0 / W[1]))
+        sides = (gain[:cut], weight[:cut]), (gain[cut:], weight[cut:])
+        m = [np.average(g, weights=w) for g, w in sides]
+        scatter = [w @ (g - mean) ** 2 for (g, w), mean in zip(sides, m, strict=True)]
+        around = max(sum(scatter) / (n - 2), np.finfo(np.float64).tiny)
+        both = zip(scatter, sides, strict=True)
+        spread = sum(max(around, own / (len(g) - 1)) / w.sum() for own, (g, w) in both)
+        t = abs(m[1] - m[0]) / np.sqrt(spread)
         chance = min(1.0, 2.0 * float(stdtr(n - 2, -t)) * (n - 2 * _FEWEST + 1))
         best.append(Step(float(times_s[cut]), float(m[1] - m[0]), chance))
     return [min(best, key=lambda one: one.chance)] if best else []

@@ -1,7 +1,7 @@
-"""Consider parameters (Schmidt): scales, zeros, axes, delays of known sigma, not estimated, part of the intervals.
+"""Consider parameters (Schmidt): scales, zeros, biases, axes, delays of known sigma, which are not estimated.
 
-One of a load cell changes its reading. One of a joint's sensor or of the base's IMU changes the regressor; its
-effect is the change of the predicted rows at the present estimate.
+They are part of the intervals. One of a load cell changes its reading. One of a joint's sensor or of the base's IMU
+changes the regressor; its effect is the change of the predicted rows at the present estimate.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,13 +21,15 @@ OfImu = Literal[
     "gyro_scale",
     "gyro_misalignment",
     "gyro_delay",
+    "gyro_bias",
     "accelerometer_scale",
     "accelerometer_misalignment",
     "accelerometer_delay",
+    "accelerometer_bias",
 ]
 Effect = OfRow | OfJoint | OfImu
 _OF_JOINT = ("joint_scale", "joint_zero", "joint_delay")
-_STEP = 1e-3  # relative, of a scale, rad, of a zero or an axis: rows are quadratic in the rates at most
+_STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
 _STEP_S = 1e-4  # of a delay
 
 
@@ -37,9 +39,9 @@ class Considered(NamedTuple):
     name: str
     row: str  # of a load cell; of a joint, its name; of the IMU, its frame
     effect: Effect
-    sigma: float  # relative for a scale, rad for a zero or a misalignment, s for a delay
+    sigma: float  # relative for a scale, rad for a zero or a misalignment, s for a delay, rad/s or m/s^2 for a bias
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
-    axis: int | None = None  # of the IMU: the one scaled, or turned about; a scale common to all where not given
+    axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
 
     @property
     def stated(self) -> str:
@@ -48,6 +50,8 @@ class Considered(NamedTuple):
             value = f"{1e3 * self.sigma:.3g} ms"
         elif self.effect.endswith(("zero", "misalignment")):
             value = f"{1e3 * self.sigma:.3g} mrad"
+        elif self.effect.endswith("bias"):
+            value = f"{self.sigma:.3g} {'rad/s' if self.effect.startswith('gyro') else 'm/s^2'}"
         else:
             value = f"{100.0 * self.sigma:.3g} %"
         return f"{self.key or self.name} {value}"
@@ -135,6 +139,8 @@ def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) 
             parts[index] = value - step * (dw @ R if index == 0 else _rate(signals, value))
         elif kind == "misalignment":
             parts[index] = value + step * np.cross(value, np.eye(3)[cause.axis or 0])
+        elif kind == "bias":
+            parts[index] = value + step * (np.eye(3)[cause.axis or 0] if index != 1 else np.zeros(3))
         else:
             parts[index] = value * (1.0 + step * (np.ones(3) if cause.axis is None else np.eye(3)[cause.axis]))
     return signals._replace(motion=base_motion(model.vehicle, cause.row, *parts))

@@ -170,6 +170,13 @@ def _bus(name: str, wanted: Wanted) -> str:
     return f'\n[bus.{name}]\nurl = "{wanted.urls.get(name, usual)}"\n'
 
 
+_CALIBRATED = """
+[estimation.imu_prior]         # 1 sigma by axis of what calibration leaves of the IMU: yours. As it comes it is useless
+gyro_bias_rad_s = 2e-3         # here: an MPU-6050 is off by up to 0.3 rad/s and 0.8 m/s^2
+accelerometer_bias_m_s2 = 0.03
+"""
+
+
 def _rest(wanted: Wanted) -> str:
     if wanted.base in ("free", "planar"):
         known = "".join(
@@ -210,10 +217,11 @@ delay_s = 1e-4
         own["bias_load_cell"] = 5.0
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
     relative = "".join(f"{json.dumps(link)} = 1.0\n" for link in (*wanted.links, wanted.payload_link))
+    calibrated = _CALIBRATED if wanted.base == "prescribed" else ""
     return f"""
 [estimation]
 smoothing_ms = 100             # of both sides of every row
-
+{calibrated}
 [estimation.prior.relative]    # 1 sigma about the URDF: as wide as you trust it
 {relative}
 [estimation.prior.absolute]    # 1 sigma about none: how large a payload could be, and what the instruments add

@@ -47,6 +47,14 @@ def test_a_scale_that_jumps_is_seen_wherever_it_does(rng, at_s):
     assert "cell reads" in judged_fit(fit, 1.0)[0][0]
 
 
+@pytest.mark.parametrize("block", [0, 59])
+def test_one_block_that_is_off_at_an_end_is_no_step(rng, block):
+    fit = fits(rng, lambda t, y: np.where(np.floor(t / 0.5) == block, 1.3, 1.0) * y)
+    assert fit.step is not None
+    assert fit.step.chance > 0.01
+    assert judged_fit(fit, 1.0) == ([], [])
+
+
 def test_an_instrument_that_hardly_reacts_is_told(rng):
     fit = fits(rng, lambda _, y: 0.01 * y)
     assert fit.response == pytest.approx(0.01, rel=0.8)

@@ -13,7 +13,7 @@ from onboard.estimation.gates import GateReason
 from onboard.estimation.memory import Memory
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.quantities import inertia_about_joint, mass_quantities
-from onboard.identification.rows.considered import Considered
+from onboard.identification.rows.considered import Considered, columns
 from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
 from onboard.regressor.rows import BaseMotion, RowModel, base_motion, load_cell_row
@@ -401,3 +401,24 @@ def test_a_scale_of_the_motion_moves_the_estimate_by_what_the_interval_allows(rn
     sensitivity = 0.01 * who.rls.solve().sensitivity[:, 0]
     zz = setup()[3][0].weights
     assert abs(zz @ moved) == pytest.approx(abs(zz @ sensitivity), rel=0.05, abs=1e-7)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize(("effect", "sensor"), [("gyro_bias", 0), ("accelerometer_bias", 1)])
+def test_a_bias_of_the_imu_is_considered_as_it_changes_the_rows(rng, effect, sensor, axis):
+    """Along the arm, axis 1, neither changes the moment about the joint that the cell reads."""
+    signals, held, _ = flight(rng)
+    who, at = identifier(()), np.arange(20, held.size, 40)
+    mean, bias = who.base.value(who.model.chi), 1e-3 * np.eye(3)[axis]
+    R, p = setup()[0].pose_in_base("imu_base")
+    w, dw, f = signals.motion
+    at_imu = f + np.cross(dw, p) + np.cross(w, np.cross(w, p))
+    read = [w @ R, dw @ R, at_imu @ R]
+    read[2 * sensor] = read[2 * sensor] + bias
+    biased = signals._replace(motion=base_motion(setup()[0], "imu_base", *read))
+    before, after = (who._expected([one], at, held, mean)[0] for one in (signals, biased))
+    cause = Considered("bias", "imu_base", effect, 0.01, axis=axis)
+    use = np.ones(before.shape, np.bool_)
+    C = columns([cause], who.model, signals, at, use, lambda of: who._expected(of, at, held, mean))
+    np.testing.assert_allclose(C[:, 0], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
+    assert np.abs(C).max() > 1e-3

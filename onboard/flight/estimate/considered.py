@@ -1,0 +1,78 @@
+"""Errors of the instruments that rows consider (:mod:`onboard.identification.rows.considered`), by the vehicle file."""
+
+from collections.abc import Iterator
+
+from onboard import config
+from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles
+from onboard.identification.rows.considered import Considered, Effect
+
+
+def of_motion(roles: Roles) -> list[Considered]:
+    """Errors of the sensors of motion, where the file states how well they are known.
+
+    Args:
+        roles: of the devices.
+    """
+    found = list[Considered]()
+    for joint in roles.joints:
+        name, at = joint.channel, joint.joint
+        found.append(Considered(f"scale of {name}", at, "joint_scale", joint.scale_sigma, f"{name} scale_sigma"))
+        found.append(Considered(f"zero of {name}", at, "joint_zero", joint.zero_sigma_rad, f"{name} zero_sigma_rad"))
+        found.append(Considered(f"delay of {name}", at, "joint_delay", joint.delay_sigma_s, f"{name} delay_sigma_ms"))
+    for imu in roles.imus[:1]:
+        found += _of_imu(imu)
+    return [cause for cause in found if cause.sigma > 0.0]
+
+
+def _of_imu(imu: ImuRole) -> Iterator[Considered]:
+    channel, turn = imu.channels[0], imu.misalignment_sigma_rad
+    kinds: tuple[tuple[str, str, Effect, Effect, Effect, float], ...] = (
+        ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay", imu.gyro_scale_sigma),
+        (
+            "accel",
+            "accelerometer",
+            "accelerometer_scale",
+            "accelerometer_misalignment",
+            "accelerometer_delay",
+            imu.accel_scale_sigma,
+        ),
+    )
+    for short, name, scale, misalignment, delay, sigma in kinds:
+        what, key = f"of {channel}'s {name}", f"{channel} {short}_scale_sigma"
+        yield Considered(f"scale {what}", imu.frame, scale, sigma, key)
+        yield Considered(f"delay {what}", imu.frame, delay, imu.delay_sigma_s, f"{channel} delay_sigma_ms")
+        for axis, letter in enumerate("xyz"):
+            turned = f"{channel} misalignment_sigma_rad"
+            yield Considered(f"scale {what} along {letter}", imu.frame, scale, sigma, key, axis)
+            yield Considered(f"misalignment {what} about {letter}", imu.frame, misalignment, turn, turned, axis)
+
+
+def of_bias(imu: ImuRole, left: config.ImuPriorKeys) -> Iterator[Considered]:
+    """What calibration leaves of a gyro's and an accelerometer's bias: the rows take both readings as they are.
+
+    Args:
+        imu: of the base.
+        left: 1 sigma by axis; an error of which none is stated is not considered.
+    """
+    kinds: tuple[tuple[str, Effect, float, str], ...] = (
+        ("gyro", "gyro_bias", left.gyro_bias_rad_s, "gyro_bias_rad_s"),
+        ("accelerometer", "accelerometer_bias", left.accelerometer_bias_m_s2, "accelerometer_bias_m_s2"),
+    )
+    for name, effect, sigma, key in kinds:
+        for axis, letter in enumerate("xyz" if sigma else ""):
+            what = f"bias of {imu.channels[0]}'s {name} along {letter}"
+            yield Considered(what, imu.frame, effect, sigma, f"imu_prior.{key}", axis)
+
+
+def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
+    """What one cell alone can never tell from mass, and what its rows do not estimate.
+
+    Args:
+        cell: a load cell or a motor's torque.
+        scaled: its scale is estimated.
+    """
+    name, keys = cell.name, cell.keys
+    lever = " and lever_sigma_m" if isinstance(keys, LoadCellKeys) and keys.lever_sigma_m else ""
+    scale = Considered(f"scale of {name}", name, "scale", keys.relative_sigma, f"{name} scale_sigma{lever}")
+    delay = Considered(f"delay of {name}", name, "delay", keys.delay_sigma_ms * 1e-3, f"{name} delay_sigma_ms")
+    return [delay] if scaled else [scale, delay]
