@@ -61,14 +61,14 @@ class Standing(NamedTuple):
 def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
     """Level of a quantity, in flight and afterwards.
 
-    *Do not use*: a finding refuses all estimates, or a mass or moment of inertia is not above zero. *Weak*: the
-    data do not determine it; its interval contains zero; half its width is above 50 % of it; a finding weakens it.
-    The text of a good one says which calibrations it leans on.
+    *Do not use*: a finding refuses all estimates, also those that the data do not determine, or a mass or moment of
+    inertia is not above zero. *Weak*: the data do not determine it; its interval contains zero; half its width is above
+    50 % of it; a finding weakens it. The text of a good one says which calibrations it leans on.
     """
-    if not quantity.supported:
-        return Standing(Level.WEAK, quantity.note)
     if findings.against:
         return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
+    if not quantity.supported:
+        return Standing(Level.WEAK, quantity.note)
     reasons = []
     if is_positive(quantity.name, quantity.unit):
         if quantity.mean <= 0.0:

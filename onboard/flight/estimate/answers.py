@@ -51,7 +51,8 @@ class Answers:
         answers["name"][:p] = [name.encode() for name in estimate.names]
         of_all = _of_all(findings)
         known = answers["supported"][:p] != 0
-        for found, mine in ((of_all, known), (Standing(Level.WEAK, "not determined by the data so far"), ~known)):
+        unknown = of_all if findings.against else Standing(Level.WEAK, "not determined by the data so far")
+        for found, mine in ((of_all, known), (unknown, ~known)):
             answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), found.why.encode()[:WHY]
         if of_all.level is Level.DO_NOT_USE:
             answers["supported"][:p] = 0

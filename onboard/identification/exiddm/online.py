@@ -33,7 +33,7 @@ from onboard.regressor.signals import Signals
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
 _EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
-_CONTRADICTED = "no payload explains more than a second or two of the motion: check the IMU and the joints"
+_CONTRADICTED = "no payload explains more than a second or two of the motion"
 _SWINGING = "slosh, a flexible joint, or an instrument that drifts"
 _WORST_MISFIT = 1.5  # of an instrument's innovations
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
@@ -142,7 +142,7 @@ class ExiddmIdentifier:
         fine = np.zeros(10, np.bool_)
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
-        if exiddm.holds and exiddm.state is not None:
+        if exiddm.holds and exiddm.state is not None and exiddm.confirmed:
             mean, P = self._payload(exiddm.state)
             sigma = np.sqrt(np.diag(P))
             try:
@@ -180,7 +180,7 @@ class ExiddmIdentifier:
     def triangle(self) -> FloatArray:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
-        if self.exiddm.holds and self.exiddm.state is not None:
+        if self.exiddm.holds and self.exiddm.state is not None and self.exiddm.confirmed:
             mean, P = self._payload(self.exiddm.state)
             R = cholesky(np.linalg.inv(P))
             out[:10, :10], out[:10, 10] = R, R @ mean
@@ -229,11 +229,18 @@ class ExiddmIdentifier:
         left_out, unexplained = self.exiddm.fusion.contradicting, self._unexplained()
         if len(left_out) > 1:
             return f"{' and '.join(left_out)} contradict the other instruments and the joints"
-        if self.exiddm.undecided or self.exiddm.unexplained:
-            return self.exiddm.undecided or _CONTRADICTED
+        if self.exiddm.undecided or self.exiddm.unexplained.count or self.exiddm.unexplained.swings:
+            return self.exiddm.undecided or self._contradicted()
         if unexplained >= _MOST_UNEXPLAINED:
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
         return ""
+
+    def _contradicted(self) -> str:
+        """What no payload explains, and how the rest of it swings."""
+        line = self.exiddm.unexplained.line
+        if line is None:
+            return f"{_CONTRADICTED}: check the IMU and the joints"
+        return f"{_CONTRADICTED}, and the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 
     def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard parameters, (10,), and their covariance, (10, 10).

@@ -27,7 +27,7 @@ class Pieces:
 
     Attributes:
         normal: of what has been predicted, by the unknowns at the first tick.
-        squares: of the whitened residuals, (n, lines); zero for lines that are not used.
+        residual: whitened, predicted less measured, (n, lines); zero for lines that are not used.
         state: (p,) at the last tick predicted.
         transition: (p, a) derivative of that by the unknowns at the first tick.
         over: all ticks are predicted.
@@ -36,8 +36,13 @@ class Pieces:
     def __init__(self, state: FloatArray, active: IndexArray, ticks: int, lines: int) -> None:
         self.state, self.transition, self._active = state, np.eye(len(state))[:, active], active
         self.normal = Normal(np.zeros((len(active), len(active))), np.zeros(len(active)), 0.0)
-        self.squares = np.zeros((ticks, lines))
+        self.residual = np.zeros((ticks, lines))
         self._done, self._left = 0, -(-ticks // PIECE)  # pieces
+
+    @property
+    def squares(self) -> FloatArray:
+        """Of the residuals, (n, lines)."""
+        return np.asarray(self.residual**2, np.float64)
 
     @property
     def over(self) -> bool:
@@ -67,7 +72,7 @@ class Pieces:
         half = self._by_first(piece.information, changing)
         seen = Normal(self._by_first(half.T, changing), self._by_first(piece.gradient, changing), piece.squares)
         self.normal = self.normal.plus(seen)
-        self.squares[first : self._done] = residual**2
+        self.residual[first : self._done] = residual
         self.state, self.transition[changing] = predicted.state, predicted.transition[changing] @ self.transition
         return self._done - first
 

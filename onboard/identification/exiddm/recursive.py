@@ -31,13 +31,13 @@ from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.snapshots import Snapshots
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
+from onboard.identification.exiddm.unexplained import Unexplained
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
 _WINDOWS_s = *SOLVED_AT_s, SOLVED_AGAIN_AT_s  # the longest where two IMUs contradict each other
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
-_LONGEST_WAIT_s = 8.0  # longest wait between windows that no hypothesis fits
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
 
@@ -62,7 +62,7 @@ class RecursiveExiddm(BoundedWork):
         changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
         exchanged: the payload was replaced by another one without a release, which no gripper does: an instrument or
             the model changed, and the estimate contradicts what was known before.
-        unexplained: windows in which a longer stretch contradicted a shorter one, since the filter's last steps.
+        unexplained: windows that no hypothesis explains.
         undecided: which IMUs contradict each other without anything that tells the wrong one; empty if none do.
         lines: coherent lines in the reference IMU's innovations.
         fusion: the instruments, and which of them are left out.
@@ -86,13 +86,14 @@ class RecursiveExiddm(BoundedWork):
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
         self._solve: WindowSolve | None = None  # under way
+        self._left: FloatArray | None = None  # by the last one
         self._asked: tuple[Ticks, Trial] | None = None  # solve it next
         self._none = self._pending = Ticks.none(len(predictor.vehicle.joints), predictor.lines[-1].stop)
         p = len(predictor.names)
         self.state: FloatArray | None = None
         self.covariance = np.zeros((p, p))
         self.exchanged, self.undecided = False, ""
-        self.ticks_used = self.glitches = self.unexplained = 0
+        self.ticks_used, self.glitches, self.unexplained = 0, 0, Unexplained(predictor.period_s)
         self.changes: list[Change] = []
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
         self.fusion = Fusion(predictor.instruments, predictor.lines)
@@ -115,6 +116,11 @@ class RecursiveExiddm(BoundedWork):
     def settled(self) -> bool:
         """No window is open, and none will replace the steps since the last one: what is known only gets better."""
         return not self._hypotheses and self._stepped is None and not self.solving
+
+    @property
+    def confirmed(self) -> bool:
+        """What is held was not found by one second alone, which a swing of the vehicle's own can look like."""
+        return not self._hypotheses or self._solves > 1
 
     @property
     def solving(self) -> bool:
@@ -168,7 +174,7 @@ class RecursiveExiddm(BoundedWork):
 
     def _open(self, hypotheses: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
         """Begin a window with this prior and an unknown rate."""
-        self._hypotheses, self._prior, self._solves, self._wait = hypotheses, (mean, covariance), 0, 0
+        self._hypotheses, self._prior, self._solves, self.unexplained.wait = hypotheses, (mean, covariance), 0, 0
         self._start: FloatArray | None = None
         self._window = self._none
         self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
@@ -193,7 +199,7 @@ class RecursiveExiddm(BoundedWork):
 
     def _wanted(self) -> int:
         """Ticks until there is something to do."""
-        whole = self._window_ticks() + self._wait if self._hypotheses else BATCH_TICKS + 2
+        whole = self._window_ticks() + self.unexplained.wait if self._hypotheses else BATCH_TICKS + 2
         return whole - len(self._pending.time_s)
 
     def _window_ticks(self) -> int:
@@ -215,7 +221,7 @@ class RecursiveExiddm(BoundedWork):
 
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
-        found = solve.found
+        found, self._left = solve.found, solve.left
         if not self._hypotheses:  # steps since the window are replaced, and stay where the window is not explained
             if found is not None:
                 self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
@@ -260,12 +266,10 @@ class RecursiveExiddm(BoundedWork):
 
     def _not_explained(self) -> None:
         """The contact may not be over; estimates of the other unknowns are kept."""
-        self.unexplained += self._solves > 0
-        longest = round(_LONGEST_WAIT_s / self.predictor.period_s)
         if self._claim.held:
             self._hypotheses = (Hypothesis.NEW,)
+        self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=self._solves > 0)
         self.state, self.held, self._start, self._solves = None, None, None, 0
-        self._wait = min(max(2 * self._wait, self._window_ticks() // 2), longest)
         self._pending = self._pending.part(slice(-self._window_ticks(), None))
 
     def _explained(self, solved: Solved, *, instrument: bool = False) -> None:
@@ -279,11 +283,11 @@ class RecursiveExiddm(BoundedWork):
             self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
         self.held = hypothesis is not Hypothesis.NOTHING
         self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
-        self.ticks_used, self._hypotheses, self._wait = solved.used, (hypothesis,), 0
+        self.ticks_used, self._hypotheses, self.unexplained.wait = solved.used, (hypothesis,), 0
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
             self._pending = ticks  # without what was waited out
-        elif hypothesis is Hypothesis.NEW and not self._determined():  # the arm is at rest
+        elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= _DETERMINED:  # the arm is at rest
             self._start = None
             if self._claim.held:  # is anything held at all?
                 self._hypotheses = (Hypothesis.NOTHING,)
@@ -292,13 +296,10 @@ class RecursiveExiddm(BoundedWork):
                 self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
         else:
             self.glitches += solved.glitches
-            self._hypotheses, self.unexplained = (), 0
+            self._hypotheses = ()
+            self.unexplained.settle()
             self._pending = ticks.part(slice(-2, None))
             self._stepped = ticks if hypothesis is Hypothesis.NEW else None
-
-    def _determined(self) -> bool:
-        assert self.state is not None
-        return bool(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]) < _DETERMINED * self.state[PAYLOAD.start])
 
     # ------------------------------------------------------------------ a batch, as a step
 

@@ -71,6 +71,12 @@ class Solved(NamedTuple):
     strained: float  # squares of the deviations from the prior, and what the residuals' exceed chance by
     cost: float  # squares of residuals and of deviations from the prior; of what was left out the least it can be
 
+    @property
+    def mass_sigma(self) -> float:
+        """Relative, of the payload's mass; infinite where that is not positive."""
+        mass, variance = self.state[PAYLOAD.start], self.covariance[PAYLOAD.start, PAYLOAD.start]
+        return float(np.sqrt(variance) / mass) if mass > 0.0 else np.inf
+
 
 class WindowSolve:
     """The solution of a window of ticks with all joints known, under the first hypothesis that explains it.
@@ -78,6 +84,7 @@ class WindowSolve:
     Attributes:
         over: there is nothing more to do.
         found: the solution; None if no hypothesis explains the window, and while it is not over.
+        left: whitened residuals of the IMU that guesses are made of, where they were least, (n, 6); None before a fit.
 
     Args:
         predictor: of the IMU.
@@ -105,6 +112,8 @@ class WindowSolve:
         self._sigma = ticks.sigma
         self.over = False
         self.found: Solved | None = None
+        self.left: FloatArray | None = None
+        self._least = np.inf  # squares of the residuals of all instruments, of that fit
         self._left = list(hypotheses)
         self._descent: Descent | None = None
         self._pieces: Pieces | None = None  # of the prediction under way
@@ -124,6 +133,8 @@ class WindowSolve:
         """The window is predicted where the iteration wants it."""
         descent = self._descent
         assert descent is not None
+        if whole.normal.squares < self._least:
+            self._least, self.left = whole.normal.squares, whole.residual[:, self._own]
         before = descent.iteration
         try:
             descent.take(whole.normal)
