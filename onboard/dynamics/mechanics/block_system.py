@@ -1,19 +1,25 @@
 """Stoneking's block system: Newton and Euler of bodies joined by passive spherical joints (2.102-2.109).
 
 All accelerations and joint forces of a chain of N bodies are one linear system of order 6 N + 3 (N - 1): each body's
-angular and linear acceleration, and the constraint that both bodies of a joint accelerate alike there. Rates are in
-body axes, velocities and forces in inertial ones. Integrated by Runge and Kutta's fourth order; positions follow from
-the first body's, so joints do not come apart.
+angular and linear acceleration, and the constraint that both bodies of a joint accelerate alike there. Accelerations
+are eliminated block by block: what a force at one joint of a body does to the acceleration of its other joint is
+constant in the body's axes, so that what is left is a symmetric system of order 3 (N - 1) for the joint forces. Rates
+are in body axes, velocities and forces in inertial ones. Integrated by Runge and Kutta's fourth order; positions
+follow from the first body's, so joints do not come apart.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
+from scipy.linalg.lapack import dposv
 
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.mechanics.chain import Chain
 from onboard.estimation.arrays import FloatArray
+
+_SKEW = np.stack([pin.skew(unit) for unit in np.eye(3)]).reshape(3, 9)  # w @ _SKEW: the matrix of w x, row by row
 
 
 class BlockState(NamedTuple):
@@ -39,25 +45,22 @@ class BlockSystem:
         n = len(chain.mass)
         if n < 2:
             raise SignalError("a block system joins two bodies or more")
-        self.bodies, self.order = n, 6 * n + 3 * (n - 1)
-        self._inertia = chain.inertia
-        self._to_next = _skews(chain.next_origin - chain.centre)  # lever to the next joint, body axes
-        self._to_previous = _skews(-chain.centre)
-        self._matrix = np.zeros((self.order, self.order))
-        for i in range(n):
-            self._matrix[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = chain.inertia[i]
-            at = 3 * (n + i)
-            self._matrix[at : at + 3, at : at + 3] = chain.mass[i] * np.eye(3)
-        for joint in range(n - 1):
-            force = slice(6 * n + 3 * joint, 6 * n + 3 * joint + 3)
-            first, second = slice(3 * (n + joint), 3 * (n + joint) + 3), slice(3 * (n + joint + 1), 3 * (n + joint) + 6)
-            self._matrix[first, force] = self._matrix[force, first] = -np.eye(3)
-            self._matrix[second, force] = self._matrix[force, second] = np.eye(3)
-        in_block, joints = np.arange(3), np.arange(n - 1)
-        forces = 6 * n + 3 * joints[:, None, None] + in_block  # columns of each joint's force, (n - 1, 1, 3)
-        self._levers = [  # where lever x R' of each joint and side stands; its transpose stands across the diagonal
-            (3 * (joints + side)[:, None, None] + in_block[:, None], forces) for side in (0, 1)
-        ]
+        self.bodies, self._mass = n, chain.mass
+        self._inertia, self._inverse = chain.inertia, np.linalg.inv(chain.inertia)
+        places = np.stack([chain.next_origin - chain.centre, -chain.centre], axis=1)  # joint after the body, before it
+        self._places = np.ascontiguousarray(np.swapaxes(places, 1, 2))  # (N, 3, 2)
+        lever = (places @ _SKEW).reshape(n, 2, 3, 3)  # (N, 2, 3, 3)
+        self._swing = -lever.reshape(n, 6, 3)  # angular acceleration to those of both places
+        sign = np.array([-1.0, 1.0])  # a joint's force acts on the body after it, its opposite on the one before
+        self._by_force = sign[:, None, None] * (self._inverse[:, None] @ lever)  # (N, 2, 3, 3) angular acceleration
+        pair = -lever[:, :, None] @ self._inverse[:, None, None] @ lever[:, None]  # (N, 2, 2, 3, 3)
+        pair += np.eye(3) / chain.mass[:, None, None, None, None]
+        self._pairs = sign[:, None, None, None] * sign[:, None, None] * pair  # acceleration at one place by the other
+        self._system = np.zeros((3 * (n - 1), 3 * (n - 1)))
+        row, column = self._system.strides
+        step = 3 * (row + column), row, column
+        self._own = as_strided(self._system, (n - 1, 3, 3), step)  # diagonal blocks, and those below them
+        self._below = as_strided(self._system[3:], (n - 2, 3, 3), step)
 
     def accelerations(self, R: FloatArray, rate: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Angular accelerations (N, 3), body axes, and the first body's linear one (3,), inertial axes (2.109).
@@ -67,25 +70,24 @@ class BlockSystem:
             rate: their rates, (N, 3), body axes.
             torque: of each joint on the body after it, (N - 1, 3), inertial axes.
         """
-        n, A = self.bodies, self._matrix
-        b = np.zeros(self.order)
-        applied = -_cross(rate, (self._inertia @ rate[:, :, None])[:, :, 0])
+        n = self.bodies
         turning = np.swapaxes(R, 1, 2)  # R_iW
-        applied[1:] += (turning[1:] @ torque[:, :, None])[:, :, 0]
-        applied[:-1] -= (turning[:-1] @ torque[:, :, None])[:, :, 0]
-        b[: 3 * n] = applied.ravel()
-        constraint = np.zeros((n - 1, 3))
-        sides = (slice(None, -1), self._to_next[:-1], -1.0), (slice(1, None), self._to_previous[1:], 1.0)
-        for (bodies, lever, sign), (rows, columns) in zip(sides, self._levers, strict=True):
-            block = sign * lever @ turning[bodies]
-            A[rows, columns] = block
-            A[np.swapaxes(columns, 1, 2), np.swapaxes(rows, 1, 2)] = np.swapaxes(block, 1, 2)
-            spin = rate[bodies]
-            swing = -(lever @ spin[:, :, None])[:, :, 0]  # rate x place
-            constraint -= sign * (R[bodies] @ _cross(spin, swing)[:, :, None])[:, :, 0]
-        b[6 * n :] = constraint.ravel()
-        x: FloatArray = np.asarray(np.linalg.solve(A, b), np.float64)
-        return x[: 3 * n].reshape(n, 3), x[3 * n : 3 * n + 3]
+        spin = (rate @ _SKEW).reshape(n, 3, 3)
+        applied = -(spin @ (self._inertia @ rate[:, :, None]))  # (N, 3, 1)
+        applied[1:] += turning[1:] @ torque[:, :, None]
+        applied[:-1] -= turning[:-1] @ torque[:, :, None]
+        free = self._inverse @ applied  # with joints that exert no force
+        at = spin @ (spin @ self._places) + np.swapaxes((self._swing @ free).reshape(n, 2, 3), 1, 2)
+        at = R @ at  # (N, 3, 2) accelerations of both places, inertial axes
+        pairs = R[:, None, None] @ self._pairs @ turning[:, None, None]
+        np.add(pairs[:-1, 0, 0], pairs[1:, 1, 1], out=self._own)
+        self._below[...] = pairs[1:-1, 0, 1]
+        apart = (at[:-1, :, 0] - at[1:, :, 1]).ravel()
+        force = dposv(self._system, apart, lower=1)[1].reshape(n - 1, 3, 1)
+        angular = free
+        angular[:-1] += self._by_force[:-1, 0] @ (turning[:-1] @ force)
+        angular[1:] += self._by_force[1:, 1] @ (turning[1:] @ force)
+        return angular[:, :, 0], -force[0, :, 0] / self._mass[0]
 
     def step(self, state: BlockState, step_s: float, torque: FloatArray | None = None) -> BlockState:
         """One step of Runge and Kutta, joint torques held, (N - 1, 3)."""
@@ -112,13 +114,3 @@ class BlockSystem:
 
 def _turned(R: FloatArray, angle: FloatArray) -> FloatArray:
     return np.stack([one @ pin.exp3(by) for one, by in zip(R, angle, strict=True)])
-
-
-def _skews(places: FloatArray) -> FloatArray:
-    return np.stack([pin.skew(place) for place in places])
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """As ``np.cross`` of (n, 3) each, at a fifth of its overhead."""
-    ax, ay, az, bx, by, bz = *a.T, *b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

@@ -119,8 +119,8 @@ class RecursiveExiddm(BoundedWork):
 
     @property
     def confirmed(self) -> bool:
-        """What is held was not found by one second alone, which a swing of the vehicle's own can look like."""
-        return not self._hypotheses or self._solves > 1
+        """What is held was not found by a second or two alone, in which a swing of the vehicle's own looks like it."""
+        return not self._hypotheses or self.ticks_used * self.predictor.period_s > SOLVED_AT_s[1]
 
     @property
     def solving(self) -> bool:
