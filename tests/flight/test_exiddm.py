@@ -24,7 +24,7 @@ from onboard.regressor.signals import Signals
 
 VEHICLE = Path(onboard.__file__).parent / "vehicles" / "dymaflex_parabolic"
 BOX = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
-CAPTURE_s, END_s = 3.0, 7.0
+CAPTURE_s, END_s = 3.0, 8.5
 
 ESTIMATION = """
 [estimation]
@@ -178,7 +178,7 @@ def test_what_the_data_do_not_determine_is_not_supported(vehicle):
     exiddm = online.exiddm
     assert len(online.estimate().quantities) == 10
     assert all("nothing is held" in quantity.note for quantity in online.estimate().quantities)
-    exiddm.held, exiddm.state = True, np.zeros(len(exiddm.predictor.names))
+    exiddm.held, exiddm.state, exiddm.ticks_used = True, np.zeros(len(exiddm.predictor.names)), 400
     exiddm.state[3:13] = standard_of(RigidBody(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2))
 
     def told(mass_sigma_kg, inertia_sigma):

@@ -26,12 +26,11 @@ from onboard.identification.exiddm.claims import Claim, after_a_change, kind_of
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
-from onboard.identification.exiddm.lines import InnovationLines
+from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.snapshots import Snapshots
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
-from onboard.identification.exiddm.unexplained import Unexplained
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
