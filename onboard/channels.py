@@ -64,6 +64,20 @@ REQUEST = np.dtype(
     align=True,
 )
 
+TRIAL = np.dtype(  # of a controller, when it is over
+    [
+        *_HEAD,
+        ("number", "<u4"),  # of its stage, from 1
+        ("missed", "<u4"),  # SYNCs
+        ("joints_rms_rad", "<f8"),  # of reference less measured, all joints; NaN: it did not begin
+        ("tip_rms_m", "<f8"),  # the same of the tip, by the model's geometry
+        ("saturated", "<f8"),  # share of the torques that were limited
+        ("stage", "S16"),  # empty, before, after, learning
+        ("stopped", "S192"),  # why it was; empty if it was not
+    ],
+    align=True,
+)
+
 HEALTH = np.dtype(  # a second of a real flight; NaN and -1: unknown
     [
         *_HEAD,

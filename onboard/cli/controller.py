@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from onboard.cli.common import FAILED, OK, next_log, progress, show
+from onboard.cli.common import FAILED, OK, console, next_log, progress, show
 
 if TYPE_CHECKING:
     from onboard import config
@@ -38,12 +38,16 @@ def fly(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any,
     from onboard.offline.control import view
 
     _check(arguments)
+    log: Path | None = arguments.log
     if arguments.controller == "computed_torque" and arguments.identified is None:
+        log = None  # it is the flight's
         code = _identify_in_flight(arguments, vehicle)
         if code != OK:
             return code
-    made = _run(arguments, vehicle, scenario, faults)
+    log = log or next_log(vehicle.file.recording.directory, f"{_name(arguments, vehicle)}-trials")
+    made = _run(arguments, vehicle, scenario, faults, log)
     show(view.render(made))
+    console().print(f"log: {log}", soft_wrap=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(made.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if arguments.figure:
@@ -78,24 +82,30 @@ def _check(arguments: argparse.Namespace) -> None:
         )
 
 
+def _name(arguments: argparse.Namespace, vehicle: "config.Vehicle") -> str:
+    return str(arguments.scenario) if not arguments.scenario.endswith(".toml") else vehicle.file.vehicle.name
+
+
 def _identify_in_flight(arguments: argparse.Namespace, vehicle: "config.Vehicle") -> int:
     """Fly the mission of the same seed, whose answers are adopted; its exit status."""
     from onboard.cli import main
 
-    name = arguments.scenario if not arguments.scenario.endswith(".toml") else vehicle.file.vehicle.name
-    arguments.identified = arguments.log or next_log(vehicle.file.recording.directory, name)
+    arguments.identified = arguments.log or next_log(vehicle.file.recording.directory, _name(arguments, vehicle))
     over = ["--scenario", str(arguments.over)] if arguments.over else []
     mission = [arguments.scenario, "--seed", str(arguments.seed), "--log", str(arguments.identified), *over]
     return main(["hil", *mission])
 
 
-def _run(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any]) -> "Run":
+def _run(
+    arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any, faults: Sequence[Any], log: Path
+) -> "Run":
     from hil_sim.driven_world import DrivenWorld, Wired
     from onboard.dynamics.errors import ModelError
     from onboard.flight.estimate.identification import build_model
     from onboard.flight.trials import PERIOD_MS
     from onboard.offline.control import run
     from onboard.offline.control.adopted import adopted_urdf
+    from onboard.offline.control.trials_log import TrialsLog
 
     adopted = None if arguments.identified is None else adopted_urdf(vehicle, arguments.identified, arguments.seed)
     asked = run.Asked(
@@ -114,9 +124,15 @@ def _run(arguments: argparse.Namespace, vehicle: "config.Vehicle", scenario: Any
             DrivenWorld(
                 scenario, arguments.seed, wired, faults, period_ns=period_ns, noise_rad=asked.noise_rad
             ) as world,
+            TrialsLog(vehicle, log, lambda: world.now_ns) as recorded,
             progress() as bar,
         ):
             task = bar.add_task(f"{asked.controller}, seed {arguments.seed}", total=asked.trials + 3)
-            return run.run(vehicle, world, asked, lambda _: bar.advance(task))
+
+            def told(flown: run.Trial) -> None:
+                recorded.trial(flown)
+                bar.advance(task)
+
+            return run.run(vehicle, world, asked, told, recorded.record)
     except (ModelError, RuntimeError) as error:
         raise ValueError(str(error)) from error

@@ -125,6 +125,7 @@ class Trials:
         limits: of the joints.
         inertia: gives that of the arm with its drives, (n, n) kg m^2, for a posture, (n,).
         at_rest: gives the torques, (n,) N m, that hold a posture.
+        record: told all that the bus says.
 
     Raises:
         RuntimeError: the drives cannot be enabled.
@@ -137,8 +138,9 @@ class Trials:
         limits: Limits,
         inertia: Callable[[FloatArray], FloatArray],
         at_rest: Callable[[FloatArray], FloatArray],
+        record: Callable[[Sequence[Batch]], None] = lambda _: None,
     ) -> None:
-        self._bench, self._wires, self._limits = bench, tuple(wires), limits
+        self._bench, self._wires, self._limits, self._record = bench, tuple(wires), limits, record
         self._inertia, self._at_rest = inertia, at_rest
         self._per_rad = np.array([wire.per_rad for wire in wires])
         self._zero = np.array([wire.zero for wire in wires], np.float64)
@@ -221,6 +223,7 @@ class Trials:
             self._keep(self._bus.pump(self._bench.now_ns))
 
     def _keep(self, batches: Sequence[Batch]) -> None:
+        self._record(batches)
         for batch in batches:
             if batch.rows.dtype == EVENT:
                 grave = batch.rows[batch.rows["severity"] >= Severity.WARNING]

@@ -119,6 +119,16 @@ def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path)
         FileExistsError: there is such a log already.
         OSError: the file cannot be created.
     """
+    return Recorder(open_simulated_log(vehicle, log), ring_readers(directory))
+
+
+def open_simulated_log(vehicle: config.Vehicle, log: Path) -> LogWriter:
+    """A log in one file that says what a flight's says, of something on a virtual clock.
+
+    Raises:
+        FileExistsError: there is such a log already.
+        OSError: the file cannot be created.
+    """
     log.parent.mkdir(parents=True, exist_ok=True)
     writer = LogWriter.create(log, durable=False)
     _, attachments, metadata = preamble(vehicle, "")
@@ -126,7 +136,7 @@ def open_simulated_recorder(vehicle: config.Vehicle, directory: Path, log: Path)
         writer.attach(attachment.name, attachment.media_type, attachment.data)
     for name, items in metadata.items():
         writer.add_metadata(name, items)
-    return Recorder(writer, ring_readers(directory))
+    return writer
 
 
 def ring_readers(directory: Path) -> list[RingReader]:

@@ -4,7 +4,7 @@ What the controller knows is the URDF, or the URDF with the payload that was ide
 makes it wrong on purpose: all masses and inertias of its model are ``1 + model_error`` times what they are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import pairwise
@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from drivers.records import Batch
 from onboard import config
 from onboard.config.driving import Range, joint_ranges
 from onboard.control import watch
@@ -184,7 +185,13 @@ def _wire(name: str, joint: str, node: int, device: JointDevice | None) -> Wire:
     return Wire(name, joint, node, device.counts_per_revolution, device.zero_count, device.gain < 0.0)
 
 
-def run(vehicle: config.Vehicle, bench: Bench, asked: Asked, told: Callable[[Trial], None] = lambda _: None) -> Run:
+def run(
+    vehicle: config.Vehicle,
+    bench: Bench,
+    asked: Asked,
+    told: Callable[[Trial], None] = lambda _: None,
+    record: Callable[[Sequence[Batch]], None] = lambda _: None,
+) -> Run:
     """Fly all trials.
 
     Args:
@@ -192,6 +199,7 @@ def run(vehicle: config.Vehicle, bench: Bench, asked: Asked, told: Callable[[Tri
         bench: the arm on its bus, its gripper empty.
         asked: for what.
         told: of each trial, when it was flown.
+        record: all that the drives say and are told.
 
     Raises:
         ValueError: a vehicle whose arm cannot be controlled.
@@ -209,7 +217,7 @@ def run(vehicle: config.Vehicle, bench: Bench, asked: Asked, told: Callable[[Tri
         vehicle.file.vehicle.name, asked.controller, names, asked.model_error, asked.noise_rad, asked.factor, guessed
     )
     with Trials(
-        bench, wired, limits, lambda q: space.inertia(q) + np.diag(guessed.rotor_kg_m2), space.at_rest
+        bench, wired, limits, lambda q: space.inertia(q) + np.diag(guessed.rotor_kg_m2), space.at_rest, record
     ) as trials:
         pilot = _Pilot(made, trials, told)
         inertia = space.inertia(trials.posture) + np.diag(guessed.rotor_kg_m2)

@@ -13,6 +13,8 @@ from onboard.dynamics.inertia import RigidBody, symmetric
 from onboard.dynamics.urdf import with_bodies
 from onboard.offline.control import run, view
 from onboard.offline.control.run import Asked, Stage
+from onboard.offline.control.trials_log import TrialsLog
+from onboard.recording.reader import LogReader
 
 SHORT = {"duration_s": 2.0, "rest_s": 0.5}
 COUNTS = (500_000, 200_000)
@@ -102,14 +104,23 @@ def directory(tmp_path_factory):
     return made
 
 
-def fly(directory, asked, base="free", seed=5, faults=(), noise_rad=0.0):
-    """The run, the world, and the true positions at the end of each trial."""
+def fly(directory, asked, base="free", seed=5, faults=(), noise_rad=0.0, log="trials.mcap"):
+    """The run, the world, and the true positions at the end of each trial; its log lies beside the vehicle."""
     vehicle = config.load(directory / f"{base}.toml")
     scenario = scenario_of(str(directory / f"{base}.toml"), directory / "over.toml")
     wired = [Wired(*wire) for wire in run.wires(vehicle, ("j1", "j2"))]
     ends = []
-    with DrivenWorld(scenario, seed, wired, faults, noise_rad=noise_rad) as world:
-        made = run.run(vehicle, world, asked, lambda _: ends.append(world.vehicle.angles_rad))
+    (directory / log).unlink(missing_ok=True)
+    with (
+        DrivenWorld(scenario, seed, wired, faults, noise_rad=noise_rad) as world,
+        TrialsLog(vehicle, directory / log, lambda: world.now_ns) as recorded,
+    ):
+
+        def told(flown):
+            recorded.trial(flown)
+            ends.append(world.vehicle.angles_rad)
+
+        made = run.run(vehicle, world, asked, told, recorded.record)
         world.advance(world.now_ns + 200_000_000)
         return made, world, ends
 
@@ -126,7 +137,7 @@ def identified(directory):
 
 @pytest.fixture(scope="module")
 def learned(directory, identified):
-    return fly(directory, Asked("learning_pi", 3, identified, **SHORT))
+    return fly(directory, Asked("learning_pi", 3, identified, **SHORT), log="learned.mcap")
 
 
 def test_identification_pays_and_learning_gets_there_trial_by_trial(learned):
@@ -164,6 +175,24 @@ def test_table_and_json_have_every_trial(learned, tmp_path):
     assert "times smaller than without" in " ".join(view.told(made))
     view.draw(made, tmp_path / "learned.svg")
     assert (tmp_path / "learned.svg").read_text().count("computed torque") == 2
+
+
+def test_the_log_has_every_trial_and_what_the_drives_measured(directory, learned, capsys):
+    made, _, _ = learned
+    log = LogReader(directory / "learned.mcap")
+    trials = np.concatenate([rows for _, rows in log.batches(["trial"])])
+    assert [row["stage"].decode() for row in trials] == ["empty"] * 2 + ["before", "after"] + ["learning"] * 3
+    assert trials["number"].tolist() == [1, 2, 1, 1, 1, 2, 3]
+    np.testing.assert_array_equal(trials["sequence"], np.arange(7))
+    np.testing.assert_array_equal(trials["joints_rms_rad"], [trial.flown.rms_rad for trial in made.trials])
+    np.testing.assert_array_equal(trials["tip_rms_m"], [trial.tip_rms_m for trial in made.trials])
+    assert (np.diff(trials["host_ns"]) > 2_000_000_000).all()
+    counts = np.concatenate([rows for _, rows in log.batches(["drive_1"])])
+    assert (np.diff(counts["sequence"]) == 1).all()
+    seen = (counts["value_raw"] - 1000) * 2.0 * np.pi / COUNTS[0]
+    np.testing.assert_allclose(made.trials[-1].flown.measured[:, 0].max(), seen[-700:].max(), atol=1e-9)
+    assert cli.main(["info", str(directory / "learned.mcap")]) == cli.OK
+    assert "trial" in capsys.readouterr().out
 
 
 def test_gains_that_are_too_large_are_stopped_with_the_reason(directory):
