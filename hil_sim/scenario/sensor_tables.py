@@ -25,6 +25,8 @@ class Axes(Table):
     """Errors of one triad (accelerometer or gyro); ``sigma`` values are drawn once per seed and axis.
 
     Bandwidth and delay are those of each code of the device's filter, or one of each where there is nothing to choose.
+    In flight the bias wanders: ``bias_instability``, rms, with a correlation time, and ``bias_walk_sqrt_s``, a random
+    walk, per square root of a second.
     """
 
     noise_density: NonNegative
@@ -32,6 +34,9 @@ class Axes(Table):
     bias_per_kelvin_sigma: Vector
     scale_sigma: NonNegative
     cross_axis_sigma: NonNegative
+    bias_instability: NonNegative = 0.0
+    bias_instability_time_s: PositiveFloat = 100.0
+    bias_walk_sqrt_s: NonNegative = 0.0
     bandwidth_Hz: tuple[PositiveFloat, ...]
     delay_ms: tuple[NonNegative, ...]
 

@@ -38,7 +38,7 @@ class Sheets(NamedTuple):
                 table[triad]["bias_sigma"] = [bias / unit] * 3
             scale = prior.get(f"{sensor}_scale", said.get(f"{triad.split('_')[0]}_scale_sigma"))
             if scale is not None:
-                table[triad] |= {"scale_sigma": scale, "cross_axis_sigma": 0.0}
+                table[triad] |= {"scale_sigma": scale, "cross_axis_sigma": prior.get(f"{sensor}_cross_axis", 0.0)}
         turns = [prior[key] for key in ("gyro_misalignment_rad", "accelerometer_misalignment_rad") if key in prior]
         if turns:
             table["mounting_sigma_deg"] = min(turns) / _DEG

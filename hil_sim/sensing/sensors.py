@@ -156,6 +156,31 @@ class Triad:
         return Triad(matrix, bias, per_kelvin)
 
 
+class _Wander:
+    """Change of a triad's bias in flight: a Gauss-Markov process (in place of flicker) and a random walk."""
+
+    def __init__(self, axes: Axes, step_s: float, rng: np.random.Generator) -> None:
+        self._memory = math.exp(-step_s / axes.bias_instability_time_s)
+        self._sigmas = axes.bias_instability, axes.bias_walk_sqrt_s * math.sqrt(step_s)
+        self._rng = rng.spawn(1)[0]  # the numbers that other errors are drawn from stay
+        self._slow = axes.bias_instability * self._rng.standard_normal(3)
+        self._walked = np.zeros(3)
+
+    def add_to(self, rows: FloatArray) -> None:
+        """Add the next rows, (n, 3)."""
+        slow, walk = self._sigmas
+        if slow:
+            steps = slow * math.sqrt(1.0 - self._memory**2) * self._rng.standard_normal(rows.shape)
+            state = self._memory * self._slow[None, :]
+            own, _ = signal.lfilter([1.0], [1.0, -self._memory], steps, axis=0, zi=state)
+            rows += own
+            self._slow = own[-1]
+        if walk:
+            walked = self._walked + np.cumsum(walk * self._rng.standard_normal(rows.shape), axis=0)
+            rows += walked
+            self._walked = walked[-1]
+
+
 class ImuSensor:
     """The MPU-6050's analogue side: specific force and angular rate to filtered, quantised, saturated words."""
 
@@ -172,6 +197,7 @@ class ImuSensor:
         self._noise_scale = spread * np.repeat([table.accel_g.noise_density, table.gyro_deg_s.noise_density], 3)
         self._noise = Deviates(rng, plant.rows, 6)
         self._thermal_noise = Deviates(rng, plant.rows, 1)
+        self._wander = [_Wander(axes, plant.step_s, rng) for axes in (table.accel_g, table.gyro_deg_s)]
         self._streams: dict[tuple[str, int], _Stream] = {}
         self._forgotten = 0
         self._raw_track, self._thermal_track = Track(plant.rows, 6), Track(plant.rows)
@@ -242,6 +268,8 @@ class ImuSensor:
         raw[:, 3:6] = turned(rate_deg_s, self.gyro.matrix) + self.gyro.bias + rise[:, None] * self.gyro.per_kelvin
         raw[:, 3:6] += turned(force_g, self.gyro_per_g)
         raw += self._noise_scale * self._noise.take(count - done)
+        for columns, wander in zip((slice(0, 3), slice(3, 6)), self._wander, strict=True):
+            wander.add_to(raw[:, columns])
         self._thermal[rows] = self._table.temperature_noise_counts * self._thermal_noise.take(count - done)[:, 0]
         self._raw_count = count
 

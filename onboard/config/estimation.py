@@ -141,12 +141,14 @@ class ImuPriorKeys(Section):
     gyro_misalignment_rad: NotNegative = Field(
         default=0.003, validation_alias=AliasChoices("gyro_misalignment_rad", "gyro_turn_rad")
     )
+    gyro_cross_axis: NotNegative = 0.0
     accelerometer_bias_m_s2: NotNegative = 0.0
     accelerometer_drift_m_s3: NotNegative = 0.0
     accelerometer_scale: NotNegative = 0.0
     accelerometer_misalignment_rad: NotNegative = Field(
         default=0.003, validation_alias=AliasChoices("accelerometer_misalignment_rad", "accelerometer_turn_rad")
     )
+    accelerometer_cross_axis: NotNegative = 0.0
     delay_s: NotNegative = 0.0
     position_m: NotNegative = 0.003
 

@@ -235,11 +235,20 @@ def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str
     asked = settings.exiddm
     first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
     payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
-    return covariance, ImuPrior(**settings.imu_prior.model_dump(exclude={"position_m"})), payload_sigma
+    return covariance, imu_prior_of(vehicle), payload_sigma
+
+
+def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
+    """The prior on errors of an IMU, as the vehicle file states it."""
+    keys = vehicle.file.estimation.imu_prior
+    prior = ImuPrior(**keys.model_dump(exclude={"position_m", "gyro_cross_axis", "accelerometer_cross_axis"}))
+    return prior.with_cross_axis(keys.gyro_cross_axis, keys.accelerometer_cross_axis)
 
 
 def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:
     """Prior on places of IMU and joints, and on the encoders' errors; silent joints have the defaults of the keys.
+
+    A silent joint of which the rate is measured is a rotor with the scale and the delay of its device.
 
     Cyclic errors are those that the encoders' devices state.
 

@@ -1,14 +1,18 @@
-"""IMU error model: biases and their drift, scale, misalignment, delay and clock rate error (derived here).
+"""IMU error model: biases and their drift, scale, misalignment, cross-axis sensitivity, delay, clock rate error (ours).
 
 With u the rate or specific force in the IMU's nominal axes at the tick's middle t (t = 0 where the drift begins):
 
     u' = u - (delay + rate_error t) du/dt - n rate_error u,   n = 1 for a rate, 2 for a specific force
-    shown = (1 + diag(scale) - hat(misalignment)) u' + bias + drift t
+    shown = (1 + diag(scale) - hat(misalignment) + sym(cross_axis)) u' + bias + drift t
 
 The first line is the Taylor series of a delayed reading on a clock with a rate error, which scales rates (angle by
 time) once and specific forces (length by time squared) twice. Second-order terms in the errors are neglected.
+
+Axes that are not orthogonal: six off-diagonal elements, of which ``hat`` has the antisymmetric part (as a rotation of
+the whole sensor has) and ``sym(c)`` the symmetric one, c_x between y and z: the magnitudes of ``hat(c)``.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +35,21 @@ class ImuPrior(NamedTuple):
     accelerometer_misalignment_rad: float
     delay_s: float  # of both, against the joints
     clock_rate_error: float = 0.0  # relative excess of an interval on the IMU's clock over the joints' clock
+    gyro_cross_axis: float = 0.0  # symmetric part
+    accelerometer_cross_axis: float = 0.0
+
+    def with_cross_axis(self, gyro: float, accelerometer: float) -> "ImuPrior":
+        """The same with off-diagonal elements of each triad's matrix of so many sigmas, each independent of the others.
+
+        Half of their variance is in the symmetric part, half is that of a misalignment.
+        """
+        half = 0.5**0.5
+        return self._replace(
+            gyro_misalignment_rad=math.hypot(self.gyro_misalignment_rad, half * gyro),
+            accelerometer_misalignment_rad=math.hypot(self.accelerometer_misalignment_rad, half * accelerometer),
+            gyro_cross_axis=half * gyro,
+            accelerometer_cross_axis=half * accelerometer,
+        )
 
 
 CERTAIN = ImuPrior(*[0.0] * 9)
@@ -38,6 +57,7 @@ BIASES = ("gyro_bias_rad_s", "accelerometer_bias_m_s2")
 DRIFTS = ("gyro_drift_rad_s2", "accelerometer_drift_m_s3")
 _OF_BOTH = ("delay_s", "clock_rate_error")
 SIZE = 3 * (len(ImuPrior._fields) - len(_OF_BOTH)) + len(_OF_BOTH)
+_OF_AXES, _DELAY, _CLOCK, _CROSS = slice(24), 24, 25, slice(26, 32)  # biases to misalignments; the others
 
 _ROWS = np.arange(6)
 _BIAS = 12 * (_ROWS // 3) + _ROWS % 3  # place of each row's bias
@@ -69,9 +89,11 @@ def gain_of(errors: FloatArray) -> FloatArray:
         errors: in the order of :func:`imu_blocks`, (SIZE,).
     """
     E = np.eye(6)
-    for k, (scale, misalignment) in enumerate(errors[:-2].reshape(2, 4, 3)[:, 2:]):
+    for k, ((scale, misalignment), cross_axis) in enumerate(
+        zip(errors[_OF_AXES].reshape(2, 4, 3)[:, 2:], errors[_CROSS].reshape(2, 3), strict=True)
+    ):
         rows = slice(3 * k, 3 * k + 3)
-        E[rows, rows] += np.diag(scale) - hat(misalignment)
+        E[rows, rows] += np.diag(scale) - hat(misalignment) + _sym(cross_axis)
     return E
 
 
@@ -84,8 +106,8 @@ def imu_reading(true: FloatArray, change: FloatArray, time_s: FloatArray, errors
         time_s: t, (n,).
         errors: in the order of :func:`imu_blocks`, (SIZE,).
     """
-    delay_s, rate_error = errors[-2:]
-    bias, drift = errors[:-2].reshape(2, 4, 3)[:, :2].swapaxes(0, 1).reshape(2, 6)
+    delay_s, rate_error = errors[_DELAY], errors[_CLOCK]
+    bias, drift = errors[_OF_AXES].reshape(2, 4, 3)[:, :2].swapaxes(0, 1).reshape(2, 6)
     t, E = time_s[:, None], gain_of(errors)
     own = true - (delay_s + rate_error * t) * change - rate_error * _POWERS * true
     d_errors = np.zeros((len(true), 6, SIZE))
@@ -93,9 +115,17 @@ def imu_reading(true: FloatArray, change: FloatArray, time_s: FloatArray, errors
     d_errors[:, _ROWS, _BIAS + 3] = t
     d_errors[:, _ROWS, _BIAS + 6] = own
     d_errors[:, :3, 9:12], d_errors[:, 3:, 21:24] = hat(own[:, :3]), hat(own[:, 3:])
-    d_errors[:, :, -2] = -change @ E.T
-    d_errors[:, :, -1] = -(t * change + _POWERS * true) @ E.T
+    d_errors[:, :3, 26:29], d_errors[:, 3:, 29:32] = _sym(own[:, :3]), _sym(own[:, 3:])
+    d_errors[:, :, _DELAY] = -change @ E.T
+    d_errors[:, :, _CLOCK] = -(t * change + _POWERS * true) @ E.T
     return ImuReading(own @ E.T + bias + t * drift, d_errors)
+
+
+def _sym(c: FloatArray) -> FloatArray:
+    """``[[0, z, y], [z, 0, x], [y, x, 0]]`` of each c, (..., 3); ``sym(c) u == sym(u) c``."""
+    x, y, z = np.moveaxis(c, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([np.stack(row, axis=-1) for row in ((zero, z, y), (z, zero, x), (y, x, zero))], axis=-2)
 
 
 def tick_mean(x: FloatArray, samples: int) -> FloatArray:

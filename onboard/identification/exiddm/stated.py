@@ -26,8 +26,10 @@ from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
 KINDS = (
     "gyro_scale",
     "gyro_misalignment_rad",
+    "gyro_cross_axis",
     "accelerometer_scale",
     "accelerometer_misalignment_rad",
+    "accelerometer_cross_axis",
     "place",
     "delay_s",
 )

@@ -14,11 +14,10 @@ from onboard import config
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_planar, exiddm_prior, samples_per_tick
+from onboard.flight.estimate.identification import build_planar, exiddm_prior, imu_prior_of, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit
-from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
@@ -100,8 +99,8 @@ def table_prior(vehicle: config.Vehicle) -> AirBearingPrior:
     if asked is None:
         raise config.ConfigError(f"{vehicle.label}: no section [planar], which names table and pucks")
     pucks = {puck.frame: DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
-    imu_prior = ImuPrior(**vehicle.file.estimation.imu_prior.model_dump(exclude={"position_m"}))
-    return AirBearingPrior(asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, imu_prior)
+    tilt_m_s2, imu_prior = asked.tilt_sigma_m_s2, imu_prior_of(vehicle)
+    return AirBearingPrior(asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, tilt_m_s2, imu_prior)
 
 
 def underway(at_start: AirBearingPrior) -> AirBearingPrior:

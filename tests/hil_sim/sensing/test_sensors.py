@@ -190,6 +190,25 @@ def test_noise_is_the_datasheets(rng) -> None:
     assert np.sqrt(density[(frequency > 5) & (frequency < 30)].mean()) == pytest.approx(0.005, rel=0.05)
 
 
+def test_a_bias_wanders_and_walks() -> None:
+    """Over 4 s and 40 draws: differences of a walk grow with the root of time, those of the slow process do not."""
+
+    def read(**axes):
+        gyro = PERFECT_AXES | axes
+        sensors = [imu_of(World(4.05), np.random.default_rng(seed), gyro_deg_s=gyro) for seed in range(40)]
+        times = np.arange(0.05, 4.0, 0.05)
+        return np.stack([one.counts(times, 16384.0, 1000.0, 0)[:, 4:7] / 1000.0 for one in sensors])
+
+    assert not read().any()
+    walk = read(bias_walk_sqrt_s=0.5)
+    for steps in (4, 40):  # 0.2 s, 2 s
+        change = walk[:, steps:] - walk[:, :-steps]
+        assert change.std() == pytest.approx(0.5 * np.sqrt(0.05 * steps), rel=0.15)
+    slow = read(bias_instability=1.0, bias_instability_time_s=0.5)
+    assert slow.std() == pytest.approx(1.0, rel=0.1)
+    assert (slow[:, 10:] * slow[:, :-10]).mean() == pytest.approx(np.exp(-1.0), abs=0.1)
+
+
 def test_words_are_quantised_and_saturate(rng) -> None:
     force = lambda t: np.tile([2.5 * G, -9.0 * G, 0.3 * G], (len(t), 1))  # noqa: E731
     imu = imu_of(World(1.0, force, lambda t: np.full((len(t), 3), np.deg2rad(300.0))), rng)

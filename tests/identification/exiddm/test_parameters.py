@@ -26,7 +26,7 @@ def test_what_is_certain_is_left_out_and_stays_zero():
 
 
 def test_a_reading_is_late_by_a_slow_clock_scaled_turned_biased():
-    assert len(ImuPrior._fields) == 10
+    assert len(ImuPrior._fields) == 12
     time_s = np.linspace(-2.0, 2.0, 401)
     true, change = np.zeros((401, 6)), np.zeros((401, 6))
     true[:, 2], change[:, 2] = np.cos(time_s), -np.sin(time_s)
@@ -34,18 +34,47 @@ def test_a_reading_is_late_by_a_slow_clock_scaled_turned_biased():
     delay_s, rate_error = 2e-4, 3e-4
     by_its_clock = np.asarray((time_s - delay_s) / (1.0 + rate_error))  # when what it shows now was
     errors = np.zeros(SIZE)
-    errors[-2:] = delay_s, rate_error
+    errors[24:26] = delay_s, rate_error
     found = imu_reading(true, change, time_s, errors).values
     second_order = 2e-6
     np.testing.assert_allclose(found[:, 2], np.cos(by_its_clock) / (1.0 + rate_error), atol=second_order)
     np.testing.assert_allclose(found[:, 3], -np.sin(by_its_clock) / (1.0 + rate_error) ** 2, atol=second_order)
     assert np.abs(found[:, 2] - np.cos(time_s)).max() > 100 * second_order
     errors[:12] = [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.01, 0.0]  # bias, drift, scale, misalignment
-    errors[-2:] = 0.0
+    errors[24:26] = 0.0
     found = imu_reading(true, change, time_s, errors).values
     wz = np.cos(time_s)
     expected = np.stack([0.1 + time_s - 0.01 * wz, np.full(401, 0.2), 0.3 + 1.5 * wz], axis=1)  # u - m x u
     np.testing.assert_allclose(found[:, :3], expected, atol=1e-12)
+
+
+def test_axes_that_are_not_orthogonal(rng):
+    true, still = rng.standard_normal((20, 6)), np.zeros((20, 6))
+    M = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
+    off = 0.5 * (M + M.T)
+    turned = 0.5 * (M - M.T)
+    errors = np.zeros(SIZE)
+    errors[18:21] = M.diagonal() - 1.0  # of the accelerometer
+    errors[21:24] = -np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
+    errors[29:32] = off[1, 2], off[0, 2], off[0, 1]
+    found = imu_reading(true, still, np.zeros(20), errors)
+    np.testing.assert_allclose(found.values[:, 3:], true[:, 3:] @ M.T, atol=1e-14)
+    np.testing.assert_array_equal(found.values[:, :3], true[:, :3])
+    for k in range(SIZE):
+        if k not in (24, 25):  # without a change in time these two have no effect, or one by the power of time
+            step = 1e-3 * (np.arange(SIZE) == k)
+            there = imu_reading(true, still, np.zeros(20), errors + step).values
+            np.testing.assert_allclose(found.d_errors[:, :, k], (there - found.values) / 1e-3, atol=1e-10)
+
+
+def test_the_sigma_of_six_elements_off_the_diagonal_is_split_into_two_parts(rng):
+    prior = CERTAIN._replace(gyro_misalignment_rad=0.003).with_cross_axis(0.01, 0.02)
+    M = 0.01 * rng.standard_normal((200_000, 3, 3))
+    symmetric, rotation = 0.5 * (M[:, 0, 1] + M[:, 1, 0]), 0.5 * (M[:, 0, 1] - M[:, 1, 0])
+    rotation += 0.003 * rng.standard_normal(len(M))
+    assert prior.gyro_cross_axis == pytest.approx(symmetric.std(), rel=0.01)
+    assert prior.gyro_misalignment_rad == pytest.approx(rotation.std(), rel=0.01)
+    assert prior.accelerometer_cross_axis == pytest.approx(0.02 * 0.5**0.5)
 
 
 @pytest.mark.parametrize("samples", [1, 5, 9])
