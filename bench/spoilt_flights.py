@@ -1,7 +1,8 @@
 """Spoilt copies of DYMAFLEX flights: is an answer ever confident while the truth is far outside?
 
 Run ``python -m bench.spoilt_flights LOG ...`` with logs of ``heft hil dymaflex --log LOG`` beside which their truth is
-(LOG.truth.json). Each log is spoilt in one or two streams, or cut, and identified, from its onboard answer.
+(LOG.truth.json); ``--vehicle dymaflex_wheels`` for logs of that mission, whose wheels are spoilt too. Each log is
+spoilt in one or two streams, or cut, and identified, from its onboard answer.
 A copy is *wrong* where the truth of a quantity lies beyond its 99.9 % interval. Exit code 1: good and wrong.
 
 ``--on-board`` runs the onboard estimator on each copy instead. Wrong is a supported quantity at any time of the flight,
@@ -120,6 +121,17 @@ def spoils() -> dict[str, Spoil]:
     return made
 
 
+def of_wheels(channels: Sequence[str]) -> dict[str, Spoil]:
+    """Ways of spoiling reaction wheels, by name."""
+    made: dict[str, Spoil] = {}
+    for wheel in (name for name in channels if name.startswith("wheel_")):
+        for factor in (0.0, 0.9, 0.97, 1.03, 1.1, -1.0):
+            made[f"{wheel} x {factor:g}"] = partial(_scaled, wheel, "value_raw", factor, None)
+        made[f"{wheel} stuck from mid-flight"] = partial(_stuck, wheel, 0.5)
+        made[f"{wheel} 20 ms late"] = partial(_late, wheel, 0.02)
+    return made
+
+
 PAIRS = (  # of ways, two instruments at once
     ("gyro x 0.9", "cell x 0.5"),
     ("gyro x 1.1", "cell x 1.05"),
@@ -233,6 +245,8 @@ def on_board(vehicle: config.Vehicle, copy: Path, truth: dict[str, float], start
                 if abs(away) > abs(off):
                     worst, off, at_s = name, float(away), now_s
     answers = [row for row in last if row["name"].decode() in truth]
+    if not answers:
+        return Told("none", worst, off, f"nothing was ever told; {', '.join(events)}")
     told = next((row for row in answers if row["supported"]), answers[0])
     mass = f"m {told['value'] / truth[answers[0]['name'].decode()] - 1.0:+.2%}" if told["supported"] else "none"
     text = f"at {at_s:.1f} s; in the end {mass}: {told['why'].decode()[:110]}; {', '.join(events)}"
@@ -248,9 +262,10 @@ def main() -> int:
     parser.add_argument("--on-board", action="store_true", help="by the onboard estimator")
     parser.add_argument("--from", dest="since", type=float, default=0.0, help="share of the flight that is as flown")
     parser.add_argument("--pairs", action="store_true", help="two instruments at once")
+    parser.add_argument("--vehicle", default="dymaflex", help="packaged, or vehicle.toml")
     arguments = parser.parse_args()
-    vehicle = config.load(config.packaged("dymaflex"))
-    every, failed = spoils(), 0
+    vehicle = config.named(arguments.vehicle)
+    every, failed = spoils() | of_wheels(tuple(vehicle.channels)), 0
     ways = [*every.items(), *((cut, every["as flown"]) for cut in CUTS)]
     if arguments.pairs:
         ways = [(" and ".join(pair), partial(_both, [every[one] for one in pair])) for pair in PAIRS]

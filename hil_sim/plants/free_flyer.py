@@ -18,6 +18,7 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants import body as bodies
+from hil_sim.plants.actuators import NO_ACTUATORS, Actuators, Wheel
 
 Body = bodies.Body
 JOINTS = 5
@@ -90,6 +91,7 @@ class FreeFlightSignals(NamedTuple):
     wrist_force_n: FloatArray  # (n, 3) through the last joint's flange, on all beyond it, in the last link's axes
     wrist_moment_n_m: FloatArray  # (n, 3) about the flange's origin, the same
     torque_n_m: FloatArray  # (n, 5) of the joints' drives
+    wheel_rad_s: FloatArray  # (n, w) of the reaction wheels against the base
 
 
 class Slosh(NamedTuple):
@@ -148,11 +150,15 @@ def world(
     step_s: float = 2e-3,
     offsets_m: FloatArray = AS_DRAWN,
     slosh: Slosh | None = None,
+    wheels: Sequence[Wheel] = (),
 ) -> mujoco.MjModel:
-    """MuJoCo model of the vehicle: a free base, five hinges, the payload welded to the last link."""
+    """MuJoCo model of the vehicle: a free base with its wheels, five hinges, the payload welded to the last link."""
     held = "" if payload is None else body_xml("payload", payload, GRASP_m)
     inner = arm_xml(f'<site name="wrist"/>{held}', arm, offsets_m)
-    if slosh is not None:  # after the arm, so that the joints' places among the degrees of freedom do not change
+    for wheel in wheels:  # after the arm, so that the joints' places among the degrees of freedom do not change
+        hinge = f'<joint name="{wheel.name}" type="hinge" axis="{_numbers(wheel.axis)}"/>'
+        inner += body_xml(wheel.name, wheel.body, wheel.position_m, hinge)
+    if slosh is not None:
         base = Body(base.mass_kg - slosh.mass_kg, base.centre_of_mass_m, base.inertia_kg_m2)
         inner += _slosh_xml(slosh, base.centre_of_mass_m)
     site = f'<site name="imu" pos="{_numbers(IMU_POSITION_m)}" quat="{_numbers(IMU_QUATERNION)}"/>'
@@ -195,6 +201,7 @@ class FreeFlight:
         step_s: between samples.
         offsets_m: of its joints from the drawing, (5, 3).
         slosh: of a part of the base's mass.
+        actuators: of the base.
 
     Attributes:
         payload: what is held now.
@@ -214,11 +221,14 @@ class FreeFlight:
         step_s: float = 2e-3,
         offsets_m: FloatArray = AS_DRAWN,
         slosh: Slosh | None = None,
+        actuators: Actuators = NO_ACTUATORS,
     ) -> None:
-        self._motion, self._base, self._arm, self._off_drawing = motion, base, arm, (offsets_m, slosh)
+        self._motion, self._base, self._arm, self._actuators = motion, base, arm, actuators
+        self._off_drawing = offsets_m, slosh, actuators.wheels
         self.payload, self.step_s = payload, step_s
         self.model = world(payload, base, arm, step_s, *self._off_drawing)
         self.data = _released(self.model, motion, rate_rad_s)
+        actuators.spin_up(self.model, self.data)
         self._samples = 0
         self.impulse_m_s = np.zeros(3)
         self._flown: list[FreeFlightSignals] = []
@@ -235,7 +245,7 @@ class FreeFlight:
 
     def advance(self, samples: int) -> FreeFlightSignals:
         """The next ``samples`` samples, one or more."""
-        flown = _advance(self.model, self.data, self._motion, self._samples, samples)
+        flown = _advance(self.model, self.data, self._motion, self._samples, samples, self._actuators)
         flown.specific_force_m_s2[0] += self.impulse_m_s / self.step_s
         self.impulse_m_s = np.zeros(3)
         self._samples += samples
@@ -349,7 +359,14 @@ def _momentum(model: mujoco.MjModel, data: mujoco.MjData, body: str, about: Floa
     return np.concatenate([linear, axes @ (own.inertia * (axes.T @ motion[:3])) + np.cross(part.xipos - about, linear)])
 
 
-def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: int, samples: int) -> FreeFlightSignals:
+def _advance(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    motion: Motion,
+    first: int,
+    samples: int,
+    actuators: Actuators = NO_ACTUATORS,
+) -> FreeFlightSignals:
     """Samples ``first`` to ``first + samples``; ``data`` is at the first of them, and at the next afterwards."""
     half_s = 0.5 * model.opt.timestep  # the stages of RK4 lie on half steps
     q, dq, ddq = motion.at(half_s * np.arange(2 * first, 2 * (first + samples) + 1))
@@ -366,18 +383,22 @@ def _advance(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, first: 
         stage = round(data.time / half_s)
         acceleration = ddq[stage] + (_STIFFNESS * (q[stage] - angle) + _DAMPING * (dq[stage] - rate))
         M = _mass_matrix(model, data)
+        acting = actuators.forces(model, data, (2 * first + stage) * half_s)[free]
         force = bias - passive
-        others = np.linalg.solve(M[on_free], -force[free] - M[between] @ acceleration)
+        others = np.linalg.solve(M[on_free], acting - force[free] - M[between] @ acceleration)
+        applied[free] = acting
         applied[told] = force[told] + M[from_free] @ others + M[on_told] @ acceleration
         if not of_sample:
             of_sample.append(applied[told])
 
-    flight = FreeFlightSignals(*(np.empty((samples, width)) for width in (1, JOINTS, JOINTS, 3, 3, 3, 3, JOINTS)))
+    widths = 1, JOINTS, JOINTS, 3, 3, 3, 3, JOINTS, len(actuators.wheels)
+    flight = FreeFlightSignals(*(np.empty((samples, width)) for width in widths))
     mujoco.set_mjcb_control(torque)
     try:
         mujoco.mj_forward(model, data)  # the torque of the first sample
         for k in range(samples):
             flight.q_rad[k], flight.dq_rad_s[k] = angle, rate
+            flight.wheel_rad_s[k] = actuators.rates(model, data)
             of_sample.clear()
             mujoco.mj_step(model, data)  # its sensors are those of the state before the step
             flight.torque_n_m[k] = of_sample[0]

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from hil_sim.arrays import FloatArray, Track
 from hil_sim.plants import free_flyer, world
+from hil_sim.plants.actuators import Actuators, Hold, Pulse, Wheel
 from hil_sim.plants.arm_swings import ArmSwings
 from hil_sim.plants.body import Body, built
 from hil_sim.plants.driven_vehicle import Drivable
@@ -39,6 +40,7 @@ class TrueSignals(NamedTuple):
     specific_force_m_s2: FloatArray  # (n, 3) at the IMU, its axes
     wrist_force_n: FloatArray  # (n, 3) on everything beyond the last joint's flange, the last link's axes
     wrist_moment_n_m: FloatArray  # (n, 3)
+    wheel_rad_s: FloatArray  # (n, w) of the reaction wheels
 
 
 class _Part(NamedTuple):
@@ -47,7 +49,7 @@ class _Part(NamedTuple):
     first: int  # row
     rows: int
     start_s: float
-    splines: tuple[CubicSpline, ...]  # joints, rate, specific force, wrist force and moment
+    splines: tuple[CubicSpline, ...]  # joints, rate, specific force, wrist force and moment, wheels
     shock: free_flyer.Jump | None  # in its first row
 
 
@@ -74,7 +76,8 @@ class FreeFlyerPlant(world.Plant):
         self._scenario = scenario
         self.base, self.arm = as_built(scenario, rng)
         self.payload = _box(scenario.payload)
-        places, self._drawn_last = rng.spawn(2)
+        places, self._drawn_last, of_wheels = rng.spawn(3)
+        self.actuators = _actuators(scenario, of_wheels)
         self.joint_offsets_m = 1e-3 * scenario.as_built.joint_place_mm * places.standard_normal((JOINTS, 3))
         off_m = 1e-3 * scenario.as_built.imu_place_mm
         self.imu_offsets_m = {name: off_m * places.standard_normal(3) for name in scenario.site}
@@ -82,7 +85,7 @@ class FreeFlyerPlant(world.Plant):
         self.program: ArmSwings = ArmSwings(scenario, rng)
         self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
-        self._tracks = [Track(self.rows, width) for width in (JOINTS, 3, 3, 3, 3, 3)]
+        self._tracks = [Track(self.rows, width) for width in (JOINTS, 3, 3, 3, 3, 3, len(scenario.wheel))]
         self.flight = TrueSignals(*(track.values for track in self._tracks))
         self._made = 0  # rows interpolated
         self._derived: list[tuple[FloatArray, Callable[[TrueSignals], FloatArray]]] = []
@@ -95,7 +98,7 @@ class FreeFlyerPlant(world.Plant):
         held = self.payload if capture is None else None
         sloshes = self._scenario.slosh
         slosh = None if sloshes is None else free_flyer.Slosh(sloshes.mass_kg, sloshes.frequency_Hz)
-        built = self.base, self.arm, coarse_s, self.joint_offsets_m, slosh
+        built = self.base, self.arm, coarse_s, self.joint_offsets_m, slosh, self.actuators
         flight = free_flyer.FreeFlight(self.program, self.release_rate_rad_s, held, *built)
         if capture is None:
             return 0.0, [self._part(flight.advance(steps), 0, self.rows)]
@@ -145,8 +148,21 @@ class FreeFlyerPlant(world.Plant):
         """See ``world.Plant``."""
         raise ScenarioError(f"no torque is known at {at!r}: the joints are moved as told; leave motor torques out")
 
+    def wheel_rate_rad_s(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        names = list(self._scenario.wheel)
+        if at not in names:
+            return super().wheel_rate_rad_s(at)
+        return self.flight.wheel_rad_s[:, names.index(at)]
+
     def driven(self) -> Drivable:
-        """What was drawn, to be moved by its drives, whose friction the mission does not have: the default, drawn."""
+        """What was drawn, to be moved by its drives, whose friction the mission does not have: the default, drawn.
+
+        Raises:
+            ScenarioError: it has wheels or thrusters.
+        """
+        if self._scenario.wheel or self._scenario.pulse:
+            raise ScenarioError("drives move no vehicle with [wheel] or [[pulse]]: take them out, or fly the mission")
         own = self.base, self.arm, STEP_S, self.joint_offsets_m
         velocity = np.concatenate([np.zeros(3), self.release_rate_rad_s])
         efforts = dict.fromkeys(JOINT_NAMES, EFFORT_N_M)
@@ -171,12 +187,14 @@ class FreeFlyerPlant(world.Plant):
             "arm_mass_kg": [link.mass_kg for link in self.arm],
             "joint_offsets_m": self.joint_offsets_m,
             "imu_offsets_m": self.imu_offsets_m,
+            **{f"axial_kg_m2_{one.name}": one.axial_kg_m2 for one in self.actuators.wheels},
         }
 
     def _part(self, flight: free_flyer.FreeFlightSignals, first: int, rows: int) -> _Part:
         """A flight as rows ``first ..`` of the finer grid; joints as on their motors' side."""
         q_rad = flight.q_rad + self._scenario.as_built.compliance_rad_N_m * flight.torque_n_m
-        parts = q_rad, flight.rate_rad_s, flight.specific_force_m_s2, flight.wrist_force_n, flight.wrist_moment_n_m
+        wrist = flight.wrist_force_n, flight.wrist_moment_n_m
+        parts = q_rad, flight.rate_rad_s, flight.specific_force_m_s2, *wrist, flight.wheel_rad_s
         splines = tuple(CubicSpline(flight.time_s, values) for values in parts)
         return _Part(first, rows, float(flight.time_s[0]), splines, None)
 
@@ -196,8 +214,8 @@ class FreeFlyerPlant(world.Plant):
         every = self._scenario.physics.integration_steps
         times_s = part.splines[0].x
         at_s = part.start_s + (times_s[1] - times_s[0]) / every * np.arange(first - part.first, last - part.first)
-        q, rate, force, wrist_n, wrist_n_m = part.splines
-        refined = q(at_s), rate(at_s), rate(at_s, 1), force(at_s), wrist_n(at_s), wrist_n_m(at_s)
+        q, rate, *others = part.splines
+        refined = q(at_s), rate(at_s), rate(at_s, 1), *(other(at_s) for other in others)
         for rows, values in zip(self.flight, refined, strict=True):
             rows[first:last] = values
         if part.shock is not None and first == part.first:
@@ -238,6 +256,22 @@ def as_built(scenario: FreeFlyerScenario, rng: np.random.Generator) -> tuple[Bod
     """The base and the links of the arm of a seed: the first that the plant draws."""
     base = _built(free_flyer.BASE, scenario.as_built.base, rng)
     return base, tuple(_built(link, scenario.as_built.link, rng) for link in free_flyer.ARM)
+
+
+def _actuators(scenario: FreeFlyerScenario, rng: np.random.Generator) -> Actuators:
+    """Wheels as built, their control, thrusters."""
+    wheels = []
+    for name, said in scenario.wheel.items():
+        axial = said.axial_kg_m2 * (1.0 + said.inertia_relative * rng.standard_normal())
+        place = [1e-3 * at for at in said.position_mm]
+        wheels.append(Wheel.of(name, said.axis, place, said.mass_kg, (axial, said.across_kg_m2), said.start_rad_s))
+    control = scenario.attitude
+    hold = None if control is None else Hold(control.spring_N_m_rad, control.damper_N_m_s, control.torque_N_m)
+    pulses = [
+        Pulse(one.at_s, one.at_s + one.duration_s, np.asarray(one.force_N), 1e-3 * np.asarray(one.position_mm))
+        for one in scenario.pulse
+    ]
+    return Actuators(tuple(wheels), hold, tuple(pulses))
 
 
 def mounting(scenario: FreeFlyerScenario, at: str) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.motion import Program
+from hil_sim.scenario.tables import ScenarioError
 
 Axis = tuple[float, float, float]
 Z: Axis = (0.0, 0.0, 1.0)  # that of a flange's joint
@@ -72,6 +73,10 @@ class Plant(ABC):
     @abstractmethod
     def servo_torque_n_m(self, at: str) -> FloatArray:
         """Torque of a joint's servo, (n,)."""
+
+    def wheel_rate_rad_s(self, at: str) -> FloatArray:
+        """Speed of a reaction wheel against the base, (n,)."""
+        raise ScenarioError(f"there is no reaction wheel {at!r} in this plant: free_flyer has them, by [wheel.NAME]")
 
     @abstractmethod
     def truth(self) -> dict[str, Any]:

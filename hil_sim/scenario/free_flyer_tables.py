@@ -51,6 +51,35 @@ class SloshTable(Table):
     frequency_Hz: PositiveFloat
 
 
+class WheelTable(Table):
+    """``[wheel.NAME]``: a balanced rotor in the base, on the axis ``NAME`` turns about; inertia about it and across."""
+
+    axis: Vector
+    position_mm: Vector
+    mass_kg: PositiveFloat
+    axial_kg_m2: PositiveFloat
+    across_kg_m2: PositiveFloat
+    start_rad_s: float
+    inertia_relative: NonNegative = 0.0
+
+
+class AttitudeTable(Table):
+    """``[attitude]``: the wheels hold the base's attitude by a spring and a damper, ``torque_N_m`` at most."""
+
+    spring_N_m_rad: NonNegative
+    damper_N_m_s: NonNegative
+    torque_N_m: PositiveFloat
+
+
+class PulseTable(Table):
+    """``[[pulse]]``: a thruster's force on the base, base axes, for a time."""
+
+    at_s: NonNegative
+    duration_s: PositiveFloat
+    force_N: Vector
+    position_mm: Vector
+
+
 class Release(Table):
     """``[release]``: initial motion; each component of the rate lies within +- ``rate_rad_s``."""
 
@@ -131,6 +160,9 @@ class FreeFlyerScenario(Scenario):
     payload: Payload
     capture: CaptureTable | None = None
     slosh: SloshTable | None = None
+    wheel: dict[str, WheelTable] = Field(default_factory=dict)
+    attitude: AttitudeTable | None = None
+    pulse: tuple[PulseTable, ...] = ()
     site: dict[str, Site]
     sequence: Annotated[tuple[FreeFlyerAction, ...], Field(min_length=1)]
 

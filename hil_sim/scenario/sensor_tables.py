@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, m
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
-MeasuredQuantity = Literal["inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase"]
+MeasuredQuantity = Literal["inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase", "wheel_rate"]
 
 
 class Table(BaseModel):
@@ -119,6 +119,15 @@ class MotorTorqueTable(Table):
     noise_rms_Nm: NonNegative
 
 
+class WheelRateTable(Table):
+    """The speed of a reaction wheel against the base, in steps of ``step_rad_s``."""
+
+    quantity: Literal["wheel_rate"]
+    scale_sigma: NonNegative
+    noise_rms_rad_s: NonNegative
+    step_rad_s: PositiveFloat
+
+
 class PhaseTable(Table):
     """The code of the sequence's phase."""
 
@@ -126,7 +135,7 @@ class PhaseTable(Table):
 
 
 SensorTable = Annotated[
-    ImuTable | EncoderTable | LoadCellTable | ForceCellTable | MotorTorqueTable | PhaseTable,
+    ImuTable | EncoderTable | LoadCellTable | ForceCellTable | MotorTorqueTable | WheelRateTable | PhaseTable,
     Field(discriminator="quantity"),
 ]
 

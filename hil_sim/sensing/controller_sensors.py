@@ -1,4 +1,4 @@
-"""Signals of the arm controller: the torque of its servo, and the phase of its sequence."""
+"""Signals of controllers: the torque of a servo, the speed of a reaction wheel, the phase of the arm's sequence."""
 
 import bisect
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from hil_sim.plants.world import Plant
-from hil_sim.scenario.sensor_tables import MotorTorqueTable
+from hil_sim.scenario.sensor_tables import MotorTorqueTable, WheelRateTable
 from hil_sim.sensing.sensors import interpolate_one
 
 
@@ -31,6 +31,27 @@ class MotorTorqueSensor:
     def truth(self) -> dict[str, Any]:
         """The errors drawn."""
         return {"gain": self.gain, "offset_Nm": self.offset_Nm}
+
+
+class TachoSensor:
+    """Speed of a reaction wheel, with scale error and noise."""
+
+    def __init__(self, plant: Plant, table: WheelRateTable, rng: np.random.Generator, at: str = "") -> None:
+        self._plant, self.step_rad_s = plant, table.step_rad_s
+        self._rate_rad_s = plant.wheel_rate_rad_s(at)
+        self.gain = 1.0 + table.scale_sigma * rng.standard_normal()
+        self._noise = table.noise_rms_rad_s * rng.standard_normal(plant.rows)
+
+    def value(self, time_s: float) -> float:
+        """Speed at ``time_s`` [rad/s]."""
+        self._plant.require(time_s)
+        position = time_s / self._plant.step_s
+        noise = float(self._noise[min(max(round(position), 0), self._plant.rows - 1)])
+        return float(self.gain * interpolate_one(self._rate_rad_s, position) + noise)
+
+    def truth(self) -> dict[str, Any]:
+        """The errors drawn."""
+        return {"gain": self.gain}
 
 
 class PhaseSensor:

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal, special
+from scipy import optimize, signal
 
 from hil_sim.arrays import Deviates, FloatArray, Track
 from hil_sim.plants.motion import STANDARD_GRAVITY
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.sensor_tables import Axes, ClockTable, EncoderTable, ForceCellTable, ImuTable, LoadCellTable
+from hil_sim.sensing.triads import Triad, Wander, within_limits
 
 Counts = NDArray[np.int16]
 Place = TypeVar("Place", float, FloatArray)
@@ -98,13 +99,6 @@ def _lagrange(u: Place) -> tuple[Place, Place, Place, Place]:
     )
 
 
-def within_limits(rng: np.random.Generator, shape: int | tuple[int, ...]) -> FloatArray:
-    """Normal deviates truncated at two standard deviations, the datasheet limits."""
-    low, high = special.ndtr([-2.0, 2.0])
-    deviates: FloatArray = special.ndtri(rng.uniform(low, high, shape))
-    return deviates
-
-
 class _Stream:
     """A filter applied incrementally to the rows computed so far."""
 
@@ -133,54 +127,6 @@ class _Stream:
         return self._count
 
 
-@dataclass(frozen=True)
-class Triad:
-    """Errors of a three-axis sensor: reading = matrix (I + scale + cross-axis) x truth + bias + per kelvin x rise."""
-
-    matrix: FloatArray  # (3, 3)
-    bias: FloatArray  # (3,)
-    per_kelvin: FloatArray  # (3,)
-
-    @staticmethod
-    def draw(axes: Axes, mounting: FloatArray, rng: np.random.Generator) -> "Triad":
-        """``mounting`` (3,): small rotation of the package [rad]; it turns accelerometer and gyro together."""
-        own = np.eye(3) + np.diag(axes.scale_sigma * within_limits(rng, 3))
-        own += axes.cross_axis_sigma * within_limits(rng, (3, 3)) * (1.0 - np.eye(3))
-        x, y, z = mounting
-        package = np.eye(3) - np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # designed axes to package axes
-        matrix = own @ package
-        bias = np.asarray(axes.bias_sigma) * within_limits(rng, 3)
-        per_kelvin = np.asarray(axes.bias_per_kelvin_sigma) * within_limits(rng, 3)
-        for array in (matrix, bias, per_kelvin):
-            array.setflags(write=False)
-        return Triad(matrix, bias, per_kelvin)
-
-
-class _Wander:
-    """Change of a triad's bias in flight: a Gauss-Markov process (in place of flicker) and a random walk."""
-
-    def __init__(self, axes: Axes, step_s: float, rng: np.random.Generator) -> None:
-        self._memory = math.exp(-step_s / axes.bias_instability_time_s)
-        self._sigmas = axes.bias_instability, axes.bias_walk_sqrt_s * math.sqrt(step_s)
-        self._rng = rng.spawn(1)[0]  # the numbers that other errors are drawn from stay
-        self._slow = axes.bias_instability * self._rng.standard_normal(3)
-        self._walked = np.zeros(3)
-
-    def add_to(self, rows: FloatArray) -> None:
-        """Add the next rows, (n, 3)."""
-        slow, walk = self._sigmas
-        if slow:
-            steps = slow * math.sqrt(1.0 - self._memory**2) * self._rng.standard_normal(rows.shape)
-            state = self._memory * self._slow[None, :]
-            own, _ = signal.lfilter([1.0], [1.0, -self._memory], steps, axis=0, zi=state)
-            rows += own
-            self._slow = own[-1]
-        if walk:
-            walked = self._walked + np.cumsum(walk * self._rng.standard_normal(rows.shape), axis=0)
-            rows += walked
-            self._walked = walked[-1]
-
-
 class ImuSensor:
     """The MPU-6050's analogue side: specific force and angular rate to filtered, quantised, saturated words."""
 
@@ -197,7 +143,7 @@ class ImuSensor:
         self._noise_scale = spread * np.repeat([table.accel_g.noise_density, table.gyro_deg_s.noise_density], 3)
         self._noise = Deviates(rng, plant.rows, 6)
         self._thermal_noise = Deviates(rng, plant.rows, 1)
-        self._wander = [_Wander(axes, plant.step_s, rng) for axes in (table.accel_g, table.gyro_deg_s)]
+        self._wander = [Wander(axes, plant.step_s, rng) for axes in (table.accel_g, table.gyro_deg_s)]
         self._streams: dict[tuple[str, int], _Stream] = {}
         self._forgotten = 0
         self._raw_track, self._thermal_track = Track(plant.rows, 6), Track(plant.rows)

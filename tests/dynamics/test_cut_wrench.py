@@ -8,7 +8,8 @@ from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
-from onboard.flight.estimate.identification import build_model, exiddm_prior, geometry_prior
+from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
+from onboard.flight.estimate.identification import build_model
 from onboard.identification.exiddm.further import CellPrior, FurtherCell, FurtherImu
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from tests.dynamics.free_flyer_twin import twin

@@ -15,6 +15,7 @@ from pydantic import BaseModel
 
 from drivers.marks import MARK
 from drivers.records import CAN_SYNC, IMU, PULSE, SCALAR
+from onboard import config
 from onboard.devices.base import BusDevice, DeviceSection
 from onboard.devices.canopen import CanopenNodeDevice
 from onboard.devices.node_channels import CHANNELS
@@ -22,7 +23,7 @@ from onboard.devices.registry import DEVICES
 from onboard.devices.roles import LoadCellKeys
 from onboard.section import LARGEST
 
-MIXED = Path(__file__).parents[1] / "flight" / "mixed.toml"
+FLOWN = Path(__file__).parents[1] / "flight" / "mixed.toml", config.packaged("dymaflex_wheels")
 RECORDS: list[tuple[np.dtype[np.void], str]] = [
     (IMU, "IMU"),
     (SCALAR, "SCALAR"),
@@ -90,7 +91,7 @@ HEAD = """# Devices
 
 The devices of a vehicle file: each kind with an example, its channels, its clock and its keys. Written by
 `python -m tests.onboard.device_page docs/devices.md` from the classes that read the file; the examples are those of
-`tests/flight/mixed.toml`, which flies against simulated devices in the tests.
+`tests/flight/mixed.toml` and, of the wheel, of `dymaflex_wheels`, which fly against simulated devices in the tests.
 
 A device is on a bus, `[bus.NAME]` with a `url`:
 
@@ -138,16 +139,24 @@ def _section(kind: str, model: type[DeviceSection]) -> str:
 
 
 def example(kind: str) -> tuple[str, str]:
-    """Name and text of the device of a kind in the vehicle that the tests fly; empty for what comes of no bus."""
-    for part in re.split(r"(?m)^(?=\[(?!\[))", MIXED.read_text(encoding="utf-8")):
+    """Name and text of the device of a kind in a vehicle that the tests fly; empty for what comes of no bus."""
+    text = "".join(file.read_text(encoding="utf-8") for file in FLOWN)
+    for part in re.split(r"(?m)^(?=\[(?!\[))", text):
         if part.startswith("[device.") and f'kind = "{kind}"\n' in part:
             return part[len("[device.") : part.index("]")], part.strip() + "\n"
     return "NAME", ""
 
 
+def flown_devices() -> dict[str, dict[str, Any]]:
+    """The devices of the vehicles that the tests fly."""
+    found: dict[str, dict[str, Any]] = {}
+    for file in reversed(FLOWN):
+        found |= tomllib.loads(file.read_text(encoding="utf-8"))["device"]
+    return found
+
+
 def _device(name: str) -> dict[str, Any]:
-    table: dict[str, Any] = tomllib.loads(MIXED.read_text(encoding="utf-8"))["device"][name]
-    return table
+    return flown_devices()[name]
 
 
 def _record(dtype: np.dtype[np.void]) -> str:

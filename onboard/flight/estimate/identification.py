@@ -11,19 +11,19 @@ from onboard.config.vehicle import LinkSection
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.errors import ModelError, UrdfError
 from onboard.dynamics.inertia import RigidBody, symmetric
-from onboard.dynamics.payload import body_of, standard_covariance
+from onboard.dynamics.payload import body_of
 from onboard.dynamics.urdf import with_bodies
 from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
+from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.further import CellPrior, Further, FurtherCell, FurtherImu
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.online import OnlineIdentifier
@@ -216,53 +216,6 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
             place = vehicle.origin.place(["planar", "puck", str(index), "frame"])
             raise config.ConfigError(f"{place}: {error}") from error
     return TableRun(str(model.spec.payload_link)), model
-
-
-def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
-    """What is known before a flight: covariances of links, prior on instrument errors, sigmas of a payload (10,).
-
-    Raises:
-        UrdfError: a link that the URDF does not have, or has no inertia.
-    """
-    settings = vehicle.file.estimation
-    covariance = {}
-    for link, sigma in settings.prior.link.items():
-        if link not in model.links:
-            raise UrdfError(f"prior.link names {link!r}; links with inertia are {', '.join(model.links)}")
-        own = 10 * model.links.index(link)
-        known = sigma.mass_relative, sigma.centre_m, sigma.inertia_relative
-        covariance[link] = standard_covariance(model.chi[own : own + 10], *known)
-    asked = settings.exiddm
-    first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
-    payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
-    return covariance, imu_prior_of(vehicle), payload_sigma
-
-
-def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
-    """The prior on errors of an IMU, as the vehicle file states it."""
-    keys = vehicle.file.estimation.imu_prior
-    prior = ImuPrior(**keys.model_dump(exclude={"position_m", "gyro_cross_axis", "accelerometer_cross_axis"}))
-    return prior.with_cross_axis(keys.gyro_cross_axis, keys.accelerometer_cross_axis)
-
-
-def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:
-    """Prior on places of IMU and joints, and on the encoders' errors; silent joints have the defaults of the keys.
-
-    A silent joint of which the rate is measured is a rotor with the scale and the delay of its device.
-
-    Cyclic errors are those that the encoders' devices state.
-
-    Raises:
-        UnknownFrameError: a joint that the URDF does not have.
-    """
-    stated, roles = vehicle.file.estimation.prior.joint, roles_of(vehicle)
-    ripple = {joint.joint: roles.signals[joint.channel].ripple for joint in roles.joints}
-    joints = {}
-    for name in dict.fromkeys([*(joint.name for joint in model.joints), *stated]):
-        own = stated.get(name, config.JointKeys())
-        cyclic = tuple(rms for _, rms in ripple.get(name, ()))
-        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic)
-    return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)
 
 
 def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:

@@ -14,7 +14,8 @@ from onboard import config
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_planar, exiddm_prior, imu_prior_of, samples_per_tick
+from onboard.flight.estimate.exiddm_priors import exiddm_prior, imu_prior_of
+from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit

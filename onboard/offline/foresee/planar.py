@@ -6,7 +6,8 @@ from onboard import config
 from onboard.dynamics.payload import body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.maximum_likelihood import covariance_of
-from onboard.flight.estimate.identification import build_planar, exiddm_prior, samples_per_tick
+from onboard.flight.estimate.exiddm_priors import exiddm_prior
+from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.air_bearing import air_bearing_exiddm
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE

@@ -17,8 +17,8 @@ from hil_sim.sensing.sensors import (
     interpolate,
     interpolate_one,
     low_pass,
-    within_limits,
 )
+from hil_sim.sensing.triads import within_limits
 
 STEP_S = 5e-4
 G = 9.80665

@@ -14,7 +14,8 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.smoothing import SmoothingWindow
-from onboard.flight.estimate.identification import build_exiddm, exiddm_prior
+from onboard.flight.estimate.exiddm_priors import exiddm_prior
+from onboard.flight.estimate.identification import build_exiddm
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import cyclic_functions, kernel_of
 from onboard.identification.exiddm.free_base import free_exiddm

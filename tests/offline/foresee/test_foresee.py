@@ -13,7 +13,8 @@ from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
-from onboard.flight.estimate.identification import build_exiddm, build_identifier, exiddm_prior
+from onboard.flight.estimate.exiddm_priors import exiddm_prior
+from onboard.flight.estimate.identification import build_exiddm, build_identifier
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.verdict import Level

@@ -1,0 +1,64 @@
+"""What the vehicle file states before a flight, as the ExIDDM takes it: links, instruments, joints, payload."""
+
+import numpy as np
+
+from onboard import config
+from onboard.dynamics.errors import UrdfError
+from onboard.dynamics.payload import standard_covariance
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.flight.estimate.roles import roles_of
+from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+
+
+def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
+    """What is known before a flight: covariances of links, prior on instrument errors, sigmas of a payload (10,).
+
+    Raises:
+        UrdfError: a link that the URDF does not have, or has no inertia.
+    """
+    settings = vehicle.file.estimation
+    covariance = {}
+    for link, sigma in settings.prior.link.items():
+        if link not in model.links:
+            raise UrdfError(f"prior.link names {link!r}; links with inertia are {', '.join(model.links)}")
+        own = 10 * model.links.index(link)
+        known = sigma.mass_relative, sigma.centre_m, sigma.inertia_relative
+        covariance[link] = standard_covariance(model.chi[own : own + 10], *known)
+    asked = settings.exiddm
+    first_moment, inertia = asked.payload_first_moment_sigma_kg_m, asked.payload_inertia_sigma_kg_m2
+    payload_sigma = np.array([asked.payload_mass_sigma_kg, *[first_moment] * 3, *[inertia] * 6])
+    return covariance, imu_prior_of(vehicle), payload_sigma
+
+
+def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
+    """The prior on errors of an IMU, as the vehicle file states it."""
+    keys = vehicle.file.estimation.imu_prior
+    prior = ImuPrior(**keys.model_dump(exclude={"position_m", "gyro_cross_axis", "accelerometer_cross_axis"}))
+    return prior.with_cross_axis(keys.gyro_cross_axis, keys.accelerometer_cross_axis)
+
+
+def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrior:
+    """Prior on places of IMU and joints, and on the encoders' errors; silent joints have the defaults of the keys.
+
+    A silent joint of which the rate is measured is a rotor with the scale and the delay of its device.
+
+    Cyclic errors are those that the encoders' devices state.
+
+    Raises:
+        UnknownFrameError: a joint that the URDF does not have.
+    """
+    stated, roles = vehicle.file.estimation.prior.joint, roles_of(vehicle)
+    ripple = {joint.joint: roles.signals[joint.channel].ripple for joint in roles.joints}
+    rotors = {joint.joint: joint for joint in roles.joints if joint.is_rate}
+    joints = {}
+    for name in dict.fromkeys([*(joint.name for joint in model.joints), *stated]):
+        if name in rotors and name not in stated:  # a body of revolution: place and angle have no effect
+            rotor = rotors[name]
+            joints[name] = JointPrior(0.0, 0.0, rotor.scale_sigma, rotor.delay_sigma_s, ())
+            continue
+        own = stated.get(name, config.JointKeys())
+        cyclic = tuple(rms for _, rms in ripple.get(name, ()))
+        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic)
+    return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)

@@ -1,0 +1,106 @@
+"""Reaction wheels and thrusters of the simulated free-flyer: laws of momentum, and what the estimator's model says."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import onboard
+from hil_sim.plants import free_flyer
+from hil_sim.plants.actuators import Actuators, Hold, Pulse, Wheel
+from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
+from hil_sim.scenario.load import ScenarioError, load
+from onboard.dynamics.free_flight import predict_base_from_rate
+from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+
+URDF = Path(onboard.__file__).parent / "vehicles" / "dymaflex_wheels" / "dymaflex.urdf"
+PLACES_m = ((0.1, 0.1, -0.1), (-0.1, 0.1, -0.1), (0.0, -0.1, -0.1))
+WHEELS = tuple(
+    Wheel.of(f"wheel_{x}", axis, place, 0.6, (0.0025, 0.0014), 100.0)
+    for x, axis, place in zip("xyz", np.eye(3).tolist(), PLACES_m, strict=True)
+)
+HOLD = Hold(0.1, 0.5, 0.1)
+RATE = (0.05, -0.04, 0.03)
+STEP_s, EVERY = 2e-3, 5
+SHORT = {
+    "sequence": [{"phase": 0, "action": "hold", "duration_s": 0.3}],
+    "capture": {"earliest_s": 0.1, "latest_s": 0.1},
+}
+
+
+def flown(actuators, seconds=3.0):
+    motion = free_flyer.JointMotion.draw(np.random.default_rng(4))
+    flight = free_flyer.FreeFlight(motion, RATE, step_s=STEP_s, actuators=actuators)
+    flight.advance(round(seconds / STEP_s))
+    return motion, flight
+
+
+def momentum(flight):
+    """Of everything: linear, and angular about the centre of mass, world axes."""
+    mujoco.mj_subtreeVel(flight.model, flight.data)
+    base = flight.model.body("base").id
+    whole = float(flight.model.body_subtreemass[base])
+    return whole * flight.data.subtree_linvel[base], flight.data.subtree_angmom[base].copy()
+
+
+def test_wheels_exchange_momentum_and_calm_the_base():
+    before = momentum(flown(Actuators(WHEELS, HOLD), STEP_s)[1])
+    _, held = flown(Actuators(WHEELS, HOLD))
+    after = momentum(held)
+    spun = held.history.wheel_rad_s
+    assert np.abs(spun[-1] - 100.0).max() > 5.0  # they have worked
+    a_millionth = 1e-6 * np.linalg.norm(before[1])
+    np.testing.assert_allclose(after[1], before[1], atol=a_millionth)
+    np.testing.assert_allclose(after[0], before[0], atol=1e-9)
+    _, idle = flown(Actuators(WHEELS))
+    assert np.abs(idle.history.wheel_rad_s - 100.0).max() < 1.0  # by the base's own motion alone
+    rms = [np.sqrt(np.mean(one.history.rate_rad_s**2)) for one in (held, idle)]
+    assert rms[0] < 0.9 * rms[1]
+
+
+def test_a_thruster_gives_its_impulse():
+    pulse = Pulse(1.0, 1.5, np.array([0.4, -0.2, 0.1]), np.array([0.0, 0.2, 0.0]))
+    _, free = flown(Actuators(), 2.0)
+    _, pushed = flown(Actuators(pulses=(pulse,)), 2.0)
+    change = momentum(pushed)[0] - momentum(free)[0]
+    of_all = np.linalg.norm(pulse.force_n) * 0.5
+    assert 0.98 * of_all < np.linalg.norm(change) <= 1.0001 * of_all  # the base turns a little meanwhile
+    assert np.linalg.norm(momentum(pushed)[1] - momentum(free)[1]) > 0.02
+
+
+@pytest.mark.parametrize("wheels", [True, False])
+def test_the_estimators_model_predicts_the_base_with_its_wheels_and_only_so(wheels):
+    motion, flight = flown(Actuators(WHEELS, HOLD))
+    seen, ticks = flight.history, slice(None, None, EVERY)
+    time_s = seen.time_s[ticks]
+    spin = seen.wheel_rad_s[ticks] if wheels else np.zeros((len(time_s), 3))
+    q, dq, ddq = motion.at(time_s)
+    still, change = np.zeros_like(spin), np.gradient(spin, EVERY * STEP_s, axis=0, edge_order=2)
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    chi = vehicle.chi.copy()
+    chi[vehicle.payload_columns()] = 0.0
+    chain = chain_motion(vehicle, *(np.hstack(two) for two in ((q, still), (dq, spin), (ddq, change))))
+    R, _ = vehicle.pose_in_base("imu_base")
+    rate = seen.rate_rad_s[ticks]
+    base = predict_base_from_rate(chain.links, EVERY * STEP_s, chi, R @ rate[0], ())
+    off = np.abs(base.rate @ R - rate).max()
+    a_hundredth_of_the_gyros_noise = 2e-5
+    assert off < a_hundredth_of_the_gyros_noise if wheels else off > 1e3 * a_hundredth_of_the_gyros_noise
+
+
+def test_wheels_as_built_and_what_has_none():
+    plant = FreeFlyerPlant(load("dymaflex_wheels", SHORT), np.random.default_rng(3))
+    drawn = np.array([plant.truth()[f"axial_kg_m2_{name}"] for name in ("wheel_x", "wheel_y", "wheel_z")])
+    assert 0.0 < np.abs(drawn / 0.0025 - 1.0).max() < 5 * 0.004
+    plant.advance(0.2)
+    np.testing.assert_allclose(plant.wheel_rate_rad_s("wheel_y")[: plant.count], 100.0, atol=5.0)
+    with pytest.raises(ScenarioError, match="no reaction wheel 'wheel_w'"):
+        plant.wheel_rate_rad_s("wheel_w")
+    with pytest.raises(ScenarioError, match="drives move no vehicle"):
+        plant.driven()
+    bare = FreeFlyerPlant(load("dymaflex", SHORT), np.random.default_rng(3))
+    np.testing.assert_array_equal(bare.joint_offsets_m, plant.joint_offsets_m)  # wheels change no other draw
+    with pytest.raises(ScenarioError, match="no reaction wheel"):
+        bare.wheel_rate_rad_s("wheel_y")
