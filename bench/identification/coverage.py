@@ -6,6 +6,7 @@ of the vehicle file. Signals are synthetic: samples on one grid without buses, c
 ``coverage.toml`` flies boxes of 0.5 to 30 kg, ``lies.toml`` faults and model errors that no prior states.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -83,18 +84,19 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
 
     Args:
         seed: of everything drawn.
-        settings: ``payload``, of ``BOXES``; anything of ``Lies`` by its name.
+        settings: ``payload``, of ``BOXES``; anything of ``Lies`` by its name; ``stated``, tables laid over
+            vehicle.toml, for the estimator alone.
     """
     said = dict(settings)
-    box = BOXES[said.pop("payload")]
+    box, stated = BOXES[said.pop("payload")], said.pop("stated", None)
     if "slosh" in said:
         said["slosh"] = free_flyer.Slosh(**said["slosh"])
-    found = flown(box, Lies(**said), seed)
+    found = flown(box, Lies(**said), seed, stated)
     return FlightResult(found.answers, events=("change",) * found.changes, detections=found.changes)
 
 
-def flown(box: free_flyer.Body, lies: Lies, seed: int) -> Covered:
-    """One flight through the estimator of the vehicle file."""
+def flown(box: free_flyer.Body, lies: Lies, seed: int, stated: Mapping[str, Any] | None = None) -> Covered:
+    """One flight through the estimator of the vehicle file, with what is stated over it."""
     rng = np.random.default_rng([seed, 0xC0])
     scenario = load("dymaflex")
     assert isinstance(scenario, FreeFlyerScenario)
@@ -116,7 +118,7 @@ def flown(box: free_flyer.Body, lies: Lies, seed: int) -> Covered:
     off_m = 1e-3 * built.imu_place_mm * rng.standard_normal(3)
     spoilt = _spoilt(truth, lies, rng)
     signals, cyclic = _sensed(spoilt, zeros, off_m, rng)
-    online, _ = build_exiddm(_vehicle())
+    online, _ = build_exiddm(_vehicle(stated))
     off_m = 1e-3 * built.imu_place_mm * rng.standard_normal(3)
     ticks = _with_joint_noise(ticks_of(signals)._replace(cyclic=cyclic))
     ticks = _with_further(ticks, _second(truth, spoilt, off_m, rng), _wrist(truth, rng))
@@ -126,11 +128,10 @@ def flown(box: free_flyer.Body, lies: Lies, seed: int) -> Covered:
     return _judged(box, online)
 
 
-def _vehicle() -> config.Vehicle:
+def _vehicle(stated: Mapping[str, Any] | None = None) -> config.Vehicle:
     vehicle = config.load(config.packaged("dymaflex"))
-    estimation = vehicle.file.estimation
-    held = estimation.model_copy(update={"exiddm": estimation.exiddm.model_copy(update={"held_at_start": True})})
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": held})})
+    tree = config.laid_over(vehicle.tree, {"estimation": {"exiddm": {"held_at_start": True}}})
+    return config.parse_tree(config.laid_over(tree, dict(stated or {})), vehicle.path, config.Origin("the bench"))
 
 
 def _spoilt(truth: free_flyer.FreeFlightSignals, lies: Lies, rng: np.random.Generator) -> free_flyer.FreeFlightSignals:

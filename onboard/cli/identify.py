@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 from onboard.cli.common import DAMAGED, FAILED, OK, Commands, load_vehicle, progress, show, warn
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from onboard import config
+    from onboard.recording.reader import LogReader
 
 
 def add(commands: Commands) -> None:
@@ -52,11 +55,13 @@ def _identify(arguments: argparse.Namespace) -> int:
     if not arguments.logs:
         raise ValueError("name a log to identify from, or the --vehicle whose --parameters to show")
     with tempfile.TemporaryDirectory() as directory:
-        vehicle = flown_by([LogReader(log) for log in arguments.logs], Path(directory))
-        return _identify_with(vehicle, arguments)
+        logs = [LogReader(log) for log in arguments.logs]
+        return _identify_with(flown_by(logs, Path(directory)), arguments, logs)
 
 
-def _identify_with(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> int:
+def _identify_with(
+    vehicle: "config.Vehicle", arguments: argparse.Namespace, logs: "Sequence[Path | LogReader]" = ()
+) -> int:
     from onboard.offline.estimate_again import identify, identify_view
     from onboard.offline.estimate_again import warm_start as carrying
     from onboard.offline.estimate_again.predict import predict
@@ -74,7 +79,7 @@ def _identify_with(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> 
         raise ValueError("a URDF holds the result of one log; give --urdf with one log")
     with progress() as bar:
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
-        found = identify.identify(vehicle, arguments.logs, lambda done: bar.update(task, completed=done))
+        found = identify.identify(vehicle, logs or arguments.logs, lambda done: bar.update(task, completed=done))
     if arguments.predict:
         made = tuple((log, predict(vehicle, found.logs[0], log)) for log in arguments.predict)
         found = replace(found, predicted=made)

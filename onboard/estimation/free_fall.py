@@ -8,7 +8,6 @@ light body turns as fast as its arm starts.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import savgol_coeffs
 from scipy.special import chdtri
 
 from onboard.estimation.arrays import BoolArray, FloatArray
@@ -38,6 +37,12 @@ def is_free(force: ArrayLike, sigma: ArrayLike, period_s: float, largest_m_s2: f
         return np.asarray((size <= largest_m_s2) & (_means(rough[:, None], width)[:, 0] <= limit), np.bool_)
 
 
+def _cubic(width: int) -> FloatArray:
+    """Weights, (width,), of the value at the middle of the cubic that fits so many readings (Savitzky and Golay)."""
+    at = np.linspace(-1.0, 1.0, width)
+    return np.asarray(np.linalg.pinv(np.vander(at, 4, increasing=True))[0], np.float64)
+
+
 def roughness(readings: FloatArray, sigma: FloatArray, period_s: float) -> FloatArray:
     """Mean square of the residuals of a cubic about each tick over that of white noise, (n,); NaN beside a gap.
 
@@ -49,7 +54,7 @@ def roughness(readings: FloatArray, sigma: FloatArray, period_s: float) -> Float
     width = 2 * round(0.5 * _CUBIC_s / period_s) + 1
     if len(readings) < width:
         return np.full(len(readings), np.nan)
-    kernel = -savgol_coeffs(width, 3)
+    kernel = -_cubic(width)
     kernel[width // 2] += 1.0
     residual = np.column_stack([np.convolve(column, kernel, "same") for column in readings.T])
     residual[: width // 2] = residual[len(residual) - width // 2 :] = np.nan

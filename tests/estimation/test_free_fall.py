@@ -45,3 +45,10 @@ def test_nothing_is_free_beside_a_gap_or_without_enough_readings(noise):
     assert not found[1000 - 15 : 1000 + 15].any()
     assert not is_free(noise[:30], np.full((30, 3), SIGMA_m_s2), PERIOD_s, 0.6).any()
     assert not is_free(noise[:10], np.full((10, 3), SIGMA_m_s2), PERIOD_s, 0.6).any()
+
+
+def test_a_cubic_leaves_nothing_and_a_quartic_does():
+    t = np.linspace(-1.0, 1.0, TICKS)[:, None]
+    sigma = np.full((TICKS, 1), SIGMA_m_s2)
+    assert np.nanmax(roughness(3.0 - t + 2.0 * t**2 - 5.0 * t**3, sigma, PERIOD_s)) < 1e-20
+    assert np.nanmin(roughness(t**4, sigma, PERIOD_s)) > 1e-16

@@ -96,13 +96,13 @@ def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
 
 
 def identify(
-    vehicle: config.Vehicle, logs: Sequence[Path], progress: Callable[[int], None] | None = None
+    vehicle: config.Vehicle, logs: Sequence[Path | LogReader], progress: Callable[[int], None] | None = None
 ) -> Identification:
     """Identify every log separately, and calibration throws also together by role.
 
     Args:
         vehicle: the vehicle flown.
-        logs: its logs.
+        logs: its logs; one that was read through is not read through again.
         progress: called with the number of logs done.
 
     Raises:
@@ -111,11 +111,11 @@ def identify(
         LoadError: a log of a free body that matches no load or several.
         ConfigError: the vehicle file does not fit its URDF.
     """
-    readers = [LogReader(log) for log in logs]
+    readers = [log if isinstance(log, LogReader) else LogReader(log) for log in logs]
     for reader in readers:
         check_channels(vehicle, reader)
         check_times(vehicle, reader)
-    loads = [throws.load_of(vehicle, log) if vehicle.file.free_body else None for log in logs]
+    loads = [throws.load_of(vehicle, log.path) if vehicle.file.free_body else None for log in readers]
     calibration: dict[str, Identifier] = {}
     found = []
     by_rows = vehicle.file.estimation.method != EXIDDM
