@@ -102,6 +102,7 @@ class ImuPredictor:
         imu_frames: of the IMUs, by their numbers among the instruments.
         lines: of what is predicted by instrument, the first IMU first.
         of_each: where the errors of each instrument stand in the state.
+        of_bodies: where the deviations of links and the errors of joints stand in the state.
         of_further: the same of each further instrument, of a cell its scale alone.
         stated: (p,) as ``sigma``, of biases as they may be after their drift.
         wandering: where the delays stand that wander, and the correlation time of each.
@@ -168,6 +169,7 @@ class ImuPredictor:
         self.lines = tuple(slice(a, b) for a, b in pairwise(ends))
         self._joint_errors = JointErrors(vehicle, of_cyclic)
         self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
+        self.of_bodies = np.concatenate([self._in_links, self._in_joints])
         self._columns = Columns(self._links.indices, [np.eye(10), *halves])
         of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
         self._of_motion = [  # places in the state, and among what the base's motion depends on

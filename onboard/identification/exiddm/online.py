@@ -201,7 +201,7 @@ class ExiddmIdentifier:
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         against = too_large({names[k]: float(state[k] / stated[k]) for k in known})
-        return Findings(against or contradicted(self._by_the_data(state)), tuple(doubts))
+        return Findings((*contradicted(self._by_the_data(state)), *against), tuple(doubts))
 
     def _known(self) -> IndexArray:
         """Corrections with a stated sigma, of what is in use."""

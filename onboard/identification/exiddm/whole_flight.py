@@ -113,6 +113,7 @@ class WholeFlight:
         instruments: those that take part.
         devices: their numbers.
         constants: how many of the first parameters are the predictor's without the rate.
+        of_bodies: indices of the parameters that are errors of links and joints.
         of_a_part: indices of the parameters that differ from part to part of a flight: rates and biases.
     """
 
@@ -136,6 +137,7 @@ class WholeFlight:
         walk = np.sqrt(2.0 * KINK_s / DRIFT_MEMORY_s)
         drifts = [drift_at for _, drift_at in predictor.biases]
         self.constants = len(predictor.names) - PAYLOAD.start
+        self.of_bodies = predictor.of_bodies - PAYLOAD.start
         self.names: tuple[str, ...] = (
             *predictor.names[constant],
             *(f"{name}_{k}" for k in range(len(self.segments)) for name in predictor.names[RATE]),

@@ -14,7 +14,7 @@ import numpy as np
 from onboard.dynamics.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.identification.corrections import too_large
+from onboard.identification.corrections import contradicted, told, too_large
 from onboard.identification.exiddm.parts import differences
 from onboard.identification.exiddm.stated import Kind, kinds_of
 from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
@@ -69,7 +69,7 @@ def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], in
     against += [kind.text for kind in kinds if kind.chance < _REFUSED]
     doubts += [kind.text for kind in kinds if _REFUSED <= kind.chance < _NOT_AS_STATED[kind.device > 0]]
     corrections = _corrections(flight, found)
-    against += too_large(corrections)
+    against += [*contradicted(_by_the_data(flight, found)), *too_large(corrections)]
     ends = tuple(f"_{one.name}" for one in flight.further)  # theirs are tested kind by kind
     own = {name: sigmas for name, sigmas in corrections.items() if not name.endswith(ends)}
     return Tested(flight, found, kinds, own, Findings(tuple(against), tuple(doubts)))
@@ -92,6 +92,13 @@ def without_each(
             yield device, tested(flight, flight.fit(start, _STAGES_s), phase_at)
         except (EstimationError, ModelError):
             continue
+
+
+def _by_the_data(flight: WholeFlight, found: FlightFit) -> dict[str, float]:
+    """Errors of joints and links in sigmas of what the flight tells of each; instruments are tested kind by kind."""
+    at = flight.of_bodies
+    sigmas = found.fit.x[at] / told(flight.sigma[at] ** 2, np.diag(found.fit.covariance)[at])
+    return {found.names[k]: float(one) for k, one in zip(at, sigmas, strict=True)}
 
 
 def _corrections(flight: WholeFlight, found: FlightFit) -> dict[str, float]:

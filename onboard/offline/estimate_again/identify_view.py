@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onboard.identification.verdict import Level, Verdict
+from onboard.offline.calibrate.result import digits
 from onboard.offline.estimate_again import runs_view
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.identify import Identification
@@ -119,7 +120,8 @@ def _numbers(values: NDArray[np.float64]) -> str:
 
 
 def _within(values: NDArray[np.float64], half: NDArray[np.float64]) -> str:
-    return ", ".join(f"{value:.3g} ± {wide:.2g}" for value, wide in zip(values, half, strict=True))
+    places = (digits(wide) for wide in half)
+    return ", ".join(f"{value:.{n}f} ± {wide:.{n}f}" for value, wide, n in zip(values, half, places, strict=True))
 
 
 def _throws(logs: Sequence[Identified]) -> Table:

@@ -10,6 +10,8 @@ from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
+from onboard.identification.corrections import FARTHEST
+from onboard.identification.exiddm import witnesses
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
@@ -104,6 +106,26 @@ def test_outliers_are_left_out_and_counted(ticks, predictor, fitted):
     found = again.fit(whole.fit.x)
     assert found.glitches == 12  # two ticks of six lines
     assert np.abs(found.chi - whole.chi).max() < 0.2 * np.sqrt(np.diag(whole.chi_covariance)).max()
+
+
+def test_a_joint_whose_scale_is_not_as_stated_is_told_by_what_little_the_flight_tells_of_it(ticks, predictor, fitted):
+    flight, whole = fitted
+    said = witnesses.tested(flight, whole, lambda time_s: 0).findings.against
+    assert said == ()
+    name = predictor.vehicle.joints[1].name
+    scaled = np.where([joint.name == name for joint in predictor.vehicle.joints], 1.02, 1.0)
+    spoilt = [
+        one._replace(
+            ticks=one.ticks._replace(q=one.ticks.q * scaled, dq=one.ticks.dq * scaled, ddq=one.ticks.ddq * scaled)
+        )
+        for one in segments(ticks)
+    ]
+    wrong = WholeFlight(predictor, WIDE, spoilt)
+    found = witnesses.tested(wrong, wrong.fit(whole.fit.x), lambda time_s: 0)
+    assert abs(found.corrections[f"scale_{name}"]) < FARTHEST  # hardly moved: it is bound to 0.02 %
+    assert any(
+        one.startswith(f"the motion contradicts what is stated of scale_{name} by 1") for one in found.findings.against
+    )
 
 
 def test_a_fit_that_gets_nowhere_is_given_up(ticks, predictor, fitted, monkeypatch):

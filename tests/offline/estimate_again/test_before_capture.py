@@ -10,6 +10,7 @@ from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.offline.estimate_again.before_capture import before_capture, jump_of
+from onboard.offline.estimate_again.identify_view import _within
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.exiddm.test_recursive import BIASED, recorded, ticks_of
 
@@ -67,3 +68,9 @@ def test_readings_must_be_there():
     jump = jump_of(ticks_of(recorded(flight.history, rng, BIASED)), R_BS, PLACE_m, PERIOD_s)
     with pytest.raises(SignalError, match="no mass"):
         before_capture(VEHICLE, ticks.q[0], jump, np.zeros(10), np.eye(10))
+
+
+def test_it_is_shown_to_two_digits_of_its_interval():
+    assert _within(np.array([-2.37, 8.451, 0.0123]), np.array([140.3, 0.59, 0.001])) == (
+        "-2 ± 140, 8.45 ± 0.59, 0.0123 ± 0.0010"
+    )
