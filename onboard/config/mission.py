@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pydantic import field_validator
 
-from onboard.section import Positive, Section
+from onboard.section import NotNegative, Positive, Section
 
 _PART = re.compile(r"([A-Za-z]\w*) +([0-9.eE+-]+) *(\S.*)?")
 _UNITS = {"%": ("", 0.01), "kg": ("kg", 1.0), "g": ("kg", 1e-3), "m": ("m", 1.0), "mm": ("m", 1e-3)}
@@ -55,11 +55,14 @@ class MissionKeys(Section):
 
     ``until``: half of the 95 % intervals that are enough: ``"mass 1 %, centre 5 mm"``. ``segments``: the file of
     motions that it may ask for (``heft plan --segments``). ``give_up_s``: longest time with a payload held.
+    ``probe_s``: a flight that begins with nothing held asks for a small motion after so long a rest, five times at
+    most; 0: never.
     """
 
     until: str
     segments: str
     give_up_s: Positive = 600.0
+    probe_s: NotNegative = 10.0
 
     @field_validator("until")
     @classmethod

@@ -3,8 +3,9 @@
 Made from what the estimator knows at its steps and from nothing else, so that a replay asks for the same. A segment is
 asked for when the arm rests in the posture of all segments. Allowed are those that keep the limits with every payload
 that the mass's interval leaves: before anything is known all masses of the library, so that the first motions are
-small. Where the motions that are allowed tell nothing more, the event says which motion would, and which limit forbids
-it, or which tolerances are left.
+small. A payload that was caught at rest shows when the arm moves: where the flight began with nothing held and nothing
+was released, such a small motion is asked for from time to time. Where the motions that are allowed tell nothing more,
+the event says which motion would, and which limit forbids it, or which tolerances are left.
 """
 
 from typing import NamedTuple
@@ -35,6 +36,7 @@ _UNMOVED = 2  # segments in which the arm has not moved
 _STILL_rad_s, _NEAR_rad = 0.01, 0.05  # an arm at rest in the posture
 _LITTLE = 0.93  # of the ratio: a segment that gains less than this may be the last
 _FEWEST = 3  # segments before it is given up
+_PROBES = 5  # motions with nothing known to be held
 _KEPT = 0.02  # over a limit, of it
 _ANY_RATE_rad_s = 0.1
 
@@ -73,7 +75,8 @@ class Asking:
         if library.unknowns != tuple(predictor.names) or library.joints != tuple(j.name for j in model.joints):
             text = "segments were made for another vehicle file: make them again with heft plan --segments"
             raise config.ConfigError(f"{vehicle.label}: {text}")
-        self._library, self._goals, self._give_up_s = library, goals_of(mission.until), mission.give_up_s
+        self._library, self._goals = library, goals_of(mission.until)
+        self._give_up_s, self._probe_s = mission.give_up_s, mission.probe_s
         self._names = online.quantity_names
         for goal in self._goals:
             if not goal.names(self._names):
@@ -92,6 +95,7 @@ class Asking:
         self._number = self._since_change = self._met = self._unmoved = 0
         self._over = self._moved = self._asks = False
         self._held_s: float | None = None  # since when a payload is
+        self._idle_s: float | None = None  # since when the arm rests with nothing held
         self._until_s = self._late_s = -np.inf  # of the segment that is played: when it is over, and at the latest
         self._changes = 0
 
@@ -110,11 +114,16 @@ class Asking:
         assert isinstance(online, ExiddmIdentifier)
         exiddm = online.exiddm
         if len(exiddm.changes) != self._changes:  # another payload, or none: all begins anew
-            self._changes, self._since_change, self._met = len(exiddm.changes), 0, 0
-            self._over, self._held_s, self._ratios = False, None, []
+            self._changes, self._since_change, self._met, self._unmoved = len(exiddm.changes), 0, 0, 0
+            self._over, self._held_s, self._idle_s, self._ratios = False, None, None, []
             self._own = [None] * len(self._own)
-        if exiddm.held is False or self._over:
-            return self._wait(now_ns) if exiddm.held is False else []
+        if exiddm.held is False:
+            known = self._known(exiddm, online.estimate(), float(np.linalg.norm(rate)))
+            ready = self._rests(joints) and bool(np.isfinite(rate).all())
+            released = any(change.kind == "ejection" for change in exiddm.changes)
+            return self._wait(now_ns) if released else self._probe(now_ns, time_s, known, ready=ready)
+        if self._over:
+            return []
         self._held_s = time_s if self._held_s is None else self._held_s
         estimate = online.estimate()
         known = self._known(exiddm, estimate, float(np.linalg.norm(rate)))
@@ -138,6 +147,18 @@ class Asking:
         asked, self._asks = self._asks, False
         text = f"{self._text}: nothing is held; asks again, with small motions first, when something is"
         return [event(now_ns, Severity.INFO, "goal_waits", "estimation", text)] if asked else []
+
+    def _probe(self, now_ns: int, time_s: float, known: _Known, *, ready: bool) -> list[Batch]:
+        """Nothing is known to be held: a small motion, where the arm has rested for long enough."""
+        self._idle_s = time_s if self._idle_s is None or not ready else self._idle_s
+        waited_s = time_s - max(self._idle_s, self._until_s)
+        if not ready or self._over or not self._probe_s or waited_s < self._probe_s:
+            return []
+        if self._since_change >= _PROBES:
+            self._over = True
+            text = f"{self._text}: {_PROBES} motions have shown nothing that is held; asks again when something is"
+            return [event(now_ns, Severity.WARNING, "goal_waits", "estimation", text)]
+        return self._ask(now_ns, time_s, known, known.asked.ratio(known.covariance[PAYLOAD, PAYLOAD]), solved=False)
 
     def _linearise(self, exiddm: RecursiveExiddm) -> None:
         """What the next segment in turn tells, about what is known now; one a step."""
@@ -239,6 +260,8 @@ class Asking:
         self._until_s = time_s + float(library.durations_s[found.segment]) + 1.0
         self._late_s = self._until_s + _LATE_s
         text = f"{name}: half intervals are {now:.3g} times what is wanted, {expected:.3g} expected after it"
+        if self._held_s is None:
+            text = f"{name}: nothing is known to be held, and a payload that was caught at rest would show"
         return self._say(now_ns, time_s, Act.SEGMENT, name, now, expected, text)
 
     def _hopeless(self, known: _Known, roots: list[FloatArray], allowed: IndexArray, between: slice) -> str:

@@ -4,7 +4,8 @@ The same likelihood as :mod:`onboard.identification.exiddm.batch`, processed in 
 filter with all unknowns as its state: the base's rate, payload, IMU errors, uncertain links. Linearisation far from
 the truth is wrong, so the first seconds are solved as one growing window (:mod:`onboard.identification.exiddm.window`);
 after that every batch is one filter step. Steps linearised about a payload that is still far off give information in
-directions that no motion shows, so the first of them are replaced once, by a window that has them all.
+directions that no motion shows, so the first of them are replaced once, by a window that has them all. Where a motion
+tells little (a light payload, slow motions), the window grows until it determines the mass.
 
 At a change the estimates of rate and payload are reset, all others are kept, and a new window begins. The hypothesis
 that fits that window classifies it: nothing held (an ejection, or a contact if nothing was), the same payload (a
@@ -28,7 +29,7 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredi
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
-from onboard.identification.exiddm.snapshots import Snapshots
+from onboard.identification.exiddm.snapshots import TIERS, Snapshots
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
@@ -91,7 +92,7 @@ class RecursiveExiddm(BoundedWork):
         p = len(predictor.names)
         self.state: FloatArray | None = None
         self.covariance = np.zeros((p, p))
-        self.exchanged, self.undecided = False, ""
+        self.exchanged, self.undecided, self._moving = False, "", 0  # moving: batches since the arm rested
         self.ticks_used, self.glitches, self.unexplained = 0, 0, Unexplained(predictor.period_s)
         self.changes: list[Change] = []
         self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
@@ -113,8 +114,8 @@ class RecursiveExiddm(BoundedWork):
         return self.state is not None and bool(self.held) and not (told and not told[-1])
 
     def settled(self) -> bool:
-        """No window is open, and none will replace the steps since the last one: what is known only gets better."""
-        return not self._hypotheses and self._stepped is None and not self.solving
+        """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
+        return (not self._hypotheses or self._grown > 1.0) and self._stepped is None and not self.solving
 
     @property
     def confirmed(self) -> bool:
@@ -173,7 +174,8 @@ class RecursiveExiddm(BoundedWork):
 
     def _open(self, hypotheses: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
         """Begin a window with this prior and an unknown rate."""
-        self._hypotheses, self._prior, self._solves, self.unexplained.wait = hypotheses, (mean, covariance), 0, 0
+        self._hypotheses, self._prior = hypotheses, (mean, covariance)
+        self._solves, self.unexplained.wait, self._grown = 0, 0, 1.0
         self._start: FloatArray | None = None
         self._window = self._none
         self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
@@ -202,7 +204,7 @@ class RecursiveExiddm(BoundedWork):
         return whole - len(self._pending.time_s)
 
     def _window_ticks(self) -> int:
-        return round(_WINDOWS_s[self._solves] / self.predictor.period_s)
+        return round(self._grown * _WINDOWS_s[self._solves] / self.predictor.period_s)
 
     def _begin_window(self) -> None:
         """Ask for the window; where one instrument is accused, for the fits that tell whether it is wrong."""
@@ -229,8 +231,8 @@ class RecursiveExiddm(BoundedWork):
             return
         if self._trials is not None:
             self._trials.take(found)
-        elif found is not None:
-            self._explained(found)
+        elif found is not None or self._grown > 1.0:
+            self._not_explained() if found is None else self._explained(found)
             return
         else:
             self._trials = self._trials_now(None)
@@ -268,7 +270,7 @@ class RecursiveExiddm(BoundedWork):
         if self._claim.held:
             self._hypotheses = (Hypothesis.NEW,)
         self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=self._solves > 0)
-        self.state, self.held, self._start, self._solves = None, None, None, 0
+        self.state, self.held, self._start, self._solves, self._grown = None, None, None, 0, 1.0
         self._pending = self._pending.part(slice(-self._window_ticks(), None))
 
     def _explained(self, solved: Solved, *, instrument: bool = False) -> None:
@@ -286,25 +288,25 @@ class RecursiveExiddm(BoundedWork):
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
             self._pending = ticks  # without what was waited out
-        elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= _DETERMINED:  # the arm is at rest
-            self._start = None
-            if self._claim.held:  # is anything held at all?
+        elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= _DETERMINED:
+            self._start, self._grown = solved.growth(self._grown)
+            if self._claim.held and self._grown == 1.0:  # is anything held at all?
                 self._hypotheses = (Hypothesis.NOTHING,)
                 self._begin_window()
             else:
-                self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
+                self._pending = ticks.part(slice(len(ticks.time_s) // 2, None)) if self._start is None else ticks
         else:
             self.glitches += solved.glitches
-            self._hypotheses = ()
+            self._hypotheses, self._pending = (), ticks.part(slice(-2, None))
             self.unexplained.settle()
-            self._pending = ticks.part(slice(-2, None))
-            self._stepped = ticks if hypothesis is Hypothesis.NEW else None
+            self._stepped = ticks if hypothesis is Hypothesis.NEW and self._grown == 1.0 else None
 
     # ------------------------------------------------------------------ a batch, as a step
 
     def _step(self) -> None:
         assert self.state is not None
         ticks, self._due = self._pending, self._due - STEP_WORK
+        self._moving = 0 if ticks.rest else self._moving + 1
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
@@ -376,7 +378,8 @@ class RecursiveExiddm(BoundedWork):
         self._claim.held = None
         self._before, self._suspected = bool(self.held), Change("change", now_s, now_s - back_s, score)
         self.changes.append(self._suspected)
-        self._reopen(after_a_change(bool(self.held)), batches + 1)
+        at_rest = 0 if self.held or self._moving > TIERS[-1][0] else self._moving  # caught then, it was in all since
+        self._reopen(after_a_change(bool(self.held)), max(batches, at_rest) + 1)
 
     def _bridge(self, after: Ticks) -> None:
         """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""

@@ -9,6 +9,8 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.signals import Signals
 
+_RESTS_rad_s = 0.01  # an arm that is slower shows nothing of what it holds
+
 
 class Ticks(NamedTuple):
     """Consecutive ticks."""
@@ -25,6 +27,11 @@ class Ticks(NamedTuple):
     def part(self, which: slice) -> "Ticks":
         """A part of the ticks."""
         return Ticks(*(x[which] for x in self))
+
+    @property
+    def rest(self) -> bool:
+        """Whether the arm rests in all of them."""
+        return bool(np.abs(self.dq).max() <= _RESTS_rad_s)
 
     def and_then(self, more: "Ticks") -> "Ticks":
         """These ticks followed by ``more``."""

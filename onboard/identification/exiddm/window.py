@@ -43,6 +43,10 @@ _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether 
 _NEAR = 1e-5  # damping of the first step from a minimum of other ticks or other sigmas
 
 
+_BEGUN = 0.5  # relative sigma of the payload's mass below which a window grows: what it has told is not thrown away
+_GROWTH, _LONGEST = 1.5, 4.0  # of such a window
+
+
 class Hypothesis(Enum):
     """Hypothesis on the payload during a window."""
 
@@ -76,6 +80,18 @@ class Solved(NamedTuple):
         """Relative, of the payload's mass; infinite where that is not positive."""
         mass, variance = self.state[PAYLOAD.start], self.covariance[PAYLOAD.start, PAYLOAD.start]
         return float(np.sqrt(variance) / mass) if mass > 0.0 else np.inf
+
+    def growth(self, length: float) -> tuple[FloatArray | None, float]:
+        """After a window that does not determine the mass: where the next begins if it keeps all ticks, and its length.
+
+        Args:
+            length: of this one, in a length at which nothing has grown.
+        """
+        if self.mass_sigma >= _BEGUN:  # the arm is at rest
+            return None, 1.0
+        if length < _LONGEST:
+            return self.start, min(_GROWTH * length, _LONGEST)
+        return None, 0.5 * _GROWTH * _LONGEST  # half of the ticks are kept
 
 
 class WindowSolve:

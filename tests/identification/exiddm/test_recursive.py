@@ -558,6 +558,51 @@ def test_while_the_arm_is_still_the_payload_is_not_known_and_no_alarm_comes_when
     assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
 
 
+class Slow:
+    """A motion at a share of its rate."""
+
+    def __init__(self, motion, share):
+        self.motion, self.share = motion, share
+
+    def at(self, time_s):
+        q, dq, ddq = self.motion.at(self.share * np.asarray(time_s))
+        return q, self.share * dq, self.share**2 * ddq
+
+
+def test_what_a_slow_motion_has_told_is_added_up_until_it_determines_the_mass():
+    """Windows of 4 s, each solved by itself, know it to a fifth at best, and to a half at the end."""
+    rng = np.random.default_rng(2)
+    motion = Slow(free_flyer.JointMotion.draw(rng), 0.25)
+    flight = free_flyer.fly(free_flyer.world(BOX.grown(0.25)), motion, rng.uniform(-0.01, 0.01, 3), 11.0)
+    signals = recorded(flight, rng)
+    recursive = online(signals)
+    recursive.update(ticks_of(signals))
+    found = recursive.estimate()
+    sigma_kg = np.sqrt(found.covariance[0, 0])
+    assert abs(found.body.mass_kg - 0.25) < 4.0 * sigma_kg < 4.0 * 0.05 * 0.25
+    assert recursive.settled()
+
+
+def test_what_was_caught_at_rest_has_been_in_all_of_the_motion_since(monkeypatch):
+    """What was learned of other unknowns since the arm began to move is not kept."""
+    rng = np.random.default_rng(4)
+    late = Late(Slow(free_flyer.JointMotion.draw(rng), 0.5), 3.0)
+    flight = free_flyer.FreeFlight(late, rng.uniform(-0.01, 0.01, 3))
+    capture = free_flyer.Capture(BOX.grown(0.3), 2.0, np.zeros(3), np.zeros(3))
+    signals = recorded(free_flyer.fly_with_capture(flight, capture, 7.5), rng)
+    recursive, since_s = online(signals, held=False), []
+    back = recursive._snapshots.back
+
+    def noted(batches):
+        since_s.append(recursive._pending.time_s[-1] - BATCH_TICKS * signals.period_s * batches)
+        return back(batches)
+
+    monkeypatch.setattr(recursive._snapshots, "back", noted)
+    recursive.update(ticks_of(signals))
+    assert [change.kind for change in recursive.changes] == ["change", "capture"]
+    assert 2.0 < since_s[0] < 3.15 < recursive.changes[0].since_s
+
+
 def test_derivatives_of_the_prediction_are_finite_differences(held):
     links = ["link_4", "base"]
     one, other = JointPrior(1e-3, 1e-3, 1e-3, 1e-3), JointPrior(zero=1e-3, cyclic=(1e-4, 1e-4))

@@ -236,9 +236,32 @@ class TestLimits:
         assert said.rows["code"][0] == b"segment_asked"
         assert self.step(asking, 2.0) == []  # while it is played
 
-    def test_nothing_is_asked_while_nothing_is_held(self, asking):
+    def test_while_nothing_is_known_to_be_held_a_small_motion_is_asked_for_from_time_to_time(self, asking):
+        own, online = asking
+        online.exiddm.held = False
+        made = {time_s: said for time_s in range(1, 120) if (said := self.step(asking, float(time_s)))}
+        *probes, (last,) = made.values()
+        assert [request.rows["act"][0] for request, _ in probes] == [Act.SEGMENT] * 5
+        assert "caught at rest" in probes[0][1].rows["text"][0].decode()
+        k = own._library.names.index(probes[0][0].rows["segment"][0].decode())
+        assert own._library.base_rate[k].max() <= own._library.most
+        assert np.diff(list(made)).min() >= 10  # rests of probe_s, and what is played between
+        assert next(iter(made)) == 11
+        assert last.rows["code"][0] == b"goal_waits"
+        online.exiddm.held = True
+        online.exiddm.changes.append(Change("capture", 121.0, 121.0, np.nan))
+        again, _ = self.step(asking, 122.0)
+        assert again.rows["act"][0] == Act.SEGMENT
+
+    def test_a_rest_before_a_small_motion_counts_from_when_the_arm_stood_in_its_posture(self, asking):
         asking[1].exiddm.held = False
-        assert self.step(asking, 1.0) == []
+        assert [self.step(asking, time_s, moving=0.2) for time_s in (1.0, 20.0)] == [[], []]
+        assert self.step(asking, 29.0) == []
+        assert len(self.step(asking, 30.5)) == 2
+
+    def test_probe_s_of_zero_moves_nothing(self, asking):
+        asking[1].exiddm.held, asking[0]._probe_s = False, 0.0
+        assert [self.step(asking, time_s) for time_s in (1.0, 60.0)] == [[], []]
 
     def test_a_release_while_a_segment_is_played_is_followed_by_nothing_and_a_capture_by_small_motions(self, asking):
         _, online = asking
