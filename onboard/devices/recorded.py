@@ -75,7 +75,8 @@ class RecordedRate(RecordedDevice):
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         rate = roles.scalar(0.0, self.noise_rad_s, period_s, roles.RATE)._replace(repeats=self.repeats)
-        joint = JointRole(self.joint, name, True, self.scale_sigma, 1e-3 * self.delay_sigma_ms)
+        delay_s = 1e-3 * self.delay_sigma_ms
+        joint = JointRole(self.joint, name, True, self.scale_sigma, delay_sigma_s=delay_s)
         return Roles([], [joint], [], {name: rate})
 
 

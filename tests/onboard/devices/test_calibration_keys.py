@@ -17,6 +17,11 @@ TEXT = PATH.read_text(encoding="utf-8")
 E = np.array([[1.02, 0.01, -0.02], [0.0, 0.97, 0.005], [-0.01, 0.02, 1.01]])
 
 
+def test_the_delay_of_a_recorded_rate_is_a_delay():
+    (wheel,) = roles_of(config.load(config.packaged("tudelft"))).joints
+    assert (wheel.is_rate, wheel.zero_sigma_rad, wheel.delay_sigma_s) == (True, 0.0, 1e-3)
+
+
 def with_keys(table, keys):
     return config.parse(TEXT.replace(f"[{table}]", f"[{table}]\n{keys}", 1), PATH)
 
