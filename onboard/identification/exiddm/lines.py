@@ -90,8 +90,8 @@ class Unexplained:
         period_s: between ticks.
 
     Attributes:
-        count: since the filter's last steps, windows that contradicted a shorter one, or that were not explained after
-            a wait either.
+        count: since the filter's last steps, windows that contradicted a shorter one or the steps since, that were not
+            explained after a wait either, or that left a line.
         wait: ticks to wait before the next window; its length comes on top.
     """
 
@@ -109,9 +109,9 @@ class Unexplained:
             residual: whitened, of the nearest fit, gyro then accelerometer, (n, 6); None if there was no fit.
             longer: a shorter window was explained.
         """
-        self.count += longer or self.wait > 0
-        self.wait = min(max(2 * self.wait, self._first), self._longest)
         line = None if residual is None else line_of(residual, self._period_s)
+        self.count += longer or self.wait > 0 or line is not None
+        self.wait = min(max(2 * self.wait, self._first), self._longest)
         self._lines = [one for one in self._lines if one[0] > end_s - _RECENT_s] + ([(end_s, line)] if line else [])
 
     @property

@@ -89,17 +89,16 @@ class RecursiveExiddm(BoundedWork):
         self._left: FloatArray | None = None  # by the last one
         self._asked: tuple[Ticks, Trial] | None = None  # solve it next
         self._none = self._pending = Ticks.none(len(predictor.vehicle.joints), predictor.lines[-1].stop)
-        p = len(predictor.names)
         self.state: FloatArray | None = None
-        self.covariance = np.zeros((p, p))
-        self.exchanged, self.undecided, self._moving = False, "", 0  # moving: batches since the arm rested
-        self.ticks_used, self.glitches, self.unexplained = 0, 0, Unexplained(predictor.period_s)
+        self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
+        self.exchanged, self.undecided, self.misfit = False, "", InnovationMisfit()
+        self.ticks_used, self.glitches, self._moving = 0, 0, 0  # moving: batches since the arm rested
         self.changes: list[Change] = []
-        self.misfit, self.lines = InnovationMisfit(), InnovationLines(predictor.period_s)
+        self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
         self.fusion = Fusion(predictor.instruments, predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._innovations = Snapshots(), Innovations(predictor, self.fusion)
-        mean, covariance = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+        mean, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
             mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
@@ -223,7 +222,8 @@ class RecursiveExiddm(BoundedWork):
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
         found, self._left = solve.found, solve.left
-        if not self._hypotheses:  # steps since the window are replaced, and stay where the window is not explained
+        if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
+            self.unexplained.count += found is None
             if found is not None:
                 self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
             assert self.state is not None

@@ -50,6 +50,7 @@ def test_two_lines_in_a_minute_are_a_swing_that_is_remembered_for_one(rng):
     made, swinging = Unexplained(PERIOD_s), residual(rng, 1.0, 9.0, 4.0)
     made.add(10.0, swinging, longer=False)
     assert not made.swings
+    assert made.count == 1
     assert made.line.frequency_Hz == pytest.approx(4.0, abs=0.5)
     made.add(12.0, residual(rng, 1.0, 0.0, 1.0), longer=False)
     assert not made.swings
