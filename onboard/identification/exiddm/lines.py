@@ -99,7 +99,7 @@ class Unexplained:
         self._period_s = period_s
         self._first, self._longest = (round(wait_s / period_s) for wait_s in _WAITS_s)
         self.count = self.wait = 0
-        self._lines: list[tuple[float, Line]] = []
+        self._lines: list[tuple[float, float, Line]] = []  # first and last time of the window
 
     def add(self, end_s: float, residual: FloatArray | None, *, longer: bool) -> None:
         """Take in a window.
@@ -112,17 +112,19 @@ class Unexplained:
         line = None if residual is None else line_of(residual, self._period_s)
         self.count += longer or self.wait > 0 or line is not None
         self.wait = min(max(2 * self.wait, self._first), self._longest)
-        self._lines = [one for one in self._lines if one[0] > end_s - _RECENT_s] + ([(end_s, line)] if line else [])
+        self._lines = [one for one in self._lines if one[1] > end_s - _RECENT_s]
+        if residual is not None and line is not None:
+            self._lines.append((end_s - len(residual) * self._period_s, end_s, line))
 
     @property
     def line(self) -> Line | None:
         """The last one found in the last minute of windows; None if there was none."""
-        return self._lines[-1][1] if self._lines else None
+        return self._lines[-1][2] if self._lines else None
 
     @property
     def swings(self) -> bool:
-        """Whether lines were found in two windows of a minute or more: something does so by itself."""
-        return len(self._lines) > 1
+        """Whether two windows of a minute without a common tick have lines: something does so by itself."""
+        return bool(self._lines) and self._lines[0][1] <= self._lines[-1][0]
 
     def settle(self) -> None:
         """The filter steps again."""

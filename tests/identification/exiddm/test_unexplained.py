@@ -46,6 +46,13 @@ def test_a_window_counts_where_it_contradicts_a_shorter_one_or_was_waited_for():
     assert (made.count, made.wait) == (0, 0)
 
 
+def test_windows_that_overlap_show_one_swing_once(rng):
+    made, swinging = Unexplained(PERIOD_s), residual(rng, 1.0, 9.0, 4.0)
+    for end_s, swings in ((10.0, False), (10.5, False), (11.2, True)):
+        made.add(end_s, swinging, longer=False)
+        assert made.swings == swings
+
+
 def test_two_lines_in_a_minute_are_a_swing_that_is_remembered_for_one(rng):
     made, swinging = Unexplained(PERIOD_s), residual(rng, 1.0, 9.0, 4.0)
     made.add(10.0, swinging, longer=False)
