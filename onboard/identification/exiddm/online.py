@@ -212,9 +212,10 @@ class ExiddmIdentifier:
         return np.flatnonzero(known)
 
     def _by_the_data(self, state: FloatArray) -> dict[str, float]:
-        """Corrections by name in sigmas of what the data tell of each, but for delays that wander."""
+        """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
         predictor = self.exiddm.predictor
-        at = np.setdiff1d(self._known(), [k for k, _ in predictor.wandering])
+        changing = [*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]
+        at = np.setdiff1d(self._known(), changing)
         sigmas = state[at] / told(predictor.stated[at] ** 2, np.diag(self.exiddm.covariance)[at])
         return {predictor.names[k]: float(one) for k, one in zip(at, sigmas, strict=True)}
 

@@ -38,6 +38,7 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
         stated=np.full(SCALE_AT + 1, np.nan),
         of_each=[nothing] * 3,
         wandering=[],
+        biases=[],
         names=(),
         vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
         further=(SimpleNamespace(name="imu_2", width=6), CELL),
@@ -69,7 +70,7 @@ def test_a_correction_that_the_data_hardly_tell_of_is_held_against_what_they_tel
     assert contradicted({"zero": 4.9}) == contradicted({}) == ()
 
 
-def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_left_out_or_wanders(
+def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_left_out_or_it_changes(
     rng: np.random.Generator,
 ) -> None:
     half = rng.standard_normal((15, 15))
@@ -84,6 +85,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
         stated=stated,
         of_each=[nothing, nothing, np.array([13])],
         wandering=[],
+        biases=[],
         names=tuple(f"unknown_{k}" for k in range(15)),
         vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
         further=(),
@@ -97,6 +99,8 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     np.testing.assert_allclose(online._payload(state)[1], 4.0 * covariance[PAYLOAD, PAYLOAD])
     predictor.wandering = [(13, 30.0)]
     np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
-    predictor.wandering = []
+    predictor.wandering, predictor.biases = [], [(12, 13)]
+    np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
+    predictor.biases = []
     fusion.leave_out(2)
     np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
