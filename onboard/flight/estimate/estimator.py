@@ -214,7 +214,7 @@ class Estimator:
             if change.kind == "release_contradicted":
                 self._phases.reject_release()
             made.append(change_event(now_ns, change))
-        if self.online.rows_used:
+        if self.online.rows_used or self._sequence["quantity"]:  # an answer that no longer holds does not stand
             made += self._answered(now_ns, int(at_ns[-1]))
         if self._asking is not None:
             said = self._asking.step(now_ns, float(time_s[-1]), joints[:2, -1], measured[-1, :3], self.online)
