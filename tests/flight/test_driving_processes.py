@@ -76,38 +76,43 @@ def await_event(log, code, seconds=60.0):
         time.sleep(0.3)
 
 
+def driven(directory, how):
+    """The log of a motion that is broken off, and where the axes have been; None if this computer was too busy.
+
+    A player that sends no target for 30 ms stops its drives, whatever else is tried.
+    """
+    directory.mkdir()
+    vehicle = written(directory, PRIOR, ROWS, csv=csv_of(*swing(SECONDS)))
+    log = directory / "driven.mcap"
+    command = [sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--arm", "--log", str(log)]
+    with (
+        served(vehicle, directory / "served") as (url, found),
+        subprocess.Popen(
+            [*command, f"--url=can_0={url}"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        ) as flight,
+        ended(flight),
+    ):
+        until(flight, b"drive_armed")
+        await_event(log, b"drive_started")
+        time.sleep(5.0)  # a fifth of the motion
+        if how == "kill":
+            os.kill(pids(flight.pid)["heft-acquire"], signal.SIGKILL)
+            until(flight, b"drive_not_rearmed")
+            time.sleep(1.0)
+        flight.send_signal(signal.SIGTERM)
+        flight.communicate(timeout=60)
+        assert flight.returncode == 0
+    late = any(b"no target was sent" in text for text in LogReader(log).read("event")["text"].tolist())
+    return None if late else (log, found)
+
+
 @pytest.mark.parametrize("how", ["kill", "term"])
 def test_the_arm_stops_in_mid_motion(tmp_path, how):
-    vehicle = written(tmp_path, PRIOR, ROWS, csv=csv_of(*swing(SECONDS)))
-    log = tmp_path / "driven.mcap"
-    with served(vehicle, tmp_path / "served") as (url, found):
-        command = [
-            sys.executable,
-            "-m",
-            "onboard.cli",
-            "fly",
-            str(vehicle),
-            "--arm",
-            "--log",
-            str(log),
-            f"--url=can_0={url}",
-        ]
-        with (
-            subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
-            ) as flight,
-            ended(flight),
-        ):
-            until(flight, b"drive_armed")
-            await_event(log, b"drive_started")
-            time.sleep(5.0)  # a fifth of the motion
-            if how == "kill":
-                os.kill(pids(flight.pid)["heft-acquire"], signal.SIGKILL)
-                until(flight, b"drive_not_rearmed")
-                time.sleep(1.0)
-            flight.send_signal(signal.SIGTERM)
-            flight.communicate(timeout=60)
-            assert flight.returncode == 0
+    tries = (driven(tmp_path / str(number), how) for number in range(4))
+    log, found = next(one for one in tries if one is not None)
     for name, size in (("shoulder", 0.5), ("elbow", 0.4)):
         axis = found[name]
         went = axis["highest_rad"] - axis["lowest_rad"]

@@ -269,7 +269,8 @@ class RecursiveExiddm(BoundedWork):
         """The contact may not be over; estimates of the other unknowns are kept."""
         if self._claim.held:
             self._hypotheses = (Hypothesis.NEW,)
-        self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=self._solves > 0)
+        # a window that has grown contradicts none before it: they determined nothing
+        self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=self._solves > 0 and self._grown == 1.0)
         self.state, self.held, self._start, self._solves, self._grown = None, None, None, 0, 1.0
         self._pending = self._pending.part(slice(-self._window_ticks(), None))
 

@@ -47,6 +47,7 @@ def foresee_free(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     exiddm, model = flown.identifier.exiddm, flown.model
     # what is left at the end of the last time that it was held
     exiddm.state, exiddm.covariance, exiddm.held = flown.state, flown.covariance, True
+    exiddm.ticks_used = int(plan.held.sum())
     found = flown.identifier.estimate().quantities
     spread = np.sqrt(np.diag(body_covariance(flown.payload, flown.covariance[PAYLOAD, PAYLOAD])))
     values = body_values(model, flown.payload)
