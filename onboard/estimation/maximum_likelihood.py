@@ -162,7 +162,10 @@ class Descent:
             raise SingularError(f"nothing measured depends on parameter {np.flatnonzero(~(scale > 0.0))}; leave it out")
         with np.errstate(invalid="ignore"):
             scaled, downhill = self._now.information / np.outer(scale, scale), -self._now.gradient / scale
-            step = np.linalg.solve(scaled + self._damping * np.eye(scale.size), downhill)
+            try:
+                step = np.linalg.solve(scaled + self._damping * np.eye(scale.size), downhill)
+            except np.linalg.LinAlgError as error:
+                raise SingularError("the rows do not determine all parameters; give a prior, or move more") from error
             # decrease under the linear model
             self._promised = float(2.0 * downhill @ step - step @ scaled @ step)
         if not np.isfinite(self._promised):
