@@ -13,7 +13,6 @@ Up to 1 Hz the arm's own motion leaves peaks as well, whatever is wrong: none is
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import detrend
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 
@@ -134,7 +133,7 @@ class Unexplained:
 def line_of(residual: FloatArray, period_s: float) -> Line | None:
     """The line in whitened residuals, (n, 6); None where no peak holds most of a channel's power."""
     n = len(residual)
-    power = np.abs(np.fft.rfft(detrend(residual, axis=0) * np.hanning(n)[:, None], axis=0)) ** 2  # (n // 2 + 1, 6)
+    power = np.abs(np.fft.rfft(_detrended(residual) * np.hanning(n)[:, None], axis=0)) ** 2  # (n // 2 + 1, 6)
     lowest = max(_FEWEST_CYCLES, int(np.ceil(_LOWEST_Hz * n * period_s)) + 1)
     if len(power) < lowest + 2:
         return None
@@ -146,3 +145,9 @@ def line_of(residual: FloatArray, period_s: float) -> Line | None:
     scale = float(3.0 * (np.hanning(n) ** 2).sum())  # of three bins of white noise of unit variance
     beyond = float(peaks[place, channel]) / scale
     return Line(beyond, beyond / np.log(power.size), (place + lowest) / (n * period_s), name)
+
+
+def _detrended(residual: FloatArray) -> FloatArray:
+    """Less the straight line that fits each channel, (n, 6)."""
+    at = np.linspace(-1.0, 1.0, len(residual))
+    return np.asarray(residual - residual.mean(axis=0) - np.outer(at, at @ residual / (at @ at)), np.float64)
