@@ -9,7 +9,7 @@ from onboard.identification.exiddm.pooled import Pool
 from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
-from tests.identification.exiddm.test_recursive import BIASED, WIDE, recorded, ticks_of
+from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
 from tests.identification.exiddm.test_whole_flight import predictor, started
 
 __all__ = ["predictor"]

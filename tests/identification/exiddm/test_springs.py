@@ -10,7 +10,7 @@ from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.verdict import Level, standing
 from tests.dynamics.free_flyer_twin import URDF
-from tests.identification.exiddm.test_recursive import online, recorded, ticks_of
+from tests.identification.exiddm.recorded_flights import online, recorded, ticks_of
 
 SECONDS, STEP_s = 7.0, 2e-3
 PLACES = Places(("imu_base",), ())

@@ -20,7 +20,7 @@ from onboard.identification.exiddm.stated import KINDS, UNLIKELY, freely, kinds_
 from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight, _apart, total_of
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
-from tests.identification.exiddm.test_recursive import BIASED, WIDE, recorded, ticks_of
+from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
 
 PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
 CAPTURE_s, END_s = 6.0, 14.0

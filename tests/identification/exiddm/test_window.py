@@ -8,7 +8,7 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.pieces import Pieces
 from onboard.identification.exiddm.window import Hypothesis, WindowSolve
 from tests.dynamics.free_flyer_twin import twin
-from tests.identification.exiddm.test_recursive import PRIOR, WIDE, online, recorded, ticks_of
+from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.offline.estimate_again.before_capture import before_capture, jump_of
 from onboard.offline.estimate_again.identify_view import _within
 from tests.dynamics.free_flyer_twin import URDF
-from tests.identification.exiddm.test_recursive import BIASED, recorded, ticks_of
+from tests.identification.exiddm.recorded_flights import BIASED, recorded, ticks_of
 
 VEHICLE = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
 R_BS, PLACE_m = VEHICLE.pose_in_base("imu_base")

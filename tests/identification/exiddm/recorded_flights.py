@@ -1,0 +1,49 @@
+"""A simulated flight becomes the ticks an identifier takes, errors of the IMU added; and the ExIDDM that takes them."""
+
+import numpy as np
+
+from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from onboard.dynamics.payload import standard_covariance
+from onboard.dynamics.ticks import tick_signals
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.parameters import EXACT_GEOMETRY
+from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.ticks import Ticks
+from tests.dynamics.free_flyer_twin import URDF
+
+WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
+BIASED = ImuErrors(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
+BIASES = CERTAIN._replace(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
+PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
+CAPTURE_s, RELEASE_s, END_s = 3.0, 7.5, 10.0
+
+
+def ticks_of(signals):
+    n = len(signals.q)
+    sigma = np.tile(np.r_[signals.rate_sigma, signals.specific_force_sigma], (n, 1))
+    measured = np.c_[signals.rate, signals.specific_force]
+    joints = (x.copy() for x in (signals.q, signals.dq, signals.ddq))
+    exact = np.zeros((n, 2, 5)), np.zeros((n, 3, 0))
+    return Ticks(0.054 + signals.period_s * np.arange(n), *joints, measured, sigma, *exact)
+
+
+def recorded(flight, rng, errors=BIASED):
+    samples = sample(flight, errors, rng)
+    return tick_signals(*samples[:4], samples[4:], 5, 0.1)
+
+
+def online(signals, held=True, imu_prior=BIASES, links=(), geometry=EXACT_GEOMETRY):
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", "payload"))
+    covariance = {
+        name: standard_covariance(vehicle.chi[10 * k : 10 * k + 10], 0.01, 1e-3, 0.01)
+        for k, name in enumerate(vehicle.links[:-1])
+        if name in links
+    }
+    predictor = ImuPredictor(vehicle, "imu_base", signals.period_s, signals.samples, covariance, imu_prior, geometry)
+    return RecursiveExiddm(predictor, WIDE, held)
+
+
+def same_bits(a, b):
+    return a.state.tobytes() == b.state.tobytes() and a.covariance.tobytes() == b.covariance.tobytes()

@@ -1,0 +1,93 @@
+"""What an IMU should read: derivatives are finite differences, joints' noise what their errors make of it."""
+
+import numpy as np
+import pytest
+
+from onboard.dynamics.errors import UnknownFrameError
+from onboard.dynamics.free_flight import predict_base
+from onboard.dynamics.kinematics import link_motions
+from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
+from onboard.identification.exiddm.imu_errors import CERTAIN
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from tests.dynamics.free_flyer_twin import URDF
+from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
+
+
+def test_over_a_gap_of_the_joints_the_rate_follows_from_the_momentum(held):
+    predictor = online(held).predictor
+    ticks = ticks_of(held)
+    x = np.zeros(len(predictor.names))
+    x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    x[RATE] = [0.05, -0.02, 0.03]
+    near = ticks.part(slice(300, 312))
+    predicted = predictor.predict(near.q, near.dq, near.ddq, x)
+    ends = [part[[0, 10]] for part in (near.q, near.dq, near.ddq)]
+    carried, transition, of_a_turn = predictor.bridge(*ends, x)
+    by_a_tenth_of_a_second = 0.1 * 0.06 * np.sqrt(np.linalg.eigvalsh(of_a_turn)[-1])  # the momentum turned meanwhile
+    assert np.abs(carried[RATE] - predicted.state[RATE]).max() < by_a_tenth_of_a_second
+    assert np.abs(carried[RATE] - x[RATE]).max() > 3.0 * by_a_tenth_of_a_second
+    for k in (0, 1, 2, 3, 6, 12):
+        step = 1e-5 * np.eye(x.size)[k]
+        slope = (predictor.bridge(*ends, x + step)[0] - predictor.bridge(*ends, x - step)[0]) / 2e-5
+        np.testing.assert_allclose(transition[:, k], slope, atol=1e-6 * max(1.0, np.abs(slope).max()))
+
+
+def test_derivatives_of_the_prediction_are_finite_differences(held):
+    links = ["link_4", "base"]
+    one, other = JointPrior(1e-3, 1e-3, 1e-3, 1e-3), JointPrior(zero=1e-3, cyclic=(1e-4, 1e-4))
+    some = GeometryPrior(3e-3, {"joint_2": one, "joint_5": other})
+    recursive = online(held, imu_prior=PRIOR, links=links, geometry=some)
+    predictor, ticks = recursive.predictor, ticks_of(held).part(slice(300, 324))
+    motion, waves = (ticks.q, ticks.dq, ticks.ddq), np.random.default_rng(2).normal(size=(24, 3, 4))
+    p = len(predictor.names)
+    assert p == 3 + 10 + 25 + 20 + 3 + 6 + 1 + 4
+    x = np.nan_to_num(predictor.sigma) * np.random.default_rng(1).normal(size=p) * 0.1
+    x[:13] = [0.1, -0.2, 0.3, 5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    found = predictor.predict(*motion, x, waves)
+    for k in range(p):
+        size = 1e-4 if k < 13 else 1e-2 * predictor.sigma[k]
+        step = size * np.eye(p)[k]
+        up, down = predictor.predict(*motion, x + step, waves), predictor.predict(*motion, x - step, waves)
+        slope = (up.values - down.values) / (2.0 * size)
+        assert np.abs(found.jacobian[:, :, k] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-9, predictor.names[k]
+        carried = (up.state - down.state) / (2.0 * size)
+        assert np.abs(found.transition[:, k] - carried).max() <= 2e-3 * np.abs(carried).max(), predictor.names[k]
+
+
+def test_the_noise_of_the_joints_is_what_their_errors_make_of_the_prediction(held):
+    predictor = online(held).predictor
+    q, still = np.repeat(held.q[300:301], 4, axis=0), np.zeros((4, 5))
+    x, chi = np.zeros(len(predictor.names)), predictor.vehicle.chi.copy()
+    x[PAYLOAD] = chi[predictor.vehicle.payload_columns()] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    rest = predictor.predict(q, still, still, x).values
+    small, variance = 1e-6, np.zeros((4, 6))
+    for kind, rows in enumerate([slice(0, 3), slice(3, 6)]):  # of a rate the gyro, of an acceleration the force
+        for joint in range(5):
+            sigma = np.zeros((4, 2, 5))
+            sigma[:, kind, joint] = small
+            links = link_motions(predictor.vehicle, q, sigma[:, 0], sigma[:, 1])
+            turned = x.copy()  # the base takes up what momentum the joints seem to have: there is none in all
+            turned[RATE] = predict_base(links, predictor.period_s, chi, np.zeros(3), ()).rate[0]
+            moved = predictor.predict(q, sigma[:, 0], sigma[:, 1], turned).values - rest
+            alone = predictor.joint_noise(q, sigma, x)
+            np.testing.assert_allclose(alone[1:3, rows], np.abs(moved[:, rows]), rtol=1e-3, atol=1e-3 * small)
+            variance += alone**2
+    together = predictor.joint_noise(q, np.full((4, 2, 5), small), x)
+    np.testing.assert_allclose(together**2, variance, rtol=1e-9)
+    assert (together > 0.01 * small).all()
+
+
+@pytest.mark.parametrize(
+    ("payload", "imu", "links", "message"),
+    [
+        (None, "imu_base", {}, "no payload link"),
+        ("payload", "imu_tip", {}, "imu_tip"),
+        ("payload", "imu_base", {"payload": np.eye(10)}, "other than the payload"),
+        ("payload", "imu_base", {"wheel": np.eye(10)}, "wheel"),
+    ],
+)
+def test_names_that_do_not_fit_are_refused(payload, imu, links, message):
+    vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", payload))
+    with pytest.raises(UnknownFrameError, match=message):
+        ImuPredictor(vehicle, imu, 0.01, 5, links, CERTAIN)

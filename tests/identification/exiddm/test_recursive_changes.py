@@ -1,0 +1,152 @@
+"""Captures, releases, pushes and exchanges, found tick by tick or told: what happened is named, the rest is kept."""
+
+import numpy as np
+import pytest
+
+from hil_sim.plants import free_flyer
+from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.quantities import Findings
+from tests.dynamics.free_flyer_twin import BOX
+from tests.identification.exiddm.recorded_flights import CAPTURE_s, RELEASE_s, online, recorded, ticks_of
+
+
+def test_capture_and_ejection_are_found_and_only_the_payload_forgotten(mission):
+    recursive, ticks = online(mission, held=False), ticks_of(mission)
+    biases = [recursive.predictor.names.index(f"gyro_bias_rad_s_{axis}") for axis in "xyz"]
+    before = int(np.searchsorted(ticks.time_s, CAPTURE_s))
+    recursive.update(ticks.part(slice(0, before)))
+    assert recursive.held is False
+    assert recursive.estimate() is None
+    known = np.sqrt(np.diag(recursive.covariance))[biases]
+    recursive.update(ticks.part(slice(before, before + 50)))
+    assert [change.kind for change in recursive.changes] == ["change"]
+    assert CAPTURE_s < recursive.changes[0].time_s < CAPTURE_s + 0.5
+    assert recursive.held is None
+    assert recursive.estimate() is None  # it does not go on with what it held before
+    gone = int(np.searchsorted(ticks.time_s, RELEASE_s))
+    recursive.update(ticks.part(slice(before + 50, gone)))
+    assert (np.sqrt(np.diag(recursive.covariance))[biases] < known).all()
+    found = recursive.estimate()
+    assert found.body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
+    assert abs(found.body.mass_kg - BOX.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
+    recursive.update(ticks.part(slice(gone, None)))
+    assert [change.kind for change in recursive.changes] == ["change", "capture", "change", "ejection"]
+    assert recursive.changes[1][1:] == recursive.changes[0][1:]
+    assert RELEASE_s < recursive.changes[2].time_s < RELEASE_s + 0.5
+    assert recursive.held is False
+    assert recursive.estimate() is None
+
+
+def test_a_light_payload_is_not_taken_for_a_push(rng):
+    light = BOX.grown(0.2)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(light, 2.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    signals = recorded(free_flyer.fly_with_capture(flight, capture, 6.0), rng)
+    recursive = online(signals, held=False)
+    recursive.update(ticks_of(signals))
+    assert [change.kind for change in recursive.changes] == ["change", "capture"]
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - 0.2) < 4.0 * np.sqrt(found.covariance[0, 0]) < 0.2
+
+
+def test_a_push_is_a_contact_and_the_payload_is_kept(rng):
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3), BOX)
+    flight.advance(2500)
+    flight.data.qvel[3:6] += [0.02, -0.03, 0.01]
+    flight.advance(1500)
+    signals = recorded(flight.history, rng)
+    recursive, ticks = online(signals), ticks_of(signals)
+    push = int(np.searchsorted(ticks.time_s, 5.0))
+    recursive.update(ticks.part(slice(0, push)))
+    sigma = recursive.estimate().covariance[0, 0] ** 0.5
+    recursive.update(ticks.part(slice(push, None)))
+    assert [change.kind for change in recursive.changes] == ["change", "contact"]
+    assert recursive.held is True
+    found = recursive.estimate()
+    assert found.covariance[0, 0] ** 0.5 < sigma
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * sigma
+
+
+def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
+    joint = np.array([1.0, 1.03, 1.0, 1.0, 1.0])
+    ticks = ticks_of(held)
+    wrong = np.arange(len(ticks.time_s))[:, None] >= 500
+    recursive = online(held)
+    recursive.update(
+        ticks._replace(
+            **{name: np.where(wrong, joint * getattr(ticks, name), getattr(ticks, name)) for name in ("dq", "ddq")}
+        )
+    )
+    kinds = [change.kind for change in recursive.changes]
+    assert kinds[0] == "change"
+    assert not {"capture", "ejection"} & set(kinds)
+    assert recursive.exchanged or recursive.estimate() is None
+    wary = online(held)
+    wary.update(ticks)
+    identifier = ExiddmIdentifier(wary)
+    assert identifier.findings() == Findings()
+    wary.exchanged = True
+    assert "without a release" in identifier.findings().against[0]
+    wary.exchanged = False
+    wary.misfit.add("gyro", 1e6, 60)
+    assert "gyro" in identifier.findings().doubts[0]
+    assert identifier.estimate().sigma[0] > 2.0 * wary.covariance[PAYLOAD, PAYLOAD][0, 0] ** 0.5
+    fine = online(mission, held=False)
+    fine.update(ticks_of(mission))
+    assert [change.kind for change in fine.changes] == ["change", "capture", "change", "ejection"]
+    assert not fine.exchanged
+
+
+def test_told_is_as_good_as_found(mission):
+    recursive, ticks = online(mission, held=False), ticks_of(mission)
+    at = int(np.searchsorted(ticks.time_s, CAPTURE_s + 0.02))
+    recursive.update(ticks.part(slice(0, at)))
+    recursive.told(True, float(ticks.time_s[at]))
+    recursive.told(False, float(ticks.time_s[at]))
+    recursive.told(True, float(ticks.time_s[at]))
+    recursive.update(ticks.part(slice(at, at + 400)))
+    assert [change.kind for change in recursive.changes] == ["capture", "ejection", "capture"]
+    assert all(np.isnan(change.score) for change in recursive.changes)
+    assert recursive.estimate().body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
+    recursive.told(True, 0.0)
+    assert len(recursive.changes) == 3
+
+
+def test_a_release_that_is_told_and_was_none_is_rejected(mission):
+    ticks, recursive = ticks_of(mission), online(mission, held=False)
+    held = [int(np.searchsorted(ticks.time_s, time_s)) for time_s in (CAPTURE_s + 0.02, 5.5, RELEASE_s - 0.1)]
+    recursive.update(ticks.part(slice(0, held[0])))
+    recursive.told(True, float(ticks.time_s[held[0]]))
+    recursive.update(ticks.part(slice(held[0], held[1])))
+    before = recursive.estimate()
+    recursive.told(False, float(ticks.time_s[held[1]]))
+    recursive.update(ticks.part(slice(held[1], held[2])))
+    recursive.finish()
+    assert [change.kind for change in recursive.changes] == ["capture", "ejection", "release_contradicted"]
+    assert recursive.estimate().body.mass_kg == pytest.approx(before.body.mass_kg, rel=0.02)
+    released = online(mission, held=False)
+    released.update(ticks.part(slice(0, held[0])))
+    released.told(True, float(ticks.time_s[held[0]]))
+    end = int(np.searchsorted(ticks.time_s, RELEASE_s + 0.02))
+    released.update(ticks.part(slice(held[0], end)))
+    released.told(False, float(ticks.time_s[end]))
+    released.update(ticks.part(slice(end, len(ticks.time_s))))
+    assert [change.kind for change in released.changes] == ["capture", "ejection"]
+    assert released.held is False
+
+
+def test_a_capture_that_is_told_and_was_none_is_rejected_when_the_payload_comes():
+    """Told six seconds before anything is held; at the capture it is no exchange of payloads."""
+    rng = np.random.default_rng(5)
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(BOX, 6.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    free_flyer.fly_with_capture(flight, capture, 12.0)
+    signals = recorded(flight.history, rng)
+    ticks, recursive = ticks_of(signals), online(signals, held=False)
+    recursive.told(True, float(ticks.time_s[0]))
+    recursive.update(ticks)
+    assert [change.kind for change in recursive.changes] == ["capture", "capture_contradicted", "change", "capture"]
+    assert recursive.changes[1].time_s < 5.0
+    assert not recursive.exchanged
+    assert recursive.estimate().body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)

@@ -1,0 +1,133 @@
+"""The windows the recursion starts from: solved in bounded pieces, and what comes in while one is solved."""
+
+import numpy as np
+import pytest
+
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import ImuErrors
+from onboard.flight.estimate.state import Places, from_bytes, to_bytes
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS, WORK
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from tests.dynamics.free_flyer_twin import BOX
+from tests.identification.exiddm.recorded_flights import PRIOR, online, recorded, same_bits, ticks_of
+
+
+def test_nothing_is_said_before_the_first_window_and_of_axes_that_are_swapped(held):
+    ticks = ticks_of(held)
+    recursive = online(held)
+    recursive.update(ticks.part(slice(0, 99)))
+    assert recursive.estimate() is None
+    recursive.update(ticks.part(slice(99, 100)))
+    assert recursive.estimate() is None  # one tick pays for one prediction of the window
+    recursive.finish()
+    assert recursive.estimate() is not None
+    wrong = online(held)
+    wrong.update(ticks._replace(measured=ticks.measured[:, [1, 0, 2, 3, 4, 5]]))
+    assert wrong.estimate() is None
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_call_does_a_bounded_piece_of_a_window_and_can_be_checkpointed_in_between(held, swapped, monkeypatch):
+    predicted, predict = [], ImuPredictor.predict
+
+    def counted(self, q, *rest):
+        predicted.append(len(q))
+        return predict(self, q, *rest)
+
+    monkeypatch.setattr(ImuPredictor, "predict", counted)
+    ticks = ticks_of(held).part(slice(0, 210))
+    if swapped:  # no hypothesis explains it, so every guess is tried to its end
+        ticks = ticks._replace(measured=ticks.measured[:, [1, 0, 2, 3, 4, 5]])
+    whole, pieces = online(held), online(held)
+    whole.update(ticks)
+    places, most, solving = Places(pieces), 0, 0
+    for first in range(0, 210, 10):
+        predicted.clear()
+        pieces.update(ticks.part(slice(first, first + 10)))
+        most, solving = max(most, sum(predicted)), solving + pieces.solving
+        if pieces.solving:
+            pieces = from_bytes(to_bytes(pieces, places), places)
+    assert solving >= (8 if swapped else 1)
+    assert most <= 10 * WORK + 200  # a piece, and what begins the next guess
+    whole.finish()
+    pieces.finish()
+    assert not pieces.solving
+    assert pieces.unexplained.count == whole.unexplained.count
+    assert (pieces.state is None) == swapped
+    assert swapped or same_bits(whole, pieces)
+
+
+def test_what_ticks_give_without_a_window_is_there_before_the_window_is_solved(held, monkeypatch):
+    predicted, predict = [], ImuPredictor.predict
+
+    def counted(self, q, *rest):
+        predicted.append(len(q))
+        return predict(self, q, *rest)
+
+    monkeypatch.setattr(ImuPredictor, "predict", counted)
+    ticks, whole, late = ticks_of(held), online(held), online(held)
+    for first in range(0, 900, 10):
+        some = ticks.part(slice(first, first + 10))
+        whole.update(some)
+        late.work()  # of the ticks before
+        predicted.clear()
+        late.take(some)
+        assert max(predicted, default=0) <= BATCH_TICKS + 2  # steps of the filter only
+        if first == 90:
+            assert late.solving
+    assert late.state is not None
+    assert late.ticks_used > 400
+    whole.finish()
+    late.finish()
+    assert same_bits(whole, late)
+
+
+def test_a_window_of_nonsense_is_not_explained(held):
+    ticks = ticks_of(held).part(slice(0, 110))
+    recursive = online(held)
+    recursive.update(ticks._replace(dq=1e160 * ticks.dq))
+    recursive.finish()
+    assert recursive.state is None
+    assert not recursive.solving
+
+
+def test_a_release_that_is_announced_while_a_window_is_solved_comes_after_it(held):
+    ticks = ticks_of(held)
+    recursive = online(held)
+    recursive.update(ticks.part(slice(0, 99)))
+    recursive.update(ticks.part(slice(99, 100)))
+    recursive.told(False, 1.0)
+    assert recursive.changes == []
+    recursive.finish()
+    assert [change.kind for change in recursive.changes] == ["ejection"]
+    assert recursive.held is None
+
+
+def test_a_payload_whose_release_is_announced_is_no_answer_while_the_release_waits_for_a_window(held):
+    ticks, recursive = ticks_of(held), online(held)
+    recursive.update(ticks.part(slice(0, 250)))
+    recursive.finish()
+    assert recursive.estimate() is not None
+    recursive.take(ticks.part(slice(250, 402)))  # the last window is due
+    assert recursive.solving
+    assert recursive.holds
+    recursive.told(False, float(ticks.time_s[402]))
+    assert recursive.solving
+    assert recursive.changes == []
+    assert not recursive.holds
+    assert recursive.estimate() is None
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_the_first_second_is_enough_for_a_start_whatever_is_held(seed):
+    rng = np.random.default_rng(seed)
+    body = BOX.grown(rng.uniform(8.0, 18.0))
+    motion = free_flyer.JointMotion.draw(rng)
+    flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), 1.3)
+    signals = recorded(flight, rng, ImuErrors(0.01, 1e-4, 0.1, 1e-3, 0.003, 0.0035, 1e-4))
+    recursive = online(signals, imu_prior=PRIOR, links=[*(f"link_{k}" for k in range(1, 6)), "base"])
+    recursive.update(ticks_of(signals))
+    recursive.finish()
+    found = recursive.estimate()
+    assert found is not None
+    assert abs(found.body.mass_kg - body.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
