@@ -3,12 +3,20 @@
 import struct
 
 TICK_NS = 2170.1
+PERIOD = 3072  # ticks, 150 Hz
+
+# DOC00290 table 3 by hand: timer 1234h; gyro 1, -1, 256; accel 10922 (1 g), 0, -2; magnetometer 0, 0, 11498 (1 gauss);
+# temperature 0, 55, -55
+PACKET = bytes.fromhex(
+    "ffffffff 26 ff 14 1234 0000 0042 0001 ffff 0100 2aaa 0000 fffe 0000 0000 2cea 0000 0037 ffc9 a3".replace(" ", "")
+)
+WORDS = [1, -1, 256, 10922, 0, -2, 0, 0, 11498, 0, 55, -55]
 
 
 class NimuModel:
     """Packets numbered in the payload; ``span`` is what the checksum sums."""
 
-    def __init__(self, span: str = "packet", period_ticks: int = 3072, timer: int = 0) -> None:
+    def __init__(self, span: str = "packet", period_ticks: int = PERIOD, timer: int = 0) -> None:
         self.span, self.period_ticks, self.timer, self.number = span, period_ticks, timer, 0
 
     @property
