@@ -169,7 +169,7 @@ def test_the_halves_are_predicted_as_brute_force_predicts_them(rng, identifier):
     t, held, Y, y, sigma = rows(rng, identifier, 20_000, truth, 0.3)  # 400 blocks, so that they have been merged
     seen = RowBlocks(truth.size, 0.5, ("cell",))
     for part in np.array_split(np.arange(t.size), 37):
-        seen.add(t[part], held[part], np.zeros(part.size, np.intp), Y[part], y[part], sigma[part], None)
+        seen.add(t[part], held[part], np.zeros(part.size, np.intp), Y[part], y[part], sigma[part], sigma[part], None)
         identifier.rls.update(Y[part], y[part], sigma[part])
         identifier.blocks.add(t[part], Y[part], y[part], sigma[part])
     found = held_out(seen, identifier)
@@ -192,7 +192,7 @@ def test_another_body_in_the_second_half_is_seen_there_and_only_there(rng, ident
     t, held, Y, y, sigma = rows(rng, identifier, 2000, truth, 0.01)
     y[1000:] += Y[1000:] @ rng.normal(size=truth.size)
     seen = RowBlocks(truth.size, 0.5, ("cell",))
-    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, sigma, None)
+    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
     identifier.rls.update(Y, y, sigma)
     assert held_out(seen, identifier).worst.relative_error > 0.5
 
@@ -206,7 +206,7 @@ def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
     told = {}
     for name, noise in (("corrected", doubt), ("plain", None)):
         seen = RowBlocks(truth.size, 10.0, ("cell",))
-        seen.add(t, held, np.zeros(t.size, np.intp), noisy, y, sigma, noise)
+        seen.add(t, held, np.zeros(t.size, np.intp), noisy, y, sigma, sigma, noise)
         told[name] = held_out(seen, identifier).later.misfit
     expected = truth.size / 0.01  # all of the noise, where the parameters are the true ones
     assert told["corrected"] == pytest.approx(expected, rel=0.1)
@@ -218,7 +218,7 @@ def test_one_block_cannot_be_halved(rng, identifier):
     seen = RowBlocks(truth.size, 50.0, ("cell",))
     assert held_out(seen, identifier) is None
     t, held, *rest = rows(rng, identifier, 100, truth, 0.1)
-    seen.add(t, held, np.zeros(t.size, np.intp), *rest, None)
+    seen.add(t, held, np.zeros(t.size, np.intp), *rest, rest[-1], None)
     assert held_out(seen, identifier) is None
 
 

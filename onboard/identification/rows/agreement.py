@@ -6,7 +6,7 @@ Per instrument, at the estimate of all rows:
   or an error that begins in the measured motion, is a step of it. The likeliest step is tested by Student's t on the
   scatter of the gains on its two sides, corrected for the number of places tried. A side whose own gains scatter more
   than all do is judged by its own scatter: one block of noise at an end is no step.
-- *Misfit*: residual relative to the noise and to the signal.
+- *Misfit*: residual relative to the noise, as the estimate makes it of the noise of the motion, and to the signal.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
 
@@ -43,7 +43,7 @@ class InstrumentFit(NamedTuple):
 
     instrument: str
     rows: float
-    misfit: float  # whitened residual sum over the number of rows, of the kind of rows that is explained worst
+    misfit: float  # residual sum over that of the noise at the estimate, of the kind of rows that is explained worst
     unexplained: float  # share of these readings, bias aside, that the estimate leaves over
     response: float  # rms of the readings over that predicted from the URDF; NaN for rows that read nothing
     still: float  # part of what is left over that was read while, by the encoders, nothing moved
@@ -51,7 +51,7 @@ class InstrumentFit(NamedTuple):
 
 
 def instrument_fits(
-    blocks: RowBlocks, mean: FloatArray, drawn: FloatArray, physical: BoolArray
+    blocks: RowBlocks, mean: FloatArray, drawn: FloatArray, physical: BoolArray, correlation: float
 ) -> tuple[InstrumentFit, ...]:
     """Gain step, misfit and response of each instrument's rows, by the equations in this module's head.
 
@@ -60,7 +60,9 @@ def instrument_fits(
         mean: the estimate, (p,).
         drawn: base parameters of the drawing, (p,).
         physical: which parameters are of bodies, and not an instrument's bias, (p,).
+        correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
+    v = np.concatenate([mean, [-1.0, 0.0]])
     found = []
     for number, name in enumerate(blocks.instruments):
         steps, squares, worst, lost = list[Step](), np.zeros(4), (0.0, 0.0), np.zeros(2)
@@ -74,7 +76,8 @@ def instrument_fits(
             squares += sums
             lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
             unexplained = np.sqrt(left.sum() / (left.sum() + sums[1])) if sums[1] else 1.0
-            worst = max(worst, (float(unexplained), float(left.sum() / rows)))
+            expected = blocks.own(held, number) + correlation * max(float(v @ noise.sum(axis=0) @ v), 0.0)
+            worst = max(worst, (float(unexplained), float(left.sum() / expected)))
             steps += _steps(blocks.times_s(held, number), gain, signal)
         rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:

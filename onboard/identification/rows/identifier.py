@@ -247,12 +247,12 @@ class Identifier:
         mean = self._on_trial(rows, y, sigma) if self._of_motion else np.zeros(0)
         C = columns(self.considered, self.model, signals, at, use, lambda of: self._expected(of, at, attached, mean))
         self._recursion.add(times, rows, y, sigma, C, doubt)
+        own = signals.sigma[at][use] * widening[kept]
         if self._instruments is not None:
-            own = signals.sigma[at][use] * widening[kept]
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
             self._instruments.take(taken)
-        self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, doubt)
+        self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, own, doubt)
         if self._corrections is not None and C is not None:
             self._corrections.add(times, rows, y, sigma, C, doubt, mean)
         self.rows_used += y.size
@@ -304,8 +304,9 @@ class Identifier:
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
         drawn, jackknife = self.base.value(self.model.chi), self.block_jackknife()
-        for fit in instrument_fits(self.seen, jackknife.mean, drawn, self._physical):
-            bad, doubt = judged_fit(fit, self._inflation**2)
+        correlation = self._inflation**2
+        for fit in instrument_fits(self.seen, jackknife.mean, drawn, self._physical, correlation):
+            bad, doubt = judged_fit(fit, correlation)
             against += bad
             doubts += doubt
         for quantity in self.quantities:

@@ -33,6 +33,7 @@ class RowBlocks:
         self._blocks = {
             (held, k): BlockScores(parameters + 2, block_s) for held in (True, False) for k in range(len(instruments))
         }
+        self._own = dict.fromkeys(self._blocks, 0.0)
 
     def add(
         self,
@@ -42,9 +43,21 @@ class RowBlocks:
         Y: FloatArray,
         y: FloatArray,
         sigma: FloatArray,
+        own: FloatArray,
         noise: FloatArray | None,
     ) -> None:
-        """Takes rows in as :meth:`BlockScores.add` does; ``held`` and ``instrument``, its number, are (m,)."""
+        """Takes rows in as :meth:`BlockScores.add` does.
+
+        Args:
+            times_s: (m,).
+            held: (m,) whether the payload was.
+            instrument: (m,) its number.
+            Y: (m, p).
+            y: (m,).
+            sigma: (m,) with the noise of the motion.
+            own: (m,) of the readings by themselves.
+            noise: (m, s, p + 1) of the motion, per sigma of a signal.
+        """
         if self.listener is not None:
             self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None])
         rows = np.column_stack([Y, y, sigma])  # whitened, the last is one: it counts
@@ -55,14 +68,20 @@ class RowBlocks:
         for (kind, number), blocks in self._blocks.items():
             mine = (held == kind) & (instrument == number)
             if mine.any():
-                own = None if wider is None else wider[mine]
-                blocks.add(times_s[mine], rows[mine], np.zeros(int(mine.sum())), sigma[mine], own)
+                unsure = None if wider is None else wider[mine]
+                blocks.add(times_s[mine], rows[mine], np.zeros(int(mine.sum())), sigma[mine], unsure)
+                share = own[mine] / sigma[mine]
+                self._own[kind, number] += float(share @ share)
 
     def of(self, held: bool, instrument: int) -> tuple[FloatArray, FloatArray]:
         """Normal equations of each block with the noise of their regressor, and that noise, (b, p + 2, p + 2) each."""
         blocks = self._blocks[held, instrument]
         noise = blocks.noise_by_block
         return blocks.normal + noise, noise
+
+    def own(self, held: bool, instrument: int) -> float:
+        """Sum of squares of the readings' own sigmas, whitened: the rows' number less what the motion's noise adds."""
+        return self._own[held, instrument]
 
     def times_s(self, held: bool, instrument: int) -> FloatArray:
         """When each block begins, (b,), on the axis of the rows' times."""

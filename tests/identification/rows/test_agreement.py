@@ -26,8 +26,8 @@ def fits(rng, y_of, n=3000, sigma=0.05, drawn=TRUTH):
     y = y_of(t, Y @ (TRUTH * PHYSICAL)) + TRUTH[2] + sigma * rng.normal(size=n)
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
-    seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, y, np.full(n, sigma), None)
-    return instrument_fits(seen, mean, drawn, PHYSICAL)[0]
+    seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, y, np.full(n, sigma), np.full(n, sigma), None)
+    return instrument_fits(seen, mean, drawn, PHYSICAL, 1.0)[0]
 
 
 def test_honest_rows_have_nothing_against_them(rng):
@@ -66,6 +66,21 @@ def test_readings_that_no_body_explains_are_told(rng):
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
 
+def test_what_is_left_over_is_held_against_the_noise_at_the_answer(rng):
+    """Sigmas of the rows were made with parameters that were far off: the motion's noise counted a hundredfold."""
+    t, noise = 0.01 * np.arange(3000), 0.01
+    Y = np.column_stack([np.sin(5.0 * t), np.cos(7.0 * t), np.ones(t.size)])
+    y = Y @ TRUTH + 0.4 * np.sin(11.0 * t) + 0.002 * rng.normal(size=t.size)
+    doubt = np.zeros((t.size, 1, 4))
+    doubt[:, 0, 0] = noise
+    wide, own = np.full(t.size, noise * 100.0), np.full(t.size, 0.002)
+    seen = RowBlocks(3, 0.5, ("cell",))
+    seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, wide, own, doubt)
+    fit = instrument_fits(seen, TRUTH, TRUTH, PHYSICAL, 1.0)[0]
+    assert fit.misfit == pytest.approx(0.5 * 0.4**2 / (own[0] ** 2 + (noise * TRUTH[0]) ** 2), rel=0.05)
+    assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
+
+
 def test_rows_without_the_payload_are_judged_by_themselves(rng):
     """A tenth of all power is told late: what the whole hides, its part shows."""
     t = 0.01 * np.arange(4000)
@@ -75,8 +90,8 @@ def test_rows_without_the_payload_are_judged_by_themselves(rng):
     y = late @ TRUTH + 0.002 * rng.normal(size=t.size)
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
-    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, np.full(t.size, 0.002), None)
-    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL)[0]
+    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, np.full(t.size, 0.002), np.full(t.size, 0.002), None)
+    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, 1.0)[0]
     assert fit.unexplained > 0.4
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 

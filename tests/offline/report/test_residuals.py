@@ -19,7 +19,7 @@ def test_rows_come_back_whitened_by_instrument_with_gaps_kept(rng: np.random.Gen
     for tick, error in zip(ticks, errors, strict=True):  # a row of the cell, two of the base
         Y, sigma = rng.normal(size=(3, 2)), np.array([0.1, 0.2, 0.3])
         held, instrument = np.ones(3, bool), np.array([0, 1, 1])
-        blocks.add(np.full(3, 7.0 + 0.01 * tick), held, instrument, Y, Y @ mean + sigma * error, sigma, None)
+        blocks.add(np.full(3, 7.0 + 0.01 * tick), held, instrument, Y, Y @ mean + sigma * error, sigma, sigma, None)
         series.append(error)
     found = kept.residuals(mean, 0.01)
     assert list(found) == ["cell", "base 1", "base 2"]
