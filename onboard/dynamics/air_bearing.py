@@ -51,11 +51,16 @@ class PlanarPrediction(NamedTuple):
     velocity: FloatArray  # (n, 4) x, y, m/s, yaw rate, rad/s, yaw since the start, rad
 
 
-def planar_columns(vehicle: VehicleModel, signals: FlightSignals) -> PlanarColumns:
+def planar_columns(vehicle: VehicleModel, signals: FlightSignals, offsets: FloatArray | None = None) -> PlanarColumns:
     """Wrench columns (Limparis 2.132) of a run's joint motion, at ticks and half-way between (joints by a spline).
 
     M and h of the equation at the head of this module, from :func:`onboard.dynamics.kinematics.wrench_columns` at unit
     accelerations and at rates of 1, -1 and 0.
+
+    Args:
+        vehicle: the model.
+        signals: of its joints.
+        offsets: of each joint from its place in the drawing, (joints, 3), m, in the axes of its frame at zero.
 
     Raises:
         SignalError: joint signals of another vehicle.
@@ -66,7 +71,7 @@ def planar_columns(vehicle: VehicleModel, signals: FlightSignals) -> PlanarColum
     zero = np.zeros((len(both), 3))
     x, y, z = (zero + unit for unit in np.eye(3))
     T = np.empty((len(both), 3, 6, vehicle.chi.size))
-    for index, link in enumerate(link_motions(vehicle, q, dq, ddq)):
+    for index, link in enumerate(link_motions(vehicle, q, dq, ddq, offsets)):
         at_rest = wrench_columns(link, zero, zero, zero)
         one, other = wrench_columns(link, z, zero, zero), wrench_columns(link, -z, zero, zero)
         parts = [wrench_columns(link, zero, *a) - at_rest for a in ((x, zero), (y, zero), (zero, z))]

@@ -71,9 +71,11 @@ def turned(R: FloatArray, a: FloatArray) -> FloatArray:
     return out
 
 
-def link_motions(vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[LinkMotion, ...]:
-    """The links of :func:`chain_motion` one by one, joints where they are drawn."""
-    R, p, V, A = chain_motion(vehicle, q, dq, ddq).links
+def link_motions(
+    vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, offsets: FloatArray | None = None
+) -> tuple[LinkMotion, ...]:
+    """The links of :func:`chain_motion`, which has the arguments, one by one."""
+    R, p, V, A = chain_motion(vehicle, q, dq, ddq, offsets).links
     w, dw = V[..., 3:], A[..., 3:]
     v = V[..., :3] + cross(w, p)
     a = A[..., :3] + cross(dw, p) + cross(w, v)

@@ -9,6 +9,7 @@ and weakly.
 """
 
 from collections.abc import Mapping
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from onboard.dynamics.air_bearing import PlanarColumns, PlanarDrag, planar_colum
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.joint_errors import Readings
 from onboard.dynamics.payload import possible_body
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
@@ -26,7 +28,7 @@ from onboard.estimation.maximum_likelihood import Fit, fit
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
 from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
-from onboard.identification.exiddm.parameters import Block
+from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, Block, GeometryPrior
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.regressor.free_rows import measured_base
 
@@ -56,6 +58,7 @@ class AirBearingPrior(NamedTuple):
     pucks: Mapping[str, DragPrior]  # by frame, fixed in the base
     tilt_m_s2: float  # gravity along the table
     imu: ImuPrior = CERTAIN
+    geometry: GeometryPrior = EXACT_GEOMETRY  # its joints
 
 
 class AirBearingBase:
@@ -65,17 +68,24 @@ class AirBearingBase:
         vehicle: of base kind planar, with a payload link.
         signals: the run.
         prior: sigmas of the further unknowns.
+        offsets: of each joint from its place in the drawing, (joints, 3), m, in the axes of its frame at zero.
 
     Raises:
         SignalError: another kind of base, shapes that do not fit, or joints that are not finite.
         UnknownFrameError: a puck that the URDF does not have.
     """
 
-    def __init__(self, vehicle: VehicleModel, signals: FlightSignals, prior: AirBearingPrior) -> None:
+    def __init__(
+        self,
+        vehicle: VehicleModel,
+        signals: FlightSignals,
+        prior: AirBearingPrior,
+        offsets: FloatArray | None = None,
+    ) -> None:
         if vehicle.spec.base is not BaseKind.PLANAR:
             raise SignalError(f"the base is {vehicle.spec.base.value}; this is for a planar one")
-        self.vehicle, self.signals = vehicle, checked(signals)
-        self._columns = planar_columns(vehicle, signals)
+        self.vehicle, self.signals, self.prior = vehicle, checked(signals), prior
+        self._columns = planar_columns(vehicle, signals, offsets)
         self._pucks = np.array([vehicle.pose_in_base(frame)[1][:2] for frame in prior.pucks]).reshape(-1, 2)
         state = np.array([prior.velocity_m_s, prior.velocity_m_s, prior.rate_rad_s])
         self.start = Block(("velocity_x", "velocity_y", "rate_z"), state)
@@ -98,6 +108,13 @@ class AirBearingBase:
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:
         """None: the gyro gives no velocity."""
+
+    def with_errors(self, errors: FloatArray) -> "AirBearingBase":
+        """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`."""
+        signals = self.signals
+        read = Readings.of(signals.q, signals.dq, signals.ddq, signals.period_s)
+        q, dq, ddq = read.corrected(errors, np.zeros(0), np.zeros((0, len(errors))))
+        return AirBearingBase(self.vehicle, signals._replace(q=q, dq=dq, ddq=ddq), self.prior, errors[:, :3])
 
     def rough_payload(self, imu_frame: str, payload_sigma: FloatArray) -> RigidBody:
         """Payload by plain least squares on rows without drag: a biased initial guess.
@@ -123,6 +140,8 @@ class TableExiddm(Exiddm):
     at some values, at first with the payload held too, then with nothing held; the likeliest result is kept.
     """
 
+    _base: AirBearingBase
+
     def fit(self) -> PayloadFit:
         """See :meth:`Exiddm.fit`."""
         try:
@@ -131,6 +150,17 @@ class TableExiddm(Exiddm):
             if np.ptp(self._base.signals.q, axis=0).max(initial=0.0) < _STILL:
                 raise ConvergenceError("no joint moves: these data do not determine a payload") from error
             return self._in_stages()
+
+    def with_errors(self, errors: FloatArray) -> "TableExiddm":
+        """The same if the joints had these errors, as :meth:`AirBearingBase.with_errors` takes them."""
+        other = copy(self)
+        other._base = self._base.with_errors(errors)
+        return other
+
+    @property
+    def joints(self) -> Block:
+        """The errors of the joints and what is stated of them, (6 x joints,)."""
+        return self._base.prior.geometry.blocks(self._base.vehicle)["joints"]
 
     def _in_stages(self) -> PayloadFit:
         payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")

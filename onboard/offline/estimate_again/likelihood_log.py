@@ -19,7 +19,10 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.rls import Observability
 from onboard.identification.change import Change
+from onboard.identification.corrections import contradicted
+from onboard.identification.exiddm.air_bearing import TableExiddm
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
+from onboard.identification.exiddm.table_joints import with_joints
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
@@ -72,7 +75,7 @@ class Fitted(NamedTuple):
     leans: tuple[str, ...] = ("",) * len(BODY)  # of each of the payload's numbers, on what is stated
 
 
-Build = Callable[[Ticks, bool], Exiddm]  # the estimator of ticks; whether their first is the first of all
+Build = Callable[[Ticks, bool], TableExiddm]  # the estimator of ticks; whether their first is the first of all
 Judge = Callable[[PayloadFit, float], Judged]  # what else a fit says, its variances so much wider
 
 
@@ -91,10 +94,11 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     try:
         exiddm = build(ticks, True)
         found = exiddm.fit()
+        corrected, joints = with_joints(exiddm, found)
     except (EstimationError, ModelError) as error:
         return no_answer(kept, used, f"the fit failed: {error}")
-    wider = max(1.0, found.misfit)  # the residual is not below the noise
-    judged = judge(found, wider)
+    wider = max(1.0, corrected.misfit)  # the residual is not below the noise
+    judged = judge(corrected, wider)
     halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
     if not judged.reason and middle * kept.period_s >= SHORTEST_S:
         try:
@@ -102,10 +106,12 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
             halves = held_out(exiddm, earlier, later, found)
         except (EstimationError, ModelError) as error:
             unchecked = half_too_short(error)
-    corrections = _corrections(exiddm, found, kept.payload)
-    numbers = found.payload, found.chi, found.chi_covariance
+    corrections = _corrections(exiddm, corrected, kept.payload) | joints.in_stated_sigmas
+    numbers = corrected.payload, corrected.chi, corrected.chi_covariance
     left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
-    return told(kept, Fitted(*numbers, used, found.misfit, wider, corrections, halves, unchecked, left, judged))
+    against = Findings(contradicted(joints.in_told_sigmas), ())
+    fit = Fitted(*numbers, used, corrected.misfit, wider, corrections, halves, unchecked, left, judged, against)
+    return told(kept, fit)
 
 
 def half_too_short(error: Exception) -> str:

@@ -14,11 +14,17 @@ from onboard import config
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.exiddm_priors import exiddm_prior, imu_prior_of
+from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
-from onboard.identification.exiddm.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
-from onboard.identification.exiddm.batch import Exiddm, PayloadFit
+from onboard.identification.exiddm.air_bearing import (
+    AirBearingPrior,
+    DragPrior,
+    TableExiddm,
+    air_bearing_exiddm,
+    drag_of,
+)
+from onboard.identification.exiddm.batch import PayloadFit
 from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
@@ -64,8 +70,8 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ConfigError: no [planar] in the vehicle file, or the file does not fit the URDF or the devices.
         ChannelError: a log of another vehicle.
     """
-    at_start = table_prior(vehicle)
     _, model = build_planar(vehicle)
+    at_start = table_prior(vehicle)._replace(geometry=geometry_prior(vehicle, model))
     payload = str(model.spec.payload_link)
     recorder = _Recorder(payload, len(model.joints))
     for _ in feed(Estimator(vehicle, recorder), log):
@@ -80,7 +86,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     ticks = longest_held(recorder.kept, (), held=True, period_s=period_s)
     let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
 
-    def build(some: Ticks, first: bool) -> Exiddm:
+    def build(some: Ticks, first: bool) -> TableExiddm:
         prior = at_start if first and let_go else underway(at_start)
         return air_bearing_exiddm(model, frame, some.flight(period_s, samples), payload_sigma, links, prior)
 

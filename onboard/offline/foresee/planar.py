@@ -5,11 +5,11 @@ import numpy as np
 from onboard import config
 from onboard.dynamics.payload import body_estimate
 from onboard.dynamics.ticks import FlightSignals
-from onboard.estimation.maximum_likelihood import covariance_of
-from onboard.flight.estimate.exiddm_priors import exiddm_prior
+from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.air_bearing import air_bearing_exiddm
+from onboard.identification.exiddm.table_joints import bound
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.likelihood_log import LONGEST_S, body_answers
@@ -45,13 +45,14 @@ def foresee_planar(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
         *(period_s, plan.q[run], plan.dq[run], plan.ddq[run], nothing, nothing, noise[:3], noise[3:], samples)
     )
     prior = table_prior(vehicle) if first == 0 else underway(table_prior(vehicle))
+    prior = prior._replace(geometry=geometry_prior(vehicle, model))
     exiddm = air_bearing_exiddm(model, roles.imu.frame, flight, payload_sigma, links, prior)
     start = np.array([plan.velocity_m_s[0], plan.velocity_m_s[1], plan.rate_rad_s[2]])
     x = exiddm.parameters(start, payload)
     drags = {name: k for k, name in enumerate(exiddm.names) if name.startswith(("Fv_", "Fc_"))}
     for name, at in drags.items():
         x[at] = plan.drag[name.startswith("Fc_")]
-    covariance = covariance_of(exiddm.residuals(x)[1], exiddm.prior_information)
+    covariance = bound(exiddm, x)
     own = exiddm.layout.estimated("payload")
     body = body_estimate(x[own], covariance[np.ix_(own, own)])
     names = tuple(body_values(model, payload))

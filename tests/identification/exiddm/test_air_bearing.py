@@ -27,6 +27,8 @@ from onboard.identification.exiddm.air_bearing import (
 )
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.table_joints import bound, with_joints
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 
 URDF = (Path(onboard.__file__).parent / "vehicles" / "dymaflex_air_bearing" / "dymaflex.urdf").read_text()
@@ -261,3 +263,53 @@ def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
     done = exiddm._held(x, held, 1e-3)
     np.testing.assert_array_equal(done.x[held], x[held])
     np.testing.assert_allclose(done.x[exiddm.layout.estimated("tilt")], TILT, atol=2e-4)
+
+
+def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, rng):
+    signals = noisy(run, rng)
+    off = 0.01 * np.eye(5)[2]  # of joint_3, read too large
+    joints = {joint.name: JointPrior(zero=0.005) for joint in run.vehicle.joints}
+    prior = PRIOR._replace(geometry=GeometryPrior(0.0, joints))
+    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(q=signals.q + off), WIDE, {}, prior)
+    plain = exiddm.fit()
+    found, zeros = with_joints(exiddm, plain)
+    assert zeros.names == tuple(f"zero_{name}" for name in joints)
+    assert (np.abs(zeros.values + off) < 3.5 * zeros.sigma).all()
+    assert zeros.sigma[2] < 0.002
+    assert zeros.in_told_sigmas["zero_joint_3"] == pytest.approx(-0.01 / np.hypot(0.005, zeros.sigma[2]), rel=0.2)
+    assert found.fit.residual_sum < plain.fit.residual_sum - 10.0
+    away = [
+        np.abs(one.payload.body.centre_of_mass_m - BOX.centre_of_mass_m)[:2]
+        / np.sqrt(np.diag(one.payload.covariance)[1:3])
+        for one in (plain, found)
+    ]
+    assert away[0].max() > 5.0
+    assert away[1].max() < 3.5
+    known = bound(exiddm, plain.fit.x)
+    assert known == pytest.approx(found.fit.covariance, rel=1e-6, abs=1e-12)
+
+
+def test_a_joint_out_of_place_predicts_what_a_drawing_of_it_there_does(run):
+    head, seat, rest = URDF.partition('<child link="link_5"/>\n    <origin xyz="')
+    assert rest.startswith("0 0 0.14")
+    moved = head + seat + "0.004 -0.003 0.142" + rest.removeprefix("0 0 0.14")
+    elsewhere = VehicleModel(moved, VehicleSpec(BaseKind.PLANAR, "base", "payload"))
+    drawn = air_bearing_exiddm(elsewhere, "imu_base", exact(run), WIDE, {}, PRIOR)
+    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    errors = np.zeros((5, 6))
+    errors[4, :3] = 0.004, -0.003, 0.002
+    x = exiddm.start(PAYLOAD)
+    told, there = (one.residuals(x)[0] for one in (exiddm.with_errors(errors), drawn))
+    assert told == pytest.approx(there, abs=1e-9)
+    assert np.abs(told - exiddm.residuals(x)[0]).max() > 1.0
+
+
+def test_an_open_place_along_the_vertical_leaves_the_payloads_height_open(run, rng):
+    prior = PRIOR._replace(geometry=GeometryPrior(0.0, {"joint_5": JointPrior(place_m=0.01)}))
+    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, prior)
+    plain = exiddm.fit()
+    found, places = with_joints(exiddm, plain)
+    before, after = (np.sqrt(one.payload.covariance[3, 3]) for one in (plain, found))
+    assert before < 1e-3
+    assert after == pytest.approx(np.hypot(before, places.sigma[2]), rel=0.2)
+    assert (np.abs(places.values) < 3.5 * places.sigma).all()

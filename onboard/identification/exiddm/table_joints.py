@@ -1,0 +1,93 @@
+"""Errors of the joints as further unknowns of a fitted run on an air-bearing table.
+
+They are milliradians and millimetres, so the residuals are linear in them: with J the derivative of the whitened
+residuals r by the fitted parameters x, G that by the errors z (by differences of their stated sigmas), and L and Z the
+prior information about zero, one Gauss-Newton step
+
+    [dx; z] = -[J'J + L, J'G; G'J, G'G + Z]^-1 [J'r + L x; G'r]
+
+gives the estimate with the errors fitted too, and the inverse is the covariance of both (derived here).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.dynamics.joint_errors import PER_JOINT
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.maximum_likelihood import inverse_of
+from onboard.identification.corrections import told
+from onboard.identification.exiddm.air_bearing import TableExiddm
+from onboard.identification.exiddm.batch import PayloadFit
+
+
+class JointCorrections(NamedTuple):
+    """Fitted errors of joints, k of them."""
+
+    names: tuple[str, ...]
+    values: FloatArray  # (k,)
+    stated: FloatArray  # (k,) their sigmas before the run
+    sigma: FloatArray  # (k,) after it
+
+    @property
+    def in_stated_sigmas(self) -> dict[str, float]:
+        """By name."""
+        return dict(zip(self.names, (self.values / self.stated).tolist(), strict=True))
+
+    @property
+    def in_told_sigmas(self) -> dict[str, float]:
+        """By name, in sigmas of what the data tell: :mod:`onboard.identification.corrections`."""
+        return dict(zip(self.names, (self.values / told(self.stated**2, self.sigma**2)).tolist(), strict=True))
+
+
+def with_joints(exiddm: TableExiddm, found: PayloadFit) -> tuple[PayloadFit, JointCorrections]:
+    """The fit with the errors of the joints, as this module's head says.
+
+    Args:
+        exiddm: of the run.
+        found: its fit of all ticks, joints exact.
+
+    Raises:
+        SingularError: errors that cannot be told apart.
+        SignalError: a payload without a mass.
+    """
+    x, p = found.fit.x, found.fit.x.size
+    names, stated = _unknown(exiddm)
+    r, both, information = _normal(exiddm, x)
+    gradient = both.T @ r
+    gradient[:p] += exiddm.prior_information @ x
+    covariance = inverse_of(information)
+    step = -covariance @ gradient
+    left = found.fit.residual_sum + float(gradient @ step)
+    fit = found.fit._replace(x=x + step[:p], covariance=covariance[:p, :p], residual_sum=left)
+    return exiddm.found(fit), JointCorrections(names, step[p:], stated, np.sqrt(np.diag(covariance)[p:]))
+
+
+def bound(exiddm: TableExiddm, x: FloatArray) -> FloatArray:
+    """Covariance of the parameters (p, p) with the errors of the joints unknown, at parameters ``x``, (p,).
+
+    Raises:
+        SingularError: a direction determined by neither rows nor prior.
+    """
+    return inverse_of(_normal(exiddm, x)[2])[: x.size, : x.size]
+
+
+def _unknown(exiddm: TableExiddm) -> tuple[tuple[str, ...], FloatArray]:
+    """Names of the errors that have a sigma, and these, (k,)."""
+    joints = exiddm.joints
+    own = np.flatnonzero(joints.sigma > 0.0)
+    return tuple(joints.names[k] for k in own), joints.sigma[own]
+
+
+def _normal(exiddm: TableExiddm, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residuals (m,), their derivative by parameters and errors, (m, p + k), and the information on these."""
+    joints, (r, J) = exiddm.joints.sigma, exiddm.residuals(x)
+    columns = [J]
+    for place in np.flatnonzero(joints > 0.0):
+        errors = np.where(np.arange(joints.size) == place, joints, 0.0).reshape(-1, PER_JOINT)
+        columns.append(((exiddm.with_errors(errors).residuals(x)[0] - r) / joints[place])[:, None])
+    both = np.concatenate(columns, axis=1)
+    information = both.T @ both
+    information[: x.size, : x.size] += exiddm.prior_information
+    information[x.size :, x.size :] += np.diag(_unknown(exiddm)[1] ** -2)
+    return r, both, information
