@@ -27,10 +27,10 @@ from onboard.flight.estimate.signals import SignalSmoother, kernel_of
 from onboard.flight.estimate.witness import RateWitness
 from onboard.flight.estimate.zeroing import Temperatures, Zeroing
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.table.run import TableRun
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, base_motion, standing
 from onboard.regressor.signals import SignalNoise, Signals

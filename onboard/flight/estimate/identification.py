@@ -25,13 +25,13 @@ from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import RecursiveExiddm
-from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Quantity, Tolerance, mass_quantities
 from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier, Start
+from onboard.identification.table.run import TableRun
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
 from onboard.regressor.friction import Motor
 from onboard.regressor.rows import (

@@ -304,9 +304,8 @@ class Identifier:
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
         drawn, jackknife = self.base.value(self.model.chi), self.block_jackknife()
-        correlation = self._inflation**2
-        for fit in instrument_fits(self.seen, jackknife.mean, drawn, self._physical, correlation):
-            bad, doubt = judged_fit(fit, correlation)
+        for fit in instrument_fits(self.seen, jackknife.mean, drawn, self._physical, self._inflation**2):
+            bad, doubt = judged_fit(fit, self._inflation**2)
             against += bad
             doubts += doubt
         for quantity in self.quantities:

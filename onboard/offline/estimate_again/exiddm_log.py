@@ -29,10 +29,10 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.parts import halves
 from onboard.identification.exiddm.stated import freely, leans_on
-from onboard.identification.exiddm.table_run import TableRun
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
 from onboard.identification.exiddm.witnesses import HARDLY, Tested, tested, without_each
+from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
 from onboard.offline.estimate_again.before_capture import BeforeCapture, before_capture, jump_of
 from onboard.offline.estimate_again.feed import feed

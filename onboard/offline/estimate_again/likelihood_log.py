@@ -20,14 +20,14 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.rls import Observability
 from onboard.identification.change import Change
 from onboard.identification.corrections import contradicted
-from onboard.identification.exiddm.air_bearing import TableExiddm
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
-from onboard.identification.exiddm.table_joints import with_joints
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
+from onboard.identification.table.air_bearing import TableExiddm
+from onboard.identification.table.joints import with_joints
 from onboard.identification.verdict import Evidence, is_positive, verdict
 from onboard.offline.estimate_again.identified import Answer, Identified
 from onboard.offline.estimate_again.residuals import Residuals, by_axis

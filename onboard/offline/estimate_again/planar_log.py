@@ -17,17 +17,17 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
-from onboard.identification.exiddm.air_bearing import (
+from onboard.identification.exiddm.batch import PayloadFit
+from onboard.identification.exiddm.ticks import Ticks, ticks_of
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.table.air_bearing import (
     AirBearingPrior,
     DragPrior,
     TableExiddm,
     air_bearing_exiddm,
     drag_of,
 )
-from onboard.identification.exiddm.batch import PayloadFit
-from onboard.identification.exiddm.table_run import TableRun
-from onboard.identification.exiddm.ticks import Ticks, ticks_of
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.table.run import TableRun
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Answer, Identified
 from onboard.offline.estimate_again.likelihood_log import LEVEL, Judged, Kept, identified, longest_held

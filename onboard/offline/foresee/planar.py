@@ -8,9 +8,9 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
-from onboard.identification.exiddm.air_bearing import air_bearing_exiddm
-from onboard.identification.exiddm.table_joints import bound
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.table.air_bearing import air_bearing_exiddm
+from onboard.identification.table.joints import bound
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.likelihood_log import LONGEST_S, body_answers
 from onboard.offline.estimate_again.planar_log import table_prior, underway

@@ -18,17 +18,17 @@ from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.air_bearing import (
+from onboard.identification.exiddm.batch import Exiddm
+from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.table.air_bearing import (
     AirBearingPrior,
     DragPrior,
     TableExiddm,
     air_bearing_exiddm,
     drag_of,
 )
-from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
-from onboard.identification.exiddm.table_joints import bound, with_joints
+from onboard.identification.table.joints import bound, with_joints
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 
 URDF = (Path(onboard.__file__).parent / "vehicles" / "dymaflex_air_bearing" / "dymaflex.urdf").read_text()

@@ -17,8 +17,8 @@ from onboard.dynamics.joint_errors import PER_JOINT
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import told
-from onboard.identification.exiddm.air_bearing import TableExiddm
 from onboard.identification.exiddm.batch import PayloadFit
+from onboard.identification.table.air_bearing import TableExiddm
 
 
 class JointCorrections(NamedTuple):
