@@ -67,6 +67,11 @@ class Actuators(NamedTuple):
     hold: Hold | None = None
     pulses: tuple[Pulse, ...] = ()
 
+    @property
+    def any(self) -> bool:
+        """Whether there are any."""
+        return bool(self.wheels or self.pulses)
+
     def spin_up(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """The wheels as they turn at the release."""
         data.qvel[self._degrees(model)] = [wheel.start_rad_s for wheel in self.wheels]

@@ -371,10 +371,13 @@ def _advance(
     half_s = 0.5 * model.opt.timestep  # the stages of RK4 lie on half steps
     q, dq, ddq = motion.at(half_s * np.arange(2 * first, 2 * (first + samples) + 1))
     data.time = 0.0  # of this chunk
-    told = np.arange(6, 6 + JOINTS)  # degrees of freedom that do as they are told
-    free = np.setdiff1d(np.arange(model.nv), told)
-    on_free, between, on_told = np.ix_(free, free), np.ix_(free, told), np.ix_(told, told)
-    from_free = np.ix_(told, free)
+    M, each, told = np.empty((model.nv, model.nv)), np.arange(model.nv), slice(6, 6 + JOINTS)
+    free = slice(0, 6) if model.nv == told.stop else np.delete(each, told)  # not told what to do; views are faster
+    blocks = (free, free), (free, told), (told, free), (told, told)
+    on_free, between, from_free, on_told = (
+        block if isinstance(free, slice) else np.ix_(*(each[part] for part in block)) for block in blocks
+    )
+    idle = np.zeros(model.nv)[free]
     of_sample: list[FloatArray] = []  # torque of a step's first stage, which has the state of the sample
     angle, rate = data.qpos[7 : 7 + JOINTS], data.qvel[6 : 6 + JOINTS]  # views: MuJoCo writes into them
     bias, passive, applied, sensed = data.qfrc_bias, data.qfrc_passive, data.qfrc_applied, data.sensordata
@@ -382,14 +385,14 @@ def _advance(
     def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         stage = round(data.time / half_s)
         acceleration = ddq[stage] + (_STIFFNESS * (q[stage] - angle) + _DAMPING * (dq[stage] - rate))
-        M = _mass_matrix(model, data)
-        acting = actuators.forces(model, data, (2 * first + stage) * half_s)[free]
+        mujoco.mj_fullM(model, data, M)
+        acting = actuators.forces(model, data, (2 * first + stage) * half_s)[free] if actuators.any else idle
         force = bias - passive
         others = np.linalg.solve(M[on_free], acting - force[free] - M[between] @ acceleration)
         applied[free] = acting
         applied[told] = force[told] + M[from_free] @ others + M[on_told] @ acceleration
         if not of_sample:
-            of_sample.append(applied[told])
+            of_sample.append(applied[told].copy())
 
     widths = 1, JOINTS, JOINTS, 3, 3, 3, 3, JOINTS, len(actuators.wheels)
     flight = FreeFlightSignals(*(np.empty((samples, width)) for width in widths))

@@ -135,6 +135,7 @@ class VehicleModel:
         self.chi.setflags(write=False)
         self.joints = tuple(self._joint(root, index) for index in range(2, self.model.njoints))
         self.tree = tree_of(self.model, self.joints, self.links)
+        self._poses: dict[str, tuple[FloatArray, FloatArray]] = {}  # of frames fixed in the base
         self._neutral = self.model.createData()
         pin.framesForwardKinematics(self.model, self._neutral, pin.neutral(self.model))
 
@@ -187,10 +188,15 @@ class VehicleModel:
         Raises:
             UnknownFrameError: no such frame, or one that moves with a joint.
         """
-        found = self.model.frames[self.frame_id(frame)]
-        if found.parentJoint != 1:
-            raise UnknownFrameError(f"frame {frame!r} moves with a joint; name one that is fixed in the base")
-        return np.array(found.placement.rotation), np.array(found.placement.translation)
+        if frame not in self._poses:
+            found = self.model.frames[self.frame_id(frame)]
+            if found.parentJoint != 1:
+                raise UnknownFrameError(f"frame {frame!r} moves with a joint; name one that is fixed in the base")
+            pose = np.array(found.placement.rotation), np.array(found.placement.translation)
+            for part in pose:
+                part.setflags(write=False)
+            self._poses[frame] = pose
+        return self._poses[frame]
 
     def distal_links(self, frame: str) -> tuple[int, ...]:
         """Indices into :attr:`links` of the links beyond a cut at a frame."""

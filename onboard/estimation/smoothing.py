@@ -58,10 +58,11 @@ class Kernel(NamedTuple):
         """Width of the region centred on its first moment, whose samples correct the quadrature."""
         return 1.0 - 2.0 * abs(self.first_moment)
 
-    def of_powers(self, derivative: int) -> FloatArray:
-        """Derivative at the tick of the kernel's output for 1, u and u^2, (3,)."""
+    @property
+    def of_powers(self) -> FloatArray:
+        """Value and two derivatives at the tick of the kernel's output for 1, u and u^2, (3, 3)."""
         m1, m2 = self.first_moment, self.second_moment
-        return np.array([[1.0, m1, m2], [0.0, 1.0, 2.0 * m1], [0.0, 0.0, 2.0]][derivative])
+        return np.array([[1.0, m1, m2], [0.0, 1.0, 2.0 * m1], [0.0, 0.0, 2.0]])
 
 
 class _Pieces(NamedTuple):
@@ -70,18 +71,19 @@ class _Pieces(NamedTuple):
     Our own: :mod:`scipy.interpolate` is 12 MB in each process of an estimator.
     """
 
-    coefficients: FloatArray  # (powers of the place in the interval from 0 to 1, intervals, functions)
+    coefficients: FloatArray  # (powers of the place in the interval from 0 to 1, functions, intervals)
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """The functions at ``u``, (..., functions)."""
+        """The functions at ``u``, (functions, ...)."""
         place = (np.asarray(u, np.float64) + 0.5) * ORDER
-        interval = np.clip(place, 0.0, ORDER - 1.0).astype(np.intp)
-        place = (place - interval)[..., None]
-        inside = (place >= 0.0) & (place <= 1.0)
-        value: FloatArray = self.coefficients[-1][interval]
-        for coefficient in self.coefficients[-2::-1]:  # Horner; element by element, so the same bits in every replay
+        interval = np.minimum(np.maximum(place, 0.0), ORDER - 1.0).astype(np.intp)
+        place -= interval
+        coefficients = self.coefficients.take(interval, axis=2)
+        value: FloatArray = coefficients[-1]
+        for coefficient in coefficients[-2::-1]:  # Horner; element by element, so the same bits in every replay
             value *= place
-            value += coefficient[interval]
+            value += coefficient
+        inside = (place >= 0.0) & (place <= 1.0)
         return value if inside.all() else np.where(inside, value, 0.0)
 
     def derived(self) -> "_Pieces":
@@ -92,7 +94,7 @@ class _Pieces(NamedTuple):
 
     def alone(self, function: int) -> Shape:
         """One of them."""
-        return _One(_Pieces(self.coefficients[..., [function]]))
+        return _One(_Pieces(self.coefficients[:, [function]]))
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,8 @@ class _One:
 
     def __call__(self, u: FloatArray) -> FloatArray:
         """The function at ``u``."""
-        return self.pieces(u)[..., 0]
+        value: FloatArray = self.pieces(u)[0]
+        return value
 
 
 def _base() -> _Pieces:
@@ -116,7 +119,7 @@ def _base() -> _Pieces:
         ]
         for k in range(ORDER)
     ]
-    return _Pieces(np.array(whole, np.float64)[..., None] * (ORDER / math.factorial(degree)))
+    return _Pieces(np.array(whole, np.float64)[:, None] * (ORDER / math.factorial(degree)))
 
 
 def _unit_kernels() -> tuple[Shape, Kernel, _Pieces]:
@@ -125,7 +128,7 @@ def _unit_kernels() -> tuple[Shape, Kernel, _Pieces]:
     for _ in range(4):
         derivatives.append(derivatives[-1].derived())
     each = [part.coefficients for part in derivatives]
-    together = _Pieces(np.concatenate([each[0], *(each[k] - 0.5 * _MU2 * each[k + 2] for k in range(3))], axis=2))
+    together = _Pieces(np.concatenate([each[0], *(each[k] - 0.5 * _MU2 * each[k + 2] for k in range(3))], axis=1))
     return together.alone(0), Kernel((together.alone(1), together.alone(2), together.alone(3))), together
 
 
@@ -201,7 +204,8 @@ class SmoothingWindow:
         for derivative in orders:
             if derivative not in (0, 1, 2):
                 raise RowError(f"derivative {derivative} is not one of 0, 1, 2")
-        return self._weights[:, list(orders)]
+        leading = tuple(orders) == (0, 1, 2)[: len(orders)]  # a view where it can be
+        return self._weights[:, : len(orders)] if leading else self._weights[:, list(orders)]
 
     @cached_property
     def _weights(self) -> FloatArray:
@@ -209,7 +213,7 @@ class SmoothingWindow:
         if not self._some:
             return np.zeros((self._index.shape[0], 3, self._index.shape[1]))
         kernels, powers, correctors = self._correction
-        targets = np.array([self.kernel.of_powers(order) for order in range(3)]) - kernels @ powers  # (v, 3, 3)
+        targets = self.kernel.of_powers - kernels @ powers  # (v, 3, 3)
         raw = kernels + targets @ correctors.swapaxes(1, 2)
         raw /= self.width_s ** np.arange(3.0)[:, None]
         if not self._whole:
@@ -239,7 +243,7 @@ class SmoothingWindow:
         powers = np.empty((*u.shape, 3))
         powers[..., 0], powers[..., 1], powers[..., 2] = 1.0, u, u * u
         if self.kernel is SPLINE:
-            near, *shapes = np.moveaxis(_SPLINE_TOGETHER(u), -1, 0)
+            near, *shapes = _SPLINE_TOGETHER(u)
         else:
             about = (u - self.kernel.first_moment) / self.kernel.reach
             near = _BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else _BASE(about)

@@ -319,7 +319,7 @@ def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
         steps = (values[1:] - values[:-1]) / (at_s[1] - at_s[0])
         rate[0], rate[-1] = steps[0], steps[-1]
         rate[1:-1] = 0.5 * (steps[1:] + steps[:-1])
-    return np.nan_to_num(rate)
+    return rate if np.isfinite(rate).all() else np.nan_to_num(rate)
 
 
 def _values(signal: SmoothedChannel, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:

@@ -123,9 +123,11 @@ def imu_reading(true: FloatArray, change: FloatArray, time_s: FloatArray, errors
 
 def _sym(c: FloatArray) -> FloatArray:
     """``[[0, z, y], [z, 0, x], [y, x, 0]]`` of each c, (..., 3); ``sym(c) u == sym(u) c``."""
-    x, y, z = np.moveaxis(c, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([np.stack(row, axis=-1) for row in ((zero, z, y), (z, zero, x), (y, x, zero))], axis=-2)
+    out = np.zeros((*c.shape, 3))
+    out[..., 1, 2] = out[..., 2, 1] = c[..., 0]
+    out[..., 0, 2] = out[..., 2, 0] = c[..., 1]
+    out[..., 0, 1] = out[..., 1, 0] = c[..., 2]
+    return out
 
 
 def tick_mean(x: FloatArray, samples: int) -> FloatArray:

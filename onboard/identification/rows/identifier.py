@@ -129,6 +129,7 @@ class Identifier:
         instruments = tuple(dict.fromkeys(_instrument(name) for name in rows))
         self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
         self._inflation = 1.0
+        self._estimated: tuple[tuple[float, ...], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
         self._of_motion = of_motion(considered)
@@ -343,6 +344,12 @@ class Identifier:
         Args:
             level: of the intervals.
         """
+        of: tuple[float, ...] = (level, self.rows_used, self.refused[GateReason.RESIDUAL], *self._considered_sigma)
+        if self._estimated is None or self._estimated[0] != of:
+            self._estimated = of, self._estimate(level)
+        return self._estimated[1]._replace(refused=dict(self.refused))
+
+    def _estimate(self, level: float) -> Estimate:
         jackknife = self.block_jackknife(level)
         p, weights = len(self.base.names), self._weights
         interval = jackknife.combination(weights)
@@ -362,19 +369,8 @@ class Identifier:
                 half = wider * float(np.hypot(high - mean, _normal(level) * drawn))
                 sigma, low, high = wider * float(np.hypot(sigma, drawn)), mean - half, mean + half
             leans = leans_on(self.considered, causes[index], mean, sigma, quantity.leanings, jackknife.mean)
-            told = (
-                quantity.name,
-                quantity.unit,
-                mean,
-                sigma,
-                low,
-                high,
-                float(shrinkage[index]),
-                fine,
-                note,
-                wider * drawn,
-            )
-            quantities.append(QuantityEstimate(*told, leans if fine else ""))
+            told = mean, sigma, low, high, float(shrinkage[index]), fine, note, wider * drawn
+            quantities.append(QuantityEstimate(quantity.name, quantity.unit, *told, leans if fine else ""))
         if self._payload:
             residual = self.refused[GateReason.RESIDUAL]
             quantities += self._payload.quantities(jackknife, self.rows_used, residual)
