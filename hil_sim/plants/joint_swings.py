@@ -83,7 +83,9 @@ class JointSwings(Program):
         self.posture = np.array(
             [_posture(joint, scenario.motion.posture, share) for joint, share in zip(joints, drawn, strict=True)]
         )
+        spinning = wheels(scenario)
         room = np.array([_room(joint, at) for joint, at in zip(joints, self.posture, strict=True)])
+        room[[joint.name in spinning for joint in joints]] = 0.0
         speed = np.array([joint.speed for joint in joints])
         self._swings: list[Swinging] = []
         self._sweeps: list[Sweeping] = []
@@ -157,6 +159,13 @@ class JointSwings(Program):
             if rows.any():
                 q[rows], dq[rows], ddq[rows] = (spline(time_s[rows] - start_s, order) for order in range(3))
         return q, dq, ddq
+
+
+def wheels(scenario: VehicleScenario) -> frozenset[str]:
+    """The joints whose speed alone is measured: wheels, which run by ``sweep`` and do not swing."""
+    tables = [device.model_dump() for device in scenario.device.values()]
+    sensors = {name for name, sensor in scenario.sensor.items() if sensor.quantity == "wheel_rate"}
+    return frozenset(str(table["at"]) for table in tables if table.get("measures") in sensors)
 
 
 def _posture(joint: DrawnJoint, told: dict[str, float], drawn: float) -> float:

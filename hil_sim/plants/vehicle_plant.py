@@ -8,7 +8,7 @@ no sensor reads future rows.
 
 import copy
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import mujoco
@@ -21,7 +21,7 @@ from hil_sim.plants.base_sway import sway
 from hil_sim.plants.body import Body, built
 from hil_sim.plants.cabin import Cabin, Release
 from hil_sim.plants.driven_vehicle import Drivable, Drive
-from hil_sim.plants.joint_swings import JointSwings
+from hil_sim.plants.joint_swings import JointSwings, wheels
 from hil_sim.plants.soft_parts import springs
 from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
 from hil_sim.plants.vehicle_flight import Jolt, Puck, Released, Rows, VehicleFlight
@@ -64,12 +64,13 @@ class VehiclePlant(world.Plant):
         self._gravity = np.array(gravity) + np.array([*tilt, 0.0])
         self._model = UrdfModel(self.drawing, said.base, self._gravity.tolist(), self._places)
         self.joints = tuple(self.drawing.joints[name] for name in self._model.joints)
+        self._rotors = {self.drawing.joints[name].child for name in wheels(scenario) if name in self.drawing.joints}
         drawn = None
         if scenario.payload is not None and said.payload_link is not None:
             if said.payload_link not in self.drawing.links:
                 raise ScenarioError(f"{said.label} has no link {said.payload_link!r}, which is the payload_link")
             drawn = self._model.empty(said.payload_link)
-        self.bodies = _as_built(scenario, self._model.drawn, rng)
+        self.bodies = _as_built(scenario, self._model.drawn, self._rotors, rng)
         self._model.build(self.bodies)
         self.payload = None if scenario.payload is None else _payload(scenario.payload, drawn, rng)
         self._velocity = _let_go(scenario.release, said.base, rng)
@@ -209,6 +210,10 @@ class VehiclePlant(world.Plant):
         self._live.append((out, of))
         return out
 
+    def wheel_rate_rad_s(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        return self.rows_true.rates[:, self._joint(at)]
+
     @property
     def efforts_n_m(self) -> dict[str, float]:
         """Largest torque of each joint, N m or N; ``effort_N_m`` of ``[friction]`` where the URDF gives none."""
@@ -307,8 +312,13 @@ def _places(scenario: VehicleScenario, drawing: urdf_drawing.Drawing) -> Places:
     return Places(tuple(imus), tuple(cells))
 
 
-def _as_built(scenario: VehicleScenario, drawn: dict[str, Body], rng: np.random.Generator) -> dict[str, Body]:
-    """Every link within its tolerance of the drawing; drawn again until it is a body that can exist."""
+def _as_built(
+    scenario: VehicleScenario, drawn: dict[str, Body], rotors: Collection[str], rng: np.random.Generator
+) -> dict[str, Body]:
+    """Every link within its tolerance of the drawing; drawn again until it is a body that can exist.
+
+    Rotors of wheels are balanced bodies of revolution: all of their inertia has one factor.
+    """
     unknown = sorted(scenario.as_built.keys() - drawn.keys() - {"default"})
     if unknown:
         raise ScenarioError(f"as_built names {', '.join(unknown)}; links with a mass are {', '.join(drawn)}")
@@ -316,6 +326,10 @@ def _as_built(scenario: VehicleScenario, drawn: dict[str, Body], rng: np.random.
     found: dict[str, Body] = {}
     for link, body in drawn.items():
         sigma = scenario.as_built.get(link, usual)
+        if link in rotors:
+            mass, inertia = 1.0 + np.array([sigma.mass_relative, sigma.inertia_relative]) * rng.standard_normal(2)
+            found[link] = Body(mass * body.mass_kg, body.centre_of_mass_m, inertia * body.inertia_kg_m2)
+            continue
         for _ in range(_DRAWS):
             one = built(body, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
             if one.is_possible:

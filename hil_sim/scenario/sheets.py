@@ -59,6 +59,12 @@ class Sheets(NamedTuple):
         }
 
     @staticmethod
+    def wheel(said: Mapping[str, Any]) -> dict[str, Any]:
+        """A reaction wheel: noise and counts of the file."""
+        own = {"noise_rms_rad_s": said["noise_rad_s"], "step_rad_s": abs(said["scale"])}
+        return sheet("reaction_wheel") | {"quantity": "wheel_rate"} | own
+
+    @staticmethod
     def load_cell(said: Mapping[str, Any]) -> dict[str, Any]:
         """A load cell: capacity, lever, noise, delay and calibration of the file."""
         table = sheet("load_cell")

@@ -197,7 +197,7 @@ class Estimation(Section):
     ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" only widens intervals;
     "estimated" makes each a parameter, for several cells that measure the same load.
     ``base_rows`` are rows of a wrench known to be zero, within the two sigmas after it.
-    ``zero_force_sigma_m_s2``: residual constant error of the specific force after zeroing; estimated if given.
+    ``zero_force_sigma_m_s2``: constant error of the specific force, what zeroing leaves of it; estimated if given.
     ``motor``: those of joint torques that turn with more than one joint, by name; each has parameters ``Ia_``, ``Fv_``
     and ``Fc_`` of its own.
     ``carried``: warm start from an earlier flight with the same payload.

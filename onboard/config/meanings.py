@@ -162,7 +162,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "exiddm": _M('Table of method "exiddm".'),
         "imu_prior": _M(
             'Table: standard deviations of the base IMU\'s errors, for method "exiddm"; of rows, the two biases of a '
-            "prescribed base's.",
+            "prescribed base's or a free one's.",
         ),
     },
     Phases: {

@@ -9,7 +9,6 @@ from hil_sim.devices.canopen.object_dictionary import Access, DataType, Entry
 from hil_sim.devices.emulator import Bench, Equivalent, Twin
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
 from hil_sim.scenario.sheets import Sheets
-from hil_sim.scenario.tables import ScenarioError
 from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.controller_sensors import TachoSensor
 
@@ -63,8 +62,9 @@ class ReactionWheelTable(CanNodeEmulator):
 
     @classmethod
     def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``: only the packaged mission has an attitude control that turns wheels."""
-        raise ScenarioError(f"device.{name}: wheels are rehearsed by `heft hil dymaflex_wheels`; take it out here")
+        """See ``Emulator``."""
+        table = cls.node_keys(said) | {"measures": name, "at": said["joint"]}
+        return Equivalent(table, {name: sheets.wheel(said)}, {})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""

@@ -47,18 +47,19 @@ def _of_imu(imu: ImuRole) -> Iterator[Considered]:
             yield Considered(f"misalignment {what} about {letter}", imu.frame, misalignment, turn, turned, axis)
 
 
-def of_bias(imu: ImuRole, left: config.ImuPriorKeys) -> Iterator[Considered]:
+def of_bias(imu: ImuRole, left: config.ImuPriorKeys, *, accelerometer: bool) -> Iterator[Considered]:
     """What calibration leaves of a gyro's and an accelerometer's bias: the rows take both readings as they are.
 
     Args:
         imu: of the base.
         left: 1 sigma by axis; an error of which none is stated is not considered.
+        accelerometer: its bias too, which is not estimated.
     """
     kinds: tuple[tuple[str, Effect, float, str], ...] = (
         ("gyro", "gyro_bias", left.gyro_bias_rad_s, "gyro_bias_rad_s"),
         ("accelerometer", "accelerometer_bias", left.accelerometer_bias_m_s2, "accelerometer_bias_m_s2"),
     )
-    for name, effect, sigma, key in kinds:
+    for name, effect, sigma, key in kinds[: 1 + accelerometer]:
         for axis, letter in enumerate("xyz" if sigma else ""):
             what = f"bias of {imu.channels[0]}'s {name} along {letter}"
             yield Considered(what, imu.frame, effect, sigma, f"imu_prior.{key}", axis)

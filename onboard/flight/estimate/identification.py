@@ -237,13 +237,13 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             considered += of_cell(cell, scaled=scaled)
             scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
         considered += of_motion(roles)
-        if model.spec.base is BaseKind.PRESCRIBED and roles.imus:
-            considered += of_bias(roles.imu, settings.imu_prior)
+        zero_force = settings.zero_force_sigma_m_s2
+        if model.spec.base in (BaseKind.PRESCRIBED, BaseKind.FREE) and roles.imus:
+            considered += of_bias(roles.imu, settings.imu_prior, accelerometer=zero_force is None)
         if "force" in settings.base_rows:
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
             rows += base_moment_rows(model)
-        zero_force = settings.zero_force_sigma_m_s2
         row_model = RowModel(model, rows, zero_force is not None, _motors(vehicle, roles))
         offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
         absolute = {**settings.prior.absolute, **offsets, **scales}

@@ -5,7 +5,8 @@ Per instrument, at the estimate of all rows:
 - *Gain*: ratio of readings to readings predicted by the estimate, per block of time. A jump of the instrument's scale,
   or an error that begins in the measured motion, is a step of it. The likeliest step is tested by Student's t on the
   scatter of the gains on its two sides, corrected for the number of places tried. A side whose own gains scatter more
-  than all do is judged by its own scatter: one block of noise at an end is no step.
+  than all do is judged by its own scatter: one block of noise at an end is no step. Rows that read nothing, those
+  of a wrench known to be zero, have no gain.
 - *Misfit*: residual relative to the noise, as the estimate makes it of the noise of the motion, and to the signal.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
@@ -72,13 +73,14 @@ def instrument_fits(
             N, noise = blocks.of(held, number)
             left, signal, as_drawn, gain = _sums(N, N - noise, mean, drawn, physical)
             rows = float(N[:, -1, -1].sum())
-            sums = np.array([rows, signal.sum(), as_drawn.sum(), np.abs((N - noise)[:, -2, -2]).sum()])
+            readings = np.abs((N - noise)[:, -2, -2])
+            sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
             squares += sums
             lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
             unexplained = np.sqrt(left.sum() / (left.sum() + sums[1])) if sums[1] else 1.0
             expected = blocks.own(held, number) + correlation * max(float(v @ noise.sum(axis=0) @ v), 0.0)
             worst = max(worst, (float(unexplained), float(left.sum() / expected)))
-            steps += _steps(blocks.times_s(held, number), gain, signal)
+            steps += _steps(blocks.times_s(held, number), gain, signal) if readings.any() else []
         rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan

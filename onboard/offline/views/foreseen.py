@@ -13,6 +13,7 @@ from onboard.offline.foresee.plan import LEVEL, UNDETERMINED, Expected, Foreseen
 
 _UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "kg m^2": ("g m²", 1e3)}
 _HALF = float(ndtri(0.5 + 0.5 * LEVEL))
+_ROUNDING = 1e-9  # of an interval: a value below it is zero
 
 
 def render(found: Foreseen, motion: str) -> RenderableType:
@@ -34,10 +35,11 @@ def render(found: Foreseen, motion: str) -> RenderableType:
     for one in found.quantities:
         unit, factor = _UNITS.get(one.unit, (one.unit, 1.0))
         half = _HALF * one.sigma
-        share = f"{100.0 * half / abs(one.value):.2g}" if one.value and one.unit != "m" else ""
+        value = 0.0 if abs(one.value) < _ROUNDING * half else one.value
+        share = f"{100.0 * half / abs(value):.2g}" if value and one.unit != "m" else ""
         given = f"± {_short(factor * half)}" if isfinite(half) and one.why != UNDETERMINED else "—"
         shown = share if one.level is Level.GOOD else ""
-        table.add_row(f"{one.name}, {unit}", _short(factor * one.value), given, shown, str(one.level))
+        table.add_row(f"{one.name}, {unit}", _short(factor * value), given, shown, str(one.level))
     lines = [_told(found.parameters, Level.GOOD, "determined"), _told(found.parameters, Level.WEAK, "weak")]
     whole = [one for one in found.quantities if one.level is not Level.GOOD]
     by_reason: dict[str, list[str]] = {}

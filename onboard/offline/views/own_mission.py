@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from onboard import config
-from onboard.dynamics.inertia import RigidBody
-from onboard.dynamics.payload import standard_of
-from onboard.dynamics.vehicle import STANDARD
+from onboard.dynamics.inertia import RigidBody, composite_functional, elements
+from onboard.dynamics.payload import body_of, standard_of
+from onboard.dynamics.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.identification import build_identifier
+from onboard.flight.estimate.identification import build_identifier, build_model
 from onboard.identification.quantities import BODY, BODY_UNITS
+from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.verdict import Level
 from onboard.offline.estimate_again.identify import likelihood_of
@@ -51,7 +52,9 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
     true = {**truth["quantities"]}
     for frame, puck in truth["pucks"].items():
         true |= {f"Fv_{frame}": puck["viscous_N_s_m"], f"Fc_{frame}": puck["coulomb_N"]}
-    if vehicle.file.estimation.method != "exiddm":
+    if vehicle.file.free_body:  # its base parameters say the same
+        true |= _of_free_body(build_model(vehicle), truth)
+    elif vehicle.file.estimation.method != "exiddm":
         true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
     found: dict[str, list[Row]] = {section: [] for section in (*_SECTIONS.values(), "parameter")}
     for name, answer in answers.items():
@@ -119,6 +122,12 @@ def _of_rows(identifier: Identifier, vehicle: config.Vehicle, truth: Truth) -> d
     beta = np.array([_sum(weights, chi) for weights in identifier.base.grouping])
     found = dict(zip(identifier.base.names, beta.tolist(), strict=True))
     return found | {quantity.name: _sum(quantity.weights, beta) for quantity in identifier.quantities}
+
+
+def _of_free_body(vehicle: VehicleModel, truth: Truth) -> dict[str, float]:
+    """True centre of mass and inertia about it of the whole vehicle, rotors locked."""
+    whole = body_of(composite_functional(vehicle) @ np.concatenate([_standard(link, truth) for link in vehicle.links]))
+    return dict(zip(FREE_BODY, (*whole[1], *elements(whole[2])), strict=True))
 
 
 def _sum(weights: FloatArray, values: FloatArray) -> float:

@@ -12,7 +12,7 @@ from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import config
 from onboard.cli import main
 
-BASES = {"air_bearing": "planar", "capture": "free", "fixed_arm": "fixed", "parabolic": "free"}
+BASES = {"air_bearing": "planar", "capture": "free", "fixed_arm": "fixed", "parabolic": "free", "tumble": "free"}
 
 
 @pytest.mark.parametrize("name", bed.names())
@@ -24,6 +24,10 @@ def test_a_bed_is_the_rehearsal_of_a_packaged_vehicle(name: str) -> None:
     assert isinstance(scenario, VehicleScenario)
     assert scenario.vehicle.base == BASES[name]
     assert not scenario.scenario.description.startswith("the rehearsal of")
+    if name == "tumble":  # nothing is held: the body itself is drawn
+        assert scenario.payload is None
+        assert scenario.as_built["body"].inertia_relative > 0.1
+        return
     assert scenario.payload is not None
     assert scenario.payload.mass_kg[0] < scenario.payload.mass_kg[1]
 
@@ -64,6 +68,19 @@ def test_the_table_is_run_at_three_speeds(joints: str) -> None:
     plan = default_plan(scenario, 0.05)
     assert abs(plan.dq).max() == pytest.approx(max(fast.values()), rel=0.01)
     assert abs(plan.q[0] - plan.q[-1]).max() < 1e-9
+
+
+def test_a_wheel_runs_by_its_sweep_and_does_not_swing(tmp_path: Path) -> None:
+    scenario = scenario_of("tumble")
+    assert isinstance(scenario, VehicleScenario)
+    plan = default_plan(scenario, 0.01)
+    assert abs(plan.dq).max() == pytest.approx(1250.0)
+    assert abs(plan.q[0] - plan.q[-1]).max() < 1e-9
+    over = tmp_path / "over.toml"
+    over.write_text('[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 5.0\n')
+    swinging = scenario_of("tumble", over)
+    assert isinstance(swinging, VehicleScenario)
+    assert not default_plan(swinging, 0.01).dq.any()
 
 
 def test_other_names_are_no_beds() -> None:

@@ -55,6 +55,18 @@ def test_one_block_that_is_off_at_an_end_is_no_step(rng, block):
     assert judged_fit(fit, 1.0) == ([], [])
 
 
+def test_rows_that_read_nothing_have_no_gain(rng):
+    """A wrench that is known to be zero: the fit finds what makes it so, and no reading is there to change."""
+    n, sigma = 600, 0.05
+    t = 0.01 * np.arange(n)
+    Y = np.column_stack([np.sin(5.0 * t), np.sin(5.0 * t) * np.where(t > 3.0, 1.4, 1.0) + 0.1, np.full(n, 0.1)])
+    seen = RowBlocks(3, 0.5, ("base IMU",))
+    seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, np.zeros(n), np.full(n, sigma), np.full(n, sigma), None)
+    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, PHYSICAL, 1.0)
+    assert fit.step is None
+    assert np.isnan(fit.response)
+
+
 def test_an_instrument_that_hardly_reacts_is_told(rng):
     fit = fits(rng, lambda _, y: 0.01 * y)
     assert fit.response == pytest.approx(0.01, rel=0.8)
