@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 from urllib.parse import parse_qs, urlsplit
 
+import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.canopen_pdo.player_config import PlayerConfig
@@ -138,8 +139,8 @@ class Vehicle(BaseModel):
 
     @property
     def text(self) -> str:
-        """Of the vehicle file."""
-        return self.origin.text
+        """Of the vehicle file, or of its tables where others were laid over them."""
+        return self.origin.text or tomli_w.dumps(self.tree)
 
     @property
     def label(self) -> str:

@@ -303,3 +303,13 @@ def test_any_value_put_for_any_other_is_refused_or_can_be_flown(name: str) -> No
         outcomes["flown"] += 1
     assert outcomes["refused"] > 50
     assert outcomes["flown"] > 3
+
+
+def test_tables_laid_over_a_file_are_its_text_too():
+    """The log keeps the text: what flew can be replayed."""
+    vehicle = config.load(config.packaged("rocksat"))
+    tree = config.laid_over(vehicle.tree, {"estimation": {"step_ms": 100}})
+    other = config.parse_tree(tree, vehicle.path, config.Origin("a plan"))
+    again = config.parse(other.text, vehicle.path)
+    assert again.tree == tree
+    assert again.file.estimation.step_ms == 100
