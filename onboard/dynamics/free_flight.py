@@ -8,6 +8,9 @@ the angular momentum is constant in inertial axes. In base axes ``d eta / dt = e
 (C: spatial inertia of the whole vehicle, mu: momentum of the moving joints; Limparis 2.84-2.93 with the initial
 momentum P_0 of 3.6-3.8). The specific force and angular acceleration follow from the zero wrench. The attitude is not
 needed. Unlike regression rows, the prediction contains no measured base motion, so its noise causes no bias.
+
+A known wrench (F; T) on the base, about its origin, as of thrusters, adds ``C^-1 [F; T]`` to specific force and angular
+acceleration, and ``T - r x F`` to ``d eta / dt``, r the centre of mass of the whole vehicle.
 """
 
 from collections.abc import Sequence
@@ -21,6 +24,13 @@ from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
 from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
 from onboard.dynamics.spatial import Columns, hat, times
 from onboard.estimation.arrays import FloatArray
+
+
+class Push(NamedTuple):
+    """Known wrench on the base at every tick, the sum of k sources: force and moment about its origin, base axes."""
+
+    of_each: FloatArray  # (n, 6, k) as it is stated
+    gain: FloatArray  # (k,) by which it is multiplied
 
 
 class BasePrediction(NamedTuple):
@@ -86,17 +96,19 @@ def predict_base_from_rate(
     rate: FloatArray,
     free: tuple[int, ...] | Columns,
     errors: ErrorsAlong | None = None,
+    push: Push | None = None,
 ) -> BasePrediction:
     """As :func:`predict_base` from the base's rate w_0 at the first tick, (3,), rad/s; derivatives by (w_0, chi).
 
-    With ``errors`` their columns (:mod:`onboard.dynamics.joint_errors`) come after those of chi.
+    With ``errors`` their columns (:mod:`onboard.dynamics.joint_errors`) come after those of chi, with ``push`` those of
+    its gains after these.
 
     ``eta_0 = J^-1 (w_0 + k)``, with the equation above solved for the rate: ``w = J eta - k``. For the state of a
     filter: the gyro's bias adds to the rate itself, but to the momentum multiplied by every inertia, so that a filter
     with the momentum as its state gains information in unobservable directions as its linearisation point moves.
     """
     columns = free if isinstance(free, Columns) else Columns(free)
-    return _predict(links, period_s, chi, rate, columns, errors, by_rate=True)
+    return _predict(links, period_s, chi, rate, columns, errors, push, by_rate=True)
 
 
 def _predict(
@@ -106,6 +118,7 @@ def _predict(
     start: FloatArray,
     free: Columns,
     errors: ErrorsAlong | None = None,
+    push: Push | None = None,
     *,
     by_rate: bool,
 ) -> BasePrediction:
@@ -119,26 +132,35 @@ def _predict(
     from_eta = inverse[:, :, 3:]  # (n, 6, 3) base twist per momentum
     still = times(inverse[:, 3:], mu)  # less the rate without a momentum
     momentum = np.linalg.solve(from_eta[0, 3:], start + still[0]) if by_rate else start
-    eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s)
+    pushed = None if push is None else _Pushed(push, bodies.composite)
+    eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s, None if pushed is None else pushed.torque)
     bias, slope = bodies.moved(times(from_eta, eta) - times(inverse, mu))  # (n, 6), (n, 6, 3)
     w = bodies.twist[:, 3:]
+    if pushed is not None:
+        bias = bias - pushed.wrench
     thrust = -times(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
     bodies.pushed(thrust)
     c = 10 * len(free.links)
-    along = np.zeros((n, 9, 3 + c + (0 if errors is None else errors.columns)))
+    own = c + (0 if errors is None else errors.columns)
+    along = np.zeros((n, 9, 3 + own + (0 if push is None else len(push.gain))))
     H = np.zeros((n, 6, along.shape[2] - 3))
     free.into(H[:, :, :c], bodies.X, bodies.V)
     free.into(along[:, 3:, 3 : 3 + c], bodies.X, bodies.V, bodies.A)
     displaced = None
     if errors is not None:
         displaced = errors.displaced(bodies)
-        errors.into(displaced, bodies, H[:, :, c:], along[:, 3:, 3 + c :])
+        errors.into(displaced, bodies, H[:, :, c:own], along[:, 3:, 3 + c : 3 + own])
     at_fixed_eta = -(inverse[:, 3:] @ H)  # (n, 3, c)
     d_start: FloatArray = np.eye(3, along.shape[2])
     if by_rate:
         d_start[:, 3:] = -at_fixed_eta[0]
         d_start = np.asarray(np.linalg.solve(from_eta[0, 3:], d_start), np.float64)
-    d_eta = _integrate_sensitivity(w, eta, from_eta[:, 3:], hat(eta) @ at_fixed_eta, d_start, period_s)
+    forcing = hat(eta) @ at_fixed_eta
+    if pushed is not None:
+        along[:, 3:, 3 + own :] = -pushed.of_each
+        forcing[:, :, own:] += pushed.torque_of_each
+        forcing[:, :, :c] += pushed.by_centre(free, bodies.X)
+    d_eta = _integrate_sensitivity(w, eta, from_eta[:, 3:], forcing, d_start, period_s)
     np.matmul(from_eta[:, 3:], d_eta, out=along[:, :3])
     along[:, :3, 3:] += at_fixed_eta
     force, spin = thrust[:, :3], thrust[:, 3:]
@@ -163,6 +185,35 @@ def rate_of_momentum(
     rate = turned(inverse, eta) - still
     nothing = np.zeros((len(still), 3, 0))
     return rate, inverse @ _integrate_sensitivity(rate, eta, inverse, nothing, np.eye(3), period_s)
+
+
+class _Pushed:
+    """A wrench on the base, and its moment about the centre of mass of the whole vehicle.
+
+    Args:
+        push: the wrench.
+        composite: spatial inertia of the vehicle, (n, 6, 6).
+    """
+
+    def __init__(self, push: Push, composite: FloatArray) -> None:
+        self.of_each = push.of_each
+        self.wrench: FloatArray = push.of_each @ push.gain  # (n, 6)
+        self._mass_kg = composite[:, 0, 0, None]
+        moment = -np.stack([composite[:, 2, 4], composite[:, 0, 5], composite[:, 1, 3]], axis=1)  # -m hat(r) in it
+        self._centre_m = moment / self._mass_kg
+        self.torque_of_each = self.of_each[:, 3:] - hat(self._centre_m) @ self.of_each[:, :3]  # (n, 3, k)
+        self.torque: FloatArray = self.torque_of_each @ push.gain  # (n, 3)
+
+    def by_centre(self, free: Columns, X: FloatArray) -> FloatArray:
+        """Derivative of the torque by chi, (n, 3, c): ``F x dr``, ``dr = (d(m r) - r dm) / m``."""
+        n, c = len(X), 10 * len(free.links)
+        along_x, along_y = np.empty((n, 6, c)), np.empty((n, 6, c))
+        for out, unit in ((along_x, 0), (along_y, 1)):  # momentum of unit translations: m, and m r across
+            free.into(out, X, np.broadcast_to(np.eye(6)[unit], X.shape[:-1]))
+        d_mass = along_x[:, :1]
+        d_moment = np.stack([along_y[:, 5], -along_x[:, 5], along_x[:, 4]], axis=1)
+        d_centre = (d_moment - self._centre_m[..., None] * d_mass) / self._mass_kg[..., None]
+        return np.asarray(hat(self.wrench[:, :3]) @ d_centre, np.float64)
 
 
 class SensorPrediction(NamedTuple):
@@ -213,8 +264,14 @@ def _midpoints(x: FloatArray) -> FloatArray:
     return middle
 
 
-def _integrate_momentum(J: FloatArray, k: FloatArray, start: FloatArray, h: float) -> FloatArray:
-    """Integrates ``d eta / dt = eta x (J eta - k)`` over the grid by fourth-order Runge-Kutta, (n, 3)."""
+def _integrate_momentum(
+    J: FloatArray, k: FloatArray, start: FloatArray, h: float, torque: FloatArray | None = None
+) -> FloatArray:
+    """Integrates ``d eta / dt = eta x (J eta - k)`` over the grid by fourth-order Runge-Kutta, (n, 3).
+
+    A torque, (n, 3), adds half a step's impulse before each step and half of the next after it: it may jump.
+    """
+    halves = None if torque is None else (0.5 * h * torque).tolist()
     middle_J, middle_k = _midpoints(J), _midpoints(k)
     eta = np.empty((len(J), 3))
     x, y, z = eta[0] = start
@@ -222,6 +279,8 @@ def _integrate_momentum(J: FloatArray, k: FloatArray, start: FloatArray, h: floa
     stages = list(zip(J.reshape(-1, 9).tolist(), k.tolist(), strict=True))
     middles = list(zip(middle_J.reshape(-1, 9).tolist(), middle_k.tolist(), strict=True))
     for i, middle in enumerate(middles):
+        if halves is not None:
+            x, y, z = (at + by for at, by in zip((x, y, z), halves[i], strict=True))
         a1, b1, c1 = _momentum_rate(x, y, z, *stages[i])
         a2, b2, c2 = _momentum_rate(x + 0.5 * h * a1, y + 0.5 * h * b1, z + 0.5 * h * c1, *middle)
         a3, b3, c3 = _momentum_rate(x + 0.5 * h * a2, y + 0.5 * h * b2, z + 0.5 * h * c2, *middle)
@@ -229,6 +288,8 @@ def _integrate_momentum(J: FloatArray, k: FloatArray, start: FloatArray, h: floa
         x += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
         y += h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4)
         z += h / 6.0 * (c1 + 2.0 * (c2 + c3) + c4)
+        if halves is not None:
+            x, y, z = (at + by for at, by in zip((x, y, z), halves[i + 1], strict=True))
         eta[i + 1] = x, y, z
     return eta
 
