@@ -22,13 +22,14 @@ from hil_sim.scenario.sensor_tables import (
     MotorTorqueTable,
     PhaseTable,
     SensorTable,
+    ThrustTable,
     WheelRateTable,
 )
 from hil_sim.sensing.analog import ChipClock
-from hil_sim.sensing.controller_sensors import MotorTorqueSensor, PhaseSensor, TachoSensor
+from hil_sim.sensing.controller_sensors import MotorTorqueSensor, PhaseSensor, TachoSensor, ThrustSensor, of_actuator
 from hil_sim.sensing.sensors import EncoderSensor, ImuSensor, LoadCellSensor
 
-Sensor = ImuSensor | EncoderSensor | LoadCellSensor | MotorTorqueSensor | PhaseSensor | TachoSensor
+Sensor = ImuSensor | EncoderSensor | LoadCellSensor | MotorTorqueSensor | PhaseSensor | TachoSensor | ThrustSensor
 Kind = TypeVar("Kind")
 
 
@@ -63,8 +64,8 @@ def sensor(plant: Plant, table: SensorTable, rng: np.random.Generator, at: str) 
             return LoadCellSensor(plant, table, rng, at)
         case MotorTorqueTable():
             return MotorTorqueSensor(plant, table, rng, at)
-        case WheelRateTable():
-            return TachoSensor(plant, table, rng, at)
+        case WheelRateTable() | ThrustTable():
+            return of_actuator(plant, table, rng, at)
         case PhaseTable():
             return PhaseSensor(plant)
 

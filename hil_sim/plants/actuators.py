@@ -50,6 +50,7 @@ class Pulse(NamedTuple):
     to_s: float
     force_n: FloatArray  # (3,) on the base, base axes
     position_m: FloatArray  # (3,)
+    thruster: str = ""  # the device that tells it
 
 
 class Hold(NamedTuple):
@@ -75,6 +76,12 @@ class Actuators(NamedTuple):
     def spin_up(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """The wheels as they turn at the release."""
         data.qvel[self._degrees(model)] = [wheel.start_rad_s for wheel in self.wheels]
+
+    def thrust_n(self, thruster: str, time_s: FloatArray) -> FloatArray:
+        """Force of a thruster along its own direction, (n,)."""
+        on = [p for p in self.pulses if p.thruster == thruster]
+        each = [np.linalg.norm(p.force_n) * ((time_s >= p.from_s) & (time_s < p.to_s)) for p in on]
+        return np.asarray(np.sum(each, axis=0), np.float64)
 
     def rates(self, model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
         """Of the wheels against the base, (w,)."""

@@ -155,6 +155,12 @@ class FreeFlyerPlant(world.Plant):
             return super().wheel_rate_rad_s(at)
         return self.flight.wheel_rad_s[:, names.index(at)]
 
+    def thrust_n(self, at: str) -> FloatArray:
+        """See ``world.Plant``."""
+        if at not in {pulse.thruster for pulse in self._scenario.pulse}:
+            return super().thrust_n(at)
+        return self.actuators.thrust_n(at, np.arange(self.rows, dtype=np.float64) * self.step_s)
+
     def driven(self) -> Drivable:
         """What was drawn, to be moved by its drives, whose friction the mission does not have: the default, drawn.
 
@@ -267,10 +273,10 @@ def _actuators(scenario: FreeFlyerScenario, rng: np.random.Generator) -> Actuato
         wheels.append(Wheel.of(name, said.axis, place, said.mass_kg, (axial, said.across_kg_m2), said.start_rad_s))
     control = scenario.attitude
     hold = None if control is None else Hold(control.spring_N_m_rad, control.damper_N_m_s, control.torque_N_m)
-    pulses = [
-        Pulse(one.at_s, one.at_s + one.duration_s, np.asarray(one.force_N), 1e-3 * np.asarray(one.position_mm))
-        for one in scenario.pulse
-    ]
+    pulses = []
+    for one in scenario.pulse:
+        force_n, place_m = np.array(one.force_N), 1e-3 * np.array(one.position_mm)
+        pulses.append(Pulse(one.at_s, one.at_s + one.duration_s, force_n, place_m, one.thruster))
     return Actuators(tuple(wheels), hold, tuple(pulses))
 
 

@@ -78,6 +78,12 @@ class Plant(ABC):
         """Speed of a reaction wheel against the base, (n,)."""
         raise ScenarioError(f"there is no reaction wheel {at!r} in this plant: free_flyer has them, by [wheel.NAME]")
 
+    def thrust_n(self, at: str) -> FloatArray:
+        """Force of a thruster, (n,)."""
+        raise ScenarioError(
+            f'there is no thruster {at!r} in this plant: free_flyer has them, [[pulse]] thruster = "{at}"'
+        )
+
     @abstractmethod
     def truth(self) -> dict[str, Any]:
         """True values for comparison with estimates: scalars, text, lists and arrays, SI units."""

@@ -72,8 +72,9 @@ class AttitudeTable(Table):
 
 
 class PulseTable(Table):
-    """``[[pulse]]``: a thruster's force on the base, base axes, for a time."""
+    """``[[pulse]]``: a thruster's force on the base, base axes, for a time; ``thruster``: the device that tells it."""
 
+    thruster: str = ""
     at_s: NonNegative
     duration_s: PositiveFloat
     force_N: Vector

@@ -12,7 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, m
 Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
-MeasuredQuantity = Literal["inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase", "wheel_rate"]
+MeasuredQuantity = Literal[
+    "inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase", "wheel_rate", "thrust"
+]
 
 
 class Table(BaseModel):
@@ -128,6 +130,14 @@ class WheelRateTable(Table):
     step_rad_s: PositiveFloat
 
 
+class ThrustTable(Table):
+    """The force of a thruster as its driver tells it, in steps of ``step_N``; it has a scale error."""
+
+    quantity: Literal["thrust"]
+    scale_sigma: NonNegative
+    step_N: PositiveFloat
+
+
 class PhaseTable(Table):
     """The code of the sequence's phase."""
 
@@ -135,7 +145,14 @@ class PhaseTable(Table):
 
 
 SensorTable = Annotated[
-    ImuTable | EncoderTable | LoadCellTable | ForceCellTable | MotorTorqueTable | WheelRateTable | PhaseTable,
+    ImuTable
+    | EncoderTable
+    | LoadCellTable
+    | ForceCellTable
+    | MotorTorqueTable
+    | WheelRateTable
+    | ThrustTable
+    | PhaseTable,
     Field(discriminator="quantity"),
 ]
 

@@ -1,4 +1,4 @@
-"""Signals of controllers: the torque of a servo, the speed of a reaction wheel, the phase of the arm's sequence."""
+"""Signals of controllers: torque of a servo, speed of a reaction wheel, force of a thruster, phase of the sequence."""
 
 import bisect
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from hil_sim.plants.world import Plant
-from hil_sim.scenario.sensor_tables import MotorTorqueTable, WheelRateTable
+from hil_sim.scenario.sensor_tables import MotorTorqueTable, ThrustTable, WheelRateTable
 from hil_sim.sensing.sensors import interpolate_one
 
 
@@ -52,6 +52,34 @@ class TachoSensor:
     def truth(self) -> dict[str, Any]:
         """The errors drawn."""
         return {"gain": self.gain}
+
+
+class ThrustSensor:
+    """Force of a thruster as its driver tells it, with a scale error: the force is another one."""
+
+    def __init__(self, plant: Plant, table: ThrustTable, rng: np.random.Generator, at: str = "") -> None:
+        self._plant, self.step_n = plant, table.step_N
+        self._thrust_n = plant.thrust_n(at)
+        self.gain = 1.0 + table.scale_sigma * rng.standard_normal()
+
+    def value(self, time_s: float) -> float:
+        """Force at ``time_s`` [N]: on or off, nothing between two steps."""
+        self._plant.require(time_s)
+        step = min(max(int(time_s / self._plant.step_s), 0), self._plant.rows - 1)
+        return float(self.gain * self._thrust_n[step])
+
+    def truth(self) -> dict[str, Any]:
+        """The errors drawn."""
+        return {"gain": self.gain}
+
+
+def of_actuator(
+    plant: Plant, table: WheelRateTable | ThrustTable, rng: np.random.Generator, at: str
+) -> TachoSensor | ThrustSensor:
+    """What tells of a wheel or of a thruster."""
+    if isinstance(table, WheelRateTable):
+        return TachoSensor(plant, table, rng, at)
+    return ThrustSensor(plant, table, rng, at)
 
 
 class PhaseSensor:

@@ -14,6 +14,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 ZERO_SIGMA_RAD = 1e-3  # of a joint's zero where its device is silent
 ANGLE = {b"rad": 1.0, b"deg": math.pi / 180.0}
 RATE = {b"rad/s": 1.0, b"deg/s": math.pi / 180.0}
+FORCE = {b"N": 1.0}
 SPECIFIC_FORCE = {b"m/s^2": 1.0, b"g": STANDARD_GRAVITY_M_S2}
 
 
@@ -189,24 +190,36 @@ class LoadCellRole(NamedTuple):
     keys: LoadCellKeys | TorqueKeys
 
 
+class ThrusterRole(NamedTuple):
+    """A thruster: the channel of its force, along an axis of a frame and through its origin."""
+
+    name: str
+    channel: str
+    frame: str
+    axis: tuple[float, float, float]
+    scale_sigma: float  # relative, of its force
+
+
 class Roles(NamedTuple):
     """The roles of a device or of a whole vehicle, and the signals by channel that fill them."""
 
     imus: list[ImuRole]
     joints: list[JointRole]
     cells: list[LoadCellRole]
+    thrusters: list[ThrusterRole]
     signals: dict[str, SmoothedChannel]
 
     @classmethod
     def none(cls) -> "Roles":
         """Roles of a device that is only recorded."""
-        return cls([], [], [], {})
+        return cls([], [], [], [], {})
 
     def add(self, other: "Roles") -> None:
         """Add those of another device."""
         self.imus.extend(other.imus)
         self.joints.extend(other.joints)
         self.cells.extend(other.cells)
+        self.thrusters.extend(other.thrusters)
         self.signals.update(other.signals)
 
     @property

@@ -84,7 +84,7 @@ class CutWrench:
         if base.displaced is not None:
             Y = np.empty((len(u), 6, self._errors.columns))
             self._errors.into(base.displaced, bodies, None, Y)
-            d_values[:, c:] += (u @ Y)[:, 0]
+            d_values[:, c : c + self._errors.columns] += (u @ Y)[:, 0]
         return CutReading((u @ own.wrench[:, 0, :, None])[:, 0, 0], d_values)
 
     def of_joint_accelerations(self, bodies: Bodies, screws: FloatArray, twist: FloatArray) -> FloatArray:

@@ -36,3 +36,4 @@ class Signals(NamedTuple):
     friction: FloatArray | None = None  # (n, motors) Coulomb friction over its level; the rate's sign where not given
     refused: NDArray[np.int64] | None = None  # (n, rows) reasons to leave a row out, besides those of its whole tick
     cyclic: FloatArray | None = None  # (n, 3, m) functions of the joints' cyclic errors, and their two derivatives
+    thrust: FloatArray | None = None  # (n, k) forces of thrusters, N, means over the ticks

@@ -98,6 +98,7 @@ class Estimator:
             joint.channel: 2 * len(roles.signals[joint.channel].ripple) if fitted else 0 for joint in roles.joints
         }
         self._cells = {cell.name: cell for cell in roles.cells}
+        self._thrusters = [thruster.channel for thruster in roles.thrusters]
         motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
         names = [joint.name for joint in self.model.joints]
         self._friction = CoulombFriction(motors, names) if motors else None
@@ -187,12 +188,16 @@ class Estimator:
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
             measured, sigma, of_rows = self._means(at_ns)
+            thrust, without = self._thrust(at_ns)
+            refused |= without
+            joints[:, without != 0] = np.nan
             refused |= self._gates(at_ns, joints, measured[:, 3:6])
             if not self._further:
                 refused |= of_rows[:, 0]
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
             noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *motion, self.inflation)
-            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, noise=noise, refused=of_rows, cyclic=cyclic)
+            more = noise, None, of_rows, cyclic, thrust
+            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, None, *more)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
@@ -231,6 +236,13 @@ class Estimator:
         values, sigmas = [one.derivatives[0] for one in each], [one.sigma[0] for one in each]
         refused = [np.repeat(one.refused[:, None], one.derivatives[0].shape[1], axis=1) for one in each]
         return np.hstack(values), np.hstack(sigmas), np.hstack(refused)
+
+    def _thrust(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
+        """Forces of the thrusters, means over the ticks, (n, k), and reasons (n,): without them the base is unknown."""
+        if not self._thrusters:
+            return np.zeros((len(at_ns), 0)), np.zeros(len(at_ns), np.int64)
+        found = self._signals.means(self._thrusters, self._timebase, at_ns, self._period_ns)
+        return np.nan_to_num(found.derivatives[0]), found.refused
 
     def _update(self, signals: Signals, at_ns: NDArray[np.int64], refused: NDArray[np.int64]) -> NDArray[np.int64]:
         attached = self._phases.attached(at_ns)

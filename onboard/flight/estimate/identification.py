@@ -22,7 +22,7 @@ from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.further import CellPrior, Further, FurtherCell, FurtherImu
 from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.imu_prediction import ImuPredictor, Thruster
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.online import OnlineIdentifier
@@ -136,7 +136,8 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
         further = further_instruments(vehicle, roles, imu_prior)
         priors = covariance, imu_prior, geometry, further
-        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0])
+        thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
+        predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0], thrusters)
         known = None
         if settings.carried:
             known = _start(vehicle, tuple(f"{kind}_{model.spec.payload_link}" for kind in STANDARD))[:2]
@@ -205,6 +206,7 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
     try:
         model = build_model(vehicle)
         _check_joints(roles, model)
+        _check_thrusters(roles)
         model.pose_in_base(roles.imu.frame)
         exiddm_prior(vehicle, model)
     except ModelError as error:
@@ -228,6 +230,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
     try:
         model = build_model(vehicle)
         _check_joints(roles, model)
+        _check_thrusters(roles)
         rows: list[WrenchRow] = []
         considered: list[Considered] = []
         scales: dict[str, float] = {}
@@ -310,6 +313,13 @@ def _check_joints(roles: Roles, model: VehicleModel) -> None:
     if sorted(measured) != sorted(moving):
         listed, named = ", ".join(moving) or "none", ", ".join(measured) or "none"
         raise UrdfError(f"the URDF's moving joints are {listed}, the devices measure {named}; name each joint once")
+
+
+def _check_thrusters(roles: Roles) -> None:
+    if roles.thrusters:
+        named = ", ".join(thruster.name for thruster in roles.thrusters)
+        text = f'the forces of {named} are known to the method "exiddm" of a free base alone'
+        raise UrdfError(f"{text}; use it, or record them by the kind canopen_object")
 
 
 def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:

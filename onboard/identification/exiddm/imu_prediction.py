@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
-from onboard.dynamics.free_flight import BasePrediction, predict_base_from_rate, sensor_in_base
+from onboard.dynamics.free_flight import BasePrediction, Push, predict_base_from_rate, sensor_in_base
 from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
 from onboard.dynamics.kinematics import chain_motion, cross
 from onboard.dynamics.spatial import Columns, times
@@ -60,6 +60,25 @@ class Prediction(NamedTuple):
         return all(bool((np.abs(part) < _IMMODERATE).all()) for part in parts)  # False for NaN
 
 
+class Thruster(NamedTuple):
+    """A force of known direction on the base."""
+
+    name: str
+    wrench: FloatArray  # (6,) of 1 N: force and moment about the base's origin, base axes
+    scale_sigma: float  # relative
+
+    @staticmethod
+    def of(vehicle: VehicleModel, name: str, frame: str, axis: Sequence[float], scale_sigma: float) -> "Thruster":
+        """Along an axis of a frame, through its origin.
+
+        Raises:
+            UnknownFrameError: a frame that the URDF does not have, or that moves with a joint.
+        """
+        R_BF, p_BoFo_B = vehicle.pose_in_base(frame)
+        force = R_BF @ (np.asarray(axis) / np.linalg.norm(axis))
+        return Thruster(name, np.concatenate([force, np.cross(p_BoFo_B, force)]), scale_sigma)
+
+
 class _Imu(NamedTuple):
     """An IMU, and where its unknowns stand among all."""
 
@@ -92,6 +111,7 @@ class ImuPredictor:
         geometry: prior on places of IMU and joints, and on encoder errors.
         further: instruments besides that IMU.
         name: of that IMU.
+        thrusters: whose forces are known.
 
     Attributes:
         names: of the p parameters.
@@ -102,7 +122,7 @@ class ImuPredictor:
         imu_frames: of the IMUs, by their numbers among the instruments.
         lines: of what is predicted by instrument, the first IMU first.
         of_each: where the errors of each instrument stand in the state.
-        of_bodies: where the deviations of links and the errors of joints stand in the state.
+        of_bodies: where the deviations of links and the errors of joints and thrusters stand in the state.
         of_further: the same of each further instrument, of a cell its scale alone.
         stated: (p,) as ``sigma``, of biases as they may be after their drift.
         wandering: where the delays stand that wander, and the correlation time of each.
@@ -123,8 +143,10 @@ class ImuPredictor:
         geometry: GeometryPrior = EXACT_GEOMETRY,
         further: Sequence[Further] = (),
         name: str = "imu",
+        thrusters: Sequence[Thruster] = (),
     ) -> None:
-        self.vehicle, self.period_s = vehicle, period_s
+        self.vehicle, self.period_s, self.thrusters = vehicle, period_s, tuple(thrusters)
+        self._wrenches = np.array([one.wrench for one in thrusters]).reshape(-1, 6).T  # (6, k)
         self.further = tuple(sorted(further, key=lambda one: isinstance(one, FurtherCell)))
         self.instruments = (name, *(one.name for one in self.further))
         self.imu_frames = imu_frame, *(one.frame for one in self.further if not isinstance(one, FurtherCell))
@@ -138,6 +160,9 @@ class ImuPredictor:
             **imu_blocks(imu_prior._replace(clock_rate_error=0.0)),
             "links": Block(self._links.inertial_names, np.ones(r)),
             **geometry.blocks(vehicle),
+            "thrusters": Block(
+                tuple(f"scale_{one.name}" for one in thrusters), np.array([one.scale_sigma for one in thrusters])
+            ),
         }
         for one in self.further:
             blocks |= _blocks_of(one)
@@ -169,13 +194,17 @@ class ImuPredictor:
         self.lines = tuple(slice(a, b) for a, b in pairwise(ends))
         self._joint_errors = JointErrors(vehicle, of_cyclic)
         self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
-        self.of_bodies = np.concatenate([self._in_links, self._in_joints])
+        in_thrusters = layout.estimated("thrusters")
+        self.of_bodies = np.concatenate([self._in_links, self._in_joints, in_thrusters])
         self._columns = Columns(self._links.indices, [np.eye(10), *halves])
         of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
+        columns = 13 + r + (self._joint_errors.columns if self._in_joints.size else 0)
+        of_thrusters = columns + layout.kept[in_thrusters] - layout["thrusters"].start
         self._of_motion = [  # places in the state, and among what the base's motion depends on
             (slice(0, PAYLOAD.stop), slice(0, PAYLOAD.stop)),
             (_together(self._in_links), slice(13, 13 + r)),
             (_together(self._in_joints), _together(of_joints)),
+            (_together(in_thrusters), _together(of_thrusters)),
         ]
         self._own = [_Own(*_kept(layout, one.errors), *_kept(layout, one.place)) for one in self._imus]
         self._own += [_Own(*_kept(layout, layout[cell.name])) for cell, _ in self._cells]
@@ -190,6 +219,11 @@ class ImuPredictor:
         self.stated = self.sigma.copy()
         for bias_at, drift_at in self.biases:
             self.stated[bias_at] = np.hypot(self.sigma[bias_at], DRIFT_MEMORY_s * self.sigma[drift_at])
+
+    @property
+    def no_ticks(self) -> Ticks:
+        """None of this vehicle's."""
+        return Ticks.none(len(self.vehicle.joints), self.lines[-1].stop, len(self.thrusters))
 
     def rate_in_base(self, rate_S: FloatArray, imu: int = 0) -> FloatArray:
         """A rate in an IMU's axes, (3,), in those of the base: ``w_B = R_BS w_S``."""
@@ -230,7 +264,13 @@ class ImuPredictor:
         return effect
 
     def predict(
-        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, state: FloatArray, cyclic: FloatArray | None = None
+        self,
+        q: FloatArray,
+        dq: FloatArray,
+        ddq: FloatArray,
+        state: FloatArray,
+        cyclic: FloatArray | None = None,
+        thrust: FloatArray | None = None,
     ) -> Prediction:
         """From a state at the first of b + 2 ticks.
 
@@ -240,6 +280,7 @@ class ImuPredictor:
             ddq: joint accelerations.
             state: (p,) at the first of them.
             cyclic: functions of the joints' cyclic errors and their derivatives, (b + 2, 3, m); None: zero.
+            thrust: forces of the thrusters, means over the ticks, (b + 2, k) N; None: zero.
 
         Raises:
             SignalError: fewer than four ticks.
@@ -247,7 +288,7 @@ class ImuPredictor:
         n, layout, m = len(q), self._layout, self.lines[-1].stop
         x = layout.whole(state)
         readings = Readings.of(q, dq, ddq, self.period_s, self._functions(n, cyclic))
-        base = self._move(readings, x, self.period_s)
+        base = self._move(readings, x, self.period_s, thrust)
         time_s = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64)
         values, jacobian = np.empty((n - 2, m)), np.zeros((n - 2, m, len(state)))
         by_motion = np.empty((n, m, base.along.shape[2]))
@@ -329,18 +370,24 @@ class ImuPredictor:
         turned = np.linalg.norm(base.momentum[-1]) * base.d_rate[-1, :, :3] @ np.linalg.inv(base.d_momentum[-1, :, :3])
         return carried, transition, turned @ turned.T
 
-    def _move(self, readings: Readings, x: FloatArray, period_s: float) -> BasePrediction:
+    def _move(
+        self, readings: Readings, x: FloatArray, period_s: float, thrust: FloatArray | None = None
+    ) -> BasePrediction:
         """With all unknowns (every one, :meth:`Layout.whole`) as they are estimated."""
         vehicle, at = self.vehicle, self._layout
+        push = None
+        if self.thrusters:
+            forces = np.zeros((len(readings.q), len(self.thrusters))) if thrust is None else thrust
+            push = Push(forces[:, None] * self._wrenches, 1.0 + x[at["thrusters"]])
         chi = self._links.chi(x[PAYLOAD], self._basis @ x[at["links"]])
         if not self._in_joints.size:
             links = chain_motion(vehicle, *readings[:3]).links
-            return predict_base_from_rate(links, period_s, chi, x[RATE], self._columns)
+            return predict_base_from_rate(links, period_s, chi, x[RATE], self._columns, None, push)
         own = x[at["joints"]].reshape(-1, PER_JOINT)
         corrected = readings.corrected(own, x[at["cyclic"]], self._joint_errors.turns)
         chain = chain_motion(vehicle, *corrected, own[:, :3])
         errors = self._joint_errors.along(chain, readings)
-        return predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._columns, errors)
+        return predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._columns, errors, push)
 
     def _functions(self, ticks: int, cyclic: FloatArray | None) -> FloatArray:
         return np.zeros((ticks, 3, len(self._joint_errors.turns))) if cyclic is None else cyclic
@@ -369,7 +416,7 @@ def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray, imu: in
     if not seen.any():
         return np.zeros(3)
     state[RATE] = predictor.rate_in_base(some.measured[1:-1, rate][seen].mean(axis=0), imu)
-    predicted = predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic)
+    predicted = predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic, some.thrust)
     gap = some.measured[1:-1, rate] - predicted.values[:, rate]
     J = predicted.jacobian[seen, rate, RATE].reshape(-1, 3)
     return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)

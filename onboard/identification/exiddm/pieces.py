@@ -62,7 +62,7 @@ class Pieces:
         self._done += -(-(len(use) - first) // self._left)
         self._left -= 1
         own, inner = ticks.part(slice(first, self._done + 2)), slice(first + 1, self._done + 1)
-        predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic)
+        predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic, own.thrust)
         used = use[first : self._done]
         weight = np.divide(1.0, sigma[inner], out=np.zeros(used.shape), where=used)
         residual = np.where(used, predicted.values - ticks.measured[inner], 0.0) * weight

@@ -88,7 +88,7 @@ class RecursiveExiddm(BoundedWork):
         self._solve: WindowSolve | None = None  # under way
         self._left: FloatArray | None = None  # by the last one
         self._asked: tuple[Ticks, Trial] | None = None  # solve it next
-        self._none = self._pending = Ticks.none(len(predictor.vehicle.joints), predictor.lines[-1].stop)
+        self._none = self._pending = predictor.no_ticks
         self.state: FloatArray | None = None
         self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
         self.exchanged, self.undecided, self.misfit = False, "", InnovationMisfit()
@@ -309,7 +309,7 @@ class RecursiveExiddm(BoundedWork):
         ticks, self._due = self._pending, self._due - STEP_WORK
         self._moving = 0 if ticks.rest else self._moving + 1
         with np.errstate(over="ignore", invalid="ignore"):
-            predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic)
+            predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic, ticks.thrust)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
         if not predicted.moderate:
             self.glitches += BATCH_TICKS

@@ -23,6 +23,7 @@ class Ticks(NamedTuple):
     sigma: FloatArray  # (n, m) of these
     joint_sigma: FloatArray  # (n, 2, joints) of dq and ddq, inflated for the correlation of neighbouring ticks
     cyclic: FloatArray  # (n, 3, m) functions that the joints' cyclic errors are multiples of, and two derivatives
+    thrust: FloatArray  # (n, k) of the thrusters, N, means
 
     def part(self, which: slice) -> "Ticks":
         """A part of the ticks."""
@@ -44,10 +45,11 @@ class Ticks(NamedTuple):
         return Ticks(*(np.concatenate(part) for part in zip(*some, strict=True)))
 
     @staticmethod
-    def none(joints: int, lines: int = 6) -> "Ticks":
-        """No ticks of so many joints and lines of instruments."""
-        angles, shown = np.zeros((0, joints)), np.zeros((0, lines))
-        return Ticks(np.zeros(0), angles, angles, angles, shown, shown, np.zeros((0, 2, joints)), np.zeros((0, 3, 0)))
+    def none(joints: int, lines: int = 6, thrusters: int = 0) -> "Ticks":
+        """No ticks of so many joints, lines of instruments and thrusters."""
+        angles, shown, thrust = np.zeros((0, joints)), np.zeros((0, lines)), np.zeros((0, thrusters))
+        noise = np.zeros((0, 2, joints))
+        return Ticks(np.zeros(0), angles, angles, angles, shown, shown, noise, np.zeros((0, 3, 0)), thrust)
 
     def flight(self, period_s: float, samples: int, imu: slice = slice(6)) -> FlightSignals:
         """As one flight, every tick with the median noise.
@@ -72,4 +74,6 @@ def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
     if signals.noise is not None:
         joint_sigma = signals.noise.inflation * np.stack([signals.noise.dq, signals.noise.ddq], axis=1)
     cyclic = np.zeros((len(signals.time_s), 3, 0)) if signals.cyclic is None else signals.cyclic
-    return Ticks(signals.time_s, signals.q, signals.dq, signals.ddq, measured, signals.sigma, joint_sigma, cyclic)
+    thrust = np.zeros((len(signals.time_s), 0)) if signals.thrust is None else signals.thrust
+    joints = signals.q, signals.dq, signals.ddq
+    return Ticks(signals.time_s, *joints, measured, signals.sigma, joint_sigma, cyclic, thrust)

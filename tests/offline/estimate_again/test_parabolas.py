@@ -29,7 +29,17 @@ def ticks(rng, low, free, moving, bump=None, seconds=40.0):
     measured = np.hstack([np.zeros((n, 3)), force])
     sigma = np.tile([6e-4] * 3 + [SIGMA_m_s2] * 3, (n, 1))
     dq = np.where(within(moving), 0.3, 0.0)[:, None]
-    return Ticks(100.0 + time_s, 0.0 * dq, dq, 0.0 * dq, measured, sigma, np.zeros((n, 2, 1)), np.zeros((n, 3, 0)))
+    return Ticks(
+        100.0 + time_s,
+        0.0 * dq,
+        dq,
+        0.0 * dq,
+        measured,
+        sigma,
+        np.zeros((n, 2, 1)),
+        np.zeros((n, 3, 0)),
+        np.zeros((n, 0)),
+    )
 
 
 def test_a_run_is_a_release_a_motion_and_a_catch(rng):
