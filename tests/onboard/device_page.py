@@ -91,7 +91,7 @@ HEAD = """# Devices
 
 The devices of a vehicle file: each kind with an example, its channels, its clock and its keys. Written by
 `python -m tests.onboard.device_page docs/devices.md` from the classes that read the file; the examples are those of
-`tests/flight/mixed.toml` and, of the wheel, of `dymaflex_wheels`, which fly against simulated devices in the tests.
+`tests/flight/mixed.toml` and, of wheel and thruster, of `dymaflex_wheels`. Both fly against simulated devices in tests.
 
 A device is on a bus, `[bus.NAME]` with a `url`:
 

@@ -52,7 +52,7 @@ def test_every_value_of_a_driver_can_be_set_or_is_known(kind: str) -> None:
         "status",  # NAME_status
         "sync_name",  # NAME_sync
     }
-    if kind == "reaction_wheel":  # rad/s, on every SYNC
+    if kind in ("reaction_wheel", "thruster"):  # rad/s, N, on every SYNC
         told_otherwise |= {"counter_subindex", "synchronous", "unit"}
     model = DEVICES[kind]
     assert issubclass(model, BusDevice)

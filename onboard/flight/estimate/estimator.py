@@ -183,32 +183,31 @@ class Estimator:
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:
         made: list[Batch] = []
-        joints, (q_sigma, dq_sigma, ddq_sigma), refused, cyclic = self._at_joints(at_ns)
+        joints, spread, refused, cyclic = self._at_joints(at_ns)
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
             measured, sigma, of_rows = self._means(at_ns)
-            thrust, without = self._thrust(at_ns)
-            refused |= without
-            joints[:, without != 0] = np.nan
+            thrust = self._signals.means(self._thrusters, self._timebase, at_ns, self._period_ns)
+            refused |= thrust.refused
+            joints[:, thrust.refused != 0] = np.nan  # nothing is predicted without
             refused |= self._gates(at_ns, joints, measured[:, 3:6])
             if not self._further:
                 refused |= of_rows[:, 0]
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
-            noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *motion, self.inflation)
-            more = noise, None, of_rows, cyclic, thrust
-            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, None, *more)
+            noise = SignalNoise(*spread, *motion, self.inflation)
+            more = sigma, None, noise, None, of_rows, cyclic, np.nan_to_num(thrust.derivatives[0])
+            signals = Signals(time_s, q, dq, ddq, motion, measured, *more)
         else:
             base, said = self._base(now_ns, at_ns)
             made += said
             friction = None if self._friction is None else self._friction.follow(q, dq)
             measured, measured_rate, sigma, of_rows = self._measured(at_ns, dq, friction)
             refused |= base.refused | self._gates(at_ns, joints, base.sensed_m_s2)
-            noise = SignalNoise(q_sigma, dq_sigma, ddq_sigma, *base.sigma, self.inflation)
-            motion = base.motion
+            noise = SignalNoise(*spread, *base.sigma, self.inflation)
             friction = None if friction is None else np.nan_to_num(friction)
             rest = measured_rate, noise, friction, of_rows if of_rows.any() else None
-            signals = Signals(time_s, q, dq, ddq, motion, measured, sigma, *rest)
+            signals = Signals(time_s, q, dq, ddq, base.motion, measured, sigma, *rest)
         if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
             made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))
         found = self._update(signals, at_ns, refused)
@@ -236,13 +235,6 @@ class Estimator:
         values, sigmas = [one.derivatives[0] for one in each], [one.sigma[0] for one in each]
         refused = [np.repeat(one.refused[:, None], one.derivatives[0].shape[1], axis=1) for one in each]
         return np.hstack(values), np.hstack(sigmas), np.hstack(refused)
-
-    def _thrust(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Forces of the thrusters, means over the ticks, (n, k), and reasons (n,): without them the base is unknown."""
-        if not self._thrusters:
-            return np.zeros((len(at_ns), 0)), np.zeros(len(at_ns), np.int64)
-        found = self._signals.means(self._thrusters, self._timebase, at_ns, self._period_ns)
-        return np.nan_to_num(found.derivatives[0]), found.refused
 
     def _update(self, signals: Signals, at_ns: NDArray[np.int64], refused: NDArray[np.int64]) -> NDArray[np.int64]:
         attached = self._phases.attached(at_ns)

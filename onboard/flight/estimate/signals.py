@@ -152,6 +152,8 @@ class SignalSmoother:
         A tick with half of its samples or fewer has a gap; one with a sample that may not be used is refused. Samples
         are hardly ever even about a tick's middle, so the mean is that of a straight line through them.
         """
+        if not names:
+            return _nothing(0, len(at_ns), 0, GateReason.OK)
         return _side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
 
     def _recent(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64]) -> "_Recent | GateReason":

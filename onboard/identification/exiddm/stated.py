@@ -155,6 +155,8 @@ def _key(flight: WholeFlight, parameter: str) -> str:
     device, correction = _correction(flight, parameter)
     if device and isinstance(one := flight.further[device - 1], FurtherCell):
         return f"device.{one.name}.{_OF_CELLS[correction]}" if correction in _OF_CELLS else ""
+    if parameter.removeprefix("scale_") in {thruster.name for thruster in flight.thrusters}:
+        return f"device.{parameter.removeprefix('scale_')}.scale_sigma"
     for kind, key in _OF_JOINTS.items():
         if parameter.startswith(f"{kind}_") and not device:
             return f"prior.joint.{parameter[len(kind) + 1 :]}.{key}"

@@ -110,10 +110,11 @@ class WholeFlight:
         segments: those that are fitted.
         time_s: of all their ticks, (n,).
         further: the predictor's instruments besides the first IMU, be they left out or not.
+        thrusters: the predictor's.
         instruments: those that take part.
         devices: their numbers.
         constants: how many of the first parameters are the predictor's without the rate.
-        of_bodies: indices of the parameters that are errors of links and joints.
+        of_bodies: indices of the parameters that are errors of links, joints and thrusters.
         of_a_part: indices of the parameters that differ from part to part of a flight: rates and biases.
     """
 
@@ -125,7 +126,7 @@ class WholeFlight:
         without: Collection[int] = (),
     ) -> None:
         self._predictor = predictor
-        self.further = predictor.further
+        self.further, self.thrusters = predictor.further, predictor.thrusters
         self.instruments = tuple(one for one in _instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)

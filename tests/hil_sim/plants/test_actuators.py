@@ -100,6 +100,8 @@ def test_wheels_as_built_and_what_has_none():
         plant.wheel_rate_rad_s("wheel_w")
     with pytest.raises(ScenarioError, match="drives move no vehicle"):
         plant.driven()
+    with pytest.raises(ScenarioError, match="no thruster 'jet_3'"):
+        plant.thrust_n("jet_3")
     bare = FreeFlyerPlant(load("dymaflex", SHORT), np.random.default_rng(3))
     np.testing.assert_array_equal(bare.joint_offsets_m, plant.joint_offsets_m)  # wheels change no other draw
     with pytest.raises(ScenarioError, match="no reaction wheel"):

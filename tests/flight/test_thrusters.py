@@ -1,0 +1,72 @@
+"""Thrusters push the free-flyer while it identifies what it caught: from bus bytes to the answer."""
+
+import numpy as np
+import pytest
+
+from onboard import config
+from onboard.flight.estimate.identification import build_exiddm, build_online
+from onboard.offline.estimate_again.replay import replay
+from tests.flight.missions import Result, fly
+from tests.flight.test_dymaflex import SHORT
+
+JETS = {"jet_1": ([0.0, 0.3, 0.0], [200.0, 0.0, 50.0]), "jet_2": ([-0.25, 0.0, 0.0], [0.0, -150.0, 0.0])}
+WHEN_s = {"jet_1": (2.0, 0.7), "jet_2": (8.0, 1.0)}
+PULSES = [
+    {"thruster": name, "at_s": WHEN_s[name][0], "duration_s": WHEN_s[name][1], "force_N": force, "position_mm": place}
+    for name, (force, place) in JETS.items()
+]
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    path = tmp_path_factory.mktemp("thrusters") / "flight.mcap"
+    return fly(path, 21011, vehicle="dymaflex_wheels", pulse=PULSES, **SHORT)
+
+
+def test_every_sample_is_accounted_for_and_the_jets_push(flown: Result) -> None:
+    assert flown.table["accounted"], flown.table["channels"]
+    for name, (force, _) in JETS.items():
+        rows = flown.log.read(name)
+        on_s = 0.002 * np.count_nonzero(rows["value_raw"])
+        assert on_s == pytest.approx(WHEN_s[name][1], abs=0.005)
+        read = rows["value_raw"].max() * rows["scale"][0]
+        assert read == pytest.approx(flown.flown.truth[name]["gain"] * np.linalg.norm(force), abs=0.001)
+
+
+def test_the_answer_holds_the_truth_and_nothing_else_was_noticed(flown: Result) -> None:
+    assert len(flown.table["capture"]["said_s"]) == 1
+    assert flown.table["capture"]["said_s"][0] == pytest.approx(flown.table["capture"]["true_s"], abs=2.0)
+    answers = [*flown.table["masses"], *flown.table["centres"], *flown.table["inertias"]]
+    supported = [row for row in answers if row["supported"]]
+    assert len(supported) >= 7
+    assert sum(row["covered"] for row in supported) >= len(supported) - 1
+
+
+def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
+    found = replay(flown.path)
+    assert found.identical, found.summary
+
+
+def test_a_thruster_has_the_scale_of_its_device_and_the_wrench_of_its_frame() -> None:
+    predictor = build_exiddm(config.load(config.packaged("dymaflex_wheels")))[0].exiddm.predictor
+    own = {name: sigma for name, sigma in zip(predictor.names, predictor.sigma, strict=True) if "jet" in name}
+    assert own == {"scale_jet_1": 0.05, "scale_jet_2": 0.05}
+    for thruster, (force, place) in zip(predictor.thrusters, JETS.values(), strict=True):
+        along = np.array(force) / np.linalg.norm(force)
+        expected = np.concatenate([along, np.cross(1e-3 * np.array(place), along)])
+        np.testing.assert_allclose(thruster.wrench, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"device": {"jet_1": {"frame": "link_3"}}}, "link_3"),
+        ({"device": {"jet_1": {"axis": [0.0, 0.0, 0.0]}}}, "needs a direction"),
+        ({"estimation": {"method": "instrumental", "base_rows": ["force", "moment"]}}, 'known to the method "exiddm"'),
+    ],
+)
+def test_what_cannot_be_is_refused(changes: dict[str, dict[str, object]], said: str) -> None:
+    vehicle = config.load(config.packaged("dymaflex_wheels"))
+    tree = config.laid_over(vehicle.tree, changes)
+    with pytest.raises(config.ConfigError, match=said):
+        build_online(config.parse_tree(tree, vehicle.path, config.Origin("test")))
