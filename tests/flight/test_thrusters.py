@@ -57,6 +57,31 @@ def test_a_thruster_has_the_scale_of_its_device_and_the_wrench_of_its_frame() ->
         np.testing.assert_allclose(thruster.wrench, expected, atol=1e-12)
 
 
+def test_derivatives_with_thrust_are_finite_differences() -> None:
+    """Of all instruments: two IMUs and the cell at the wrist."""
+    predictor = build_exiddm(config.load(config.packaged("dymaflex_wheels")))[0].exiddm.predictor
+    rng, n = np.random.default_rng(5), 24
+    t = 0.01 * np.arange(n)[:, None] + 3.0 * np.arange(8)
+    q, dq, ddq = 0.3 * np.sin(2.0 * t), 0.6 * np.cos(2.0 * t), -1.2 * np.sin(2.0 * t)
+    thrust = np.zeros((n, 2))
+    thrust[8:15, 0], thrust[11:, 1] = 0.3, 0.25
+    x = np.nan_to_num(predictor.sigma) * rng.normal(size=len(predictor.names)) * 0.1
+    x[:13] = [0.1, -0.2, 0.3, 5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    cyclic = rng.normal(size=(n, 3, sum("cyclic" in name for name in predictor.names)))
+    found = predictor.predict(q, dq, ddq, x, cyclic, thrust)
+    plain = predictor.predict(q, dq, ddq, x, cyclic)
+    assert np.abs(found.values - plain.values).max() > 1e-3
+    chosen = [*range(13), *(k for k, name in enumerate(predictor.names) if "jet" in name or "scale_load_cell" in name)]
+    for k in chosen:
+        size = 1e-4 if k < 13 else 1e-2
+        step = size * np.eye(len(x))[k]
+        up, down = (predictor.predict(q, dq, ddq, x + by, cyclic, thrust) for by in (step, -step))
+        slope = (up.values - down.values) / (2.0 * size)
+        assert np.abs(found.jacobian[:, :, k] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-9, predictor.names[k]
+        carried = (up.state - down.state) / (2.0 * size)
+        assert np.abs(found.transition[:, k] - carried).max() <= 2e-3 * np.abs(carried).max(), predictor.names[k]
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

@@ -195,7 +195,7 @@ class Estimator:
             if not self._further:
                 refused |= of_rows[:, 0]
             motion = BaseMotion(*np.full((3, len(at_ns), 3), np.nan))  # predicted, not measured
-            noise = SignalNoise(*spread, *motion, self.inflation)
+            noise = SignalNoise(spread[0], spread[1], spread[2], *motion, self.inflation)
             more = sigma, None, noise, None, of_rows, cyclic, np.nan_to_num(thrust.derivatives[0])
             signals = Signals(time_s, q, dq, ddq, motion, measured, *more)
         else:
@@ -204,7 +204,7 @@ class Estimator:
             friction = None if self._friction is None else self._friction.follow(q, dq)
             measured, measured_rate, sigma, of_rows = self._measured(at_ns, dq, friction)
             refused |= base.refused | self._gates(at_ns, joints, base.sensed_m_s2)
-            noise = SignalNoise(*spread, *base.sigma, self.inflation)
+            noise = SignalNoise(spread[0], spread[1], spread[2], *base.sigma, self.inflation)
             friction = None if friction is None else np.nan_to_num(friction)
             rest = measured_rate, noise, friction, of_rows if of_rows.any() else None
             signals = Signals(time_s, q, dq, ddq, base.motion, measured, sigma, *rest)
