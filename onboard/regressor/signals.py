@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.rows import BaseMotion
 
+_AT_REST = 1e-7  # rad/s, rad/s^2 or m: beyond rounding of a kernel over equal samples
+
 
 class SignalNoise(NamedTuple):
     """Standard deviation of the smoothed signals: sample noise times the kernel's noise gain, each axis alone."""
@@ -19,6 +21,24 @@ class SignalNoise(NamedTuple):
     acceleration: FloatArray  # (n, 3)
     specific_force: FloatArray  # (n, 3)
     inflation: float = 1.0  # for the correlation of neighbouring rows
+
+
+def noise_of_joints(sigma: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Stated noise of smoothed angles, rates and accelerations without that of joints at rest.
+
+    An encoder at rest repeats its count, so rates and accelerations there are exactly zero. With the noise stated of
+    it the rows of rest would count for little, and more regressor noise would be taken off than there is.
+
+    Args:
+        sigma: stated, (3, n, joints).
+        dq: smoothed rates, (n, joints).
+        ddq: smoothed accelerations.
+
+    Returns:
+        Of angles, rates and accelerations, (n, joints) each.
+    """
+    at_rest = (np.abs(dq) < _AT_REST) & (np.abs(ddq) < _AT_REST)
+    return sigma[0], np.where(at_rest, 0.0, sigma[1]), np.where(at_rest, 0.0, sigma[2])
 
 
 class Signals(NamedTuple):

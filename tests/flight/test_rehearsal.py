@@ -79,6 +79,29 @@ duration_s = 14.0
 """
 
 
+REST_AND_MOTION = """
+[[sequence]]
+phase = 1
+action = "hold"
+duration_s = 3.0
+[[sequence]]
+phase = 1
+action = "swing"
+duration_s = 6.0
+"""
+
+
+def test_an_arm_with_a_cell_that_rests_before_it_moves(tmp_path):
+    """Was refused: "load_cell reads -18% of the motion from one time on". A resting encoder has no noise."""
+    result, code = rehearsed(
+        tmp_path, ["--base", "fixed", "--joints", "2", "--load-cell", "cia404"], REST_AND_MOTION, seed=3
+    )
+    rows = answers(result)
+    assert code == 0
+    honest(rows)
+    assert rows["MY_payload"]["supported"]
+
+
 def test_a_six_joint_arm_on_a_bench_by_the_currents_of_its_motors(tmp_path):
     """Torques of CiA 402 drives in gravity: friction and the groups that gravity and motion determine."""
     init = ["--base", "fixed", "--encoder", "cia402", "--urdf", str(OWN / "bench_arm.urdf")]

@@ -33,7 +33,7 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.table.run import TableRun
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, base_motion, standing
-from onboard.regressor.signals import SignalNoise, Signals
+from onboard.regressor.signals import SignalNoise, Signals, noise_of_joints
 
 
 class _Base(NamedTuple):
@@ -204,7 +204,7 @@ class Estimator:
             friction = None if self._friction is None else self._friction.follow(q, dq)
             measured, measured_rate, sigma, of_rows = self._measured(at_ns, dq, friction)
             refused |= base.refused | self._gates(at_ns, joints, base.sensed_m_s2)
-            noise = SignalNoise(spread[0], spread[1], spread[2], *base.sigma, self.inflation)
+            noise = SignalNoise(*noise_of_joints(spread, dq, ddq), *base.sigma, self.inflation)
             friction = None if friction is None else np.nan_to_num(friction)
             rest = measured_rate, noise, friction, of_rows if of_rows.any() else None
             signals = Signals(time_s, q, dq, ddq, base.motion, measured, sigma, *rest)

@@ -1,12 +1,14 @@
 """Tests whether the rows agree: unexplained readings and steps of an instrument's gain, which no interval contains.
 
-Per instrument, at the estimate of all rows:
+Per instrument, at the estimate of all rows. Readings are less what its bias could make of them, so that rest does not
+count as signal.
 
-- *Gain*: ratio of readings to readings predicted by the estimate, per block of time. A jump of the instrument's scale,
-  or an error that begins in the measured motion, is a step of it. The likeliest step is tested by Student's t on the
-  scatter of the gains on its two sides, corrected for the number of places tried. A side whose own gains scatter more
-  than all do is judged by its own scatter: one block of noise at an end is no step. Rows that read nothing, those
-  of a wrench known to be zero, have no gain.
+- *Gain*: a jump of the instrument's scale, or an error that begins in the measured motion, is a step of the ratio of
+  readings to those predicted. It is estimated together with a constant error of the gain and all parameters, which
+  take up part of it, for each time at which it could be. The likeliest is tested by Student's t, corrected for the
+  number of places tried, with the variance that the blocks' scores show and at least that of the stated noise. A block
+  that carries much of the step is given its leverage: one block of noise at an end is no step. Rows that read nothing,
+  those of a wrench known to be zero, have no gain.
 - *Misfit*: residual relative to the noise, as the estimate makes it of the noise of the motion, and to the signal.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
@@ -28,7 +30,8 @@ _OF_STILL = 0.5  # of what is left over: it comes of such blocks
 LARGE_STEP, LEAST_STEP, DOUBTFUL_STEP = 0.1, 0.03, 0.015  # of a gain: instruments creep, and gears ripple
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
 _FEWEST = 2  # blocks on each side of a step
-_LOADED = 0.005  # of the mean information on the gain: a block with less is not asked
+_SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
+_MOST_SHARE = 0.9  # of the information on a step that one block may have in its leverage
 
 
 class Step(NamedTuple):
@@ -52,7 +55,13 @@ class InstrumentFit(NamedTuple):
 
 
 def instrument_fits(
-    blocks: RowBlocks, mean: FloatArray, drawn: FloatArray, physical: BoolArray, correlation: float
+    blocks: RowBlocks,
+    mean: FloatArray,
+    drawn: FloatArray,
+    physical: BoolArray,
+    constant: BoolArray,
+    prior: FloatArray,
+    correlation: float,
 ) -> tuple[InstrumentFit, ...]:
     """Gain step, misfit and response of each instrument's rows, by the equations in this module's head.
 
@@ -60,18 +69,24 @@ def instrument_fits(
         blocks: the rows.
         mean: the estimate, (p,).
         drawn: base parameters of the drawing, (p,).
-        physical: which parameters are of bodies, and not an instrument's bias, (p,).
+        physical: which parameters are of bodies, and not of an instrument, (p,).
+        constant: which are biases of instruments, (p,).
+        prior: information on the parameters before the rows, (p, p).
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
     v = np.concatenate([mean, [-1.0, 0.0]])
+    rows_of = {part: blocks.of(*part)[0][:, :-2, :-2] for part in blocks.parts}
+    every = prior + sum(H.sum(axis=0) for H in rows_of.values())
     found = []
     for number, name in enumerate(blocks.instruments):
+        together = sum((H.sum(axis=0) for (_, own), H in rows_of.items() if own == number), np.zeros_like(prior))
+        body, plan = (_without_constant(np.where(physical, one, 0.0), together, constant) for one in (mean, drawn))
         steps, squares, worst, lost = list[Step](), np.zeros(4), (0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
             if own != number:
                 continue
             N, noise = blocks.of(held, number)
-            left, signal, as_drawn, gain = _sums(N, N - noise, mean, drawn, physical)
+            left, signal, as_drawn = (_sums(part, one) for part, one in ((N, v), (N - noise, body), (N - noise, plan)))
             rows = float(N[:, -1, -1].sum())
             readings = np.abs((N - noise)[:, -2, -2])
             sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
@@ -80,7 +95,9 @@ def instrument_fits(
             unexplained = np.sqrt(left.sum() / (left.sum() + sums[1])) if sums[1] else 1.0
             expected = blocks.own(held, number) + correlation * max(float(v @ noise.sum(axis=0) @ v), 0.0)
             worst = max(worst, (float(unexplained), float(left.sum() / expected)))
-            steps += _steps(blocks.times_s(held, number), gain, signal) if readings.any() else []
+            if readings.any():
+                scores, scaled = (noise - N)[:, :-2] @ v, np.where(physical, mean, 0.0)
+                steps += _steps(blocks.times_s(held, number), rows_of[held, own], scores, scaled, every)
         rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
@@ -90,38 +107,63 @@ def instrument_fits(
     return tuple(found)
 
 
-def _sums(
-    N: FloatArray, clean: FloatArray, mean: FloatArray, drawn: FloatArray, physical: BoolArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """By block, (b,) each: residual sum, power of the signal, of the drawing's, and deviation of the gain."""
-    v = np.concatenate([mean, [-1.0, 0.0]])
-    left = np.maximum(np.einsum("i,bij,j->b", v, N, v), 0.0)
-    body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
-    H = clean[:, :-2, :-2]
-    signal = np.maximum(np.einsum("i,bij,j->b", body, H, body), 0.0)
-    as_drawn = np.maximum(np.einsum("i,bij,j->b", plan, H, plan), 0.0)
-    scores = clean[:, :-2, -2] - H @ mean
-    gain = np.divide(scores @ body, signal, out=np.zeros_like(signal), where=signal > 0.0)
-    return left, signal, as_drawn, gain
+def _sums(N: FloatArray, v: FloatArray) -> FloatArray:
+    """``v' N v`` of each block, (b,), not below zero; of its first parameters where ``v`` has no more."""
+    n = v.size
+    return np.asarray(np.maximum(np.einsum("i,bij,j->b", v, N[:, :n, :n], v), 0.0))
 
 
-def _steps(times_s: FloatArray, gain: FloatArray, weight: FloatArray) -> list[Step]:
-    """The likeliest step of the gains of n blocks; none where they are too few to be cut."""
-    loaded = weight > _LOADED * weight.mean() if len(weight) else np.zeros(0, np.bool_)
-    times_s, gain, weight = times_s[loaded], gain[loaded], weight[loaded]
-    n = len(gain)
-    best: list[Step] = []
-    for cut in range(_FEWEST, n - _FEWEST + 1):
-        sides = (gain[:cut], weight[:cut]), (gain[cut:], weight[cut:])
-        m = [np.average(g, weights=w) for g, w in sides]
-        scatter = [w @ (g - mean) ** 2 for (g, w), mean in zip(sides, m, strict=True)]
-        around = max(sum(scatter) / (n - 2), np.finfo(np.float64).tiny)
-        both = zip(scatter, sides, strict=True)
-        spread = sum(max(around, own / (len(g) - 1)) / w.sum() for own, (g, w) in both)
-        t = abs(m[1] - m[0]) / np.sqrt(spread)
-        chance = min(1.0, 2.0 * float(stdtr(n - 2, -t)) * (n - 2 * _FEWEST + 1))
-        best.append(Step(float(times_s[cut]), float(m[1] - m[0]), chance))
-    return [min(best, key=lambda one: one.chance)] if best else []
+def _without_constant(body: FloatArray, H: FloatArray, constant: BoolArray) -> FloatArray:
+    """Parameters (p,) whose readings are those of ``body`` less what biases could make of them, least squares."""
+    body[constant] = -np.linalg.lstsq(H[np.ix_(constant, constant)], H[constant] @ body)[0]
+    return body
+
+
+def _steps(times_s: FloatArray, H: FloatArray, scores: FloatArray, body: FloatArray, every: FloatArray) -> list[Step]:
+    """The likeliest step of an instrument's gain; none where its blocks are too few to be cut.
+
+    Readings after a cut k are predicted as ``(1 + g + G) Y body``, those before as ``(1 + G) Y body``. All parameters
+    are estimated again with g and G, by one step of Newton's from the estimate, where the scores of all rows add up to
+    zero:
+
+        a_k = every^-1 sum_(b >= k) H_b body,  E_jk = sum_(b >= j, b >= k) body' H_b body - a_j' sum_(b >= k) H_b body
+        r = E_0k / E_00,  c_b = ([b >= k] - r) body - (a_k - r a_0),  g = sum_b ([b >= k] - r) body' scores_b / I
+
+    with ``I = E_kk - r E_0k``.
+
+    Args:
+        times_s: when each block begins, (b,).
+        H: information of each block, (b, p, p).
+        scores: derivative of each block's log likelihood at the estimate, (b, p).
+        body: the estimate's parameters of bodies, (p,).
+        every: information of all rows and the prior, (p, p).
+    """
+    n = len(H)
+    if n < 2 * _FEWEST or not body.any():
+        return []
+    after = [0, *range(_FEWEST, n - _FEWEST + 1)]
+    later = np.cumsum((H @ body)[::-1], axis=0)[::-1][after]  # (k, p) sums over the blocks from a cut on
+    unit = 1.0 / np.sqrt(np.diag(every))
+    a = np.linalg.solve(every * np.outer(unit, unit), (later * unit).T).T * unit
+    of_cut = later @ body - np.einsum("kp,kp->k", later, a)
+    of_all = later @ body - a @ later[0]
+    share = of_all / (of_cut[0] + _SCALE_INFORMATION)
+    scored = np.cumsum((scores @ body)[::-1])[::-1][after]
+    information = np.maximum(of_cut - share * of_all, 0.0)
+    moved = scored - share * scored[0]
+    information[0] = 0.0
+    k = int(np.argmax(np.divide(moved * moved, information, out=np.zeros(len(after)), where=information > 0.0)))
+    if not information[k] > 0.0:
+        return []
+    size = float(moved[k] / information[k])
+    c = np.outer((np.arange(n) >= after[k]) - share[k], body) - (a[k] - share[k] * a[0])
+    shares = np.einsum("bp,bpq,bq->b", c, H, c)
+    left = np.einsum("bp,bp->b", c, scores) - shares * size
+    shares /= information[k]
+    around = float(np.sum((left / (1.0 - np.minimum(shares, _MOST_SHARE))) ** 2))
+    spread = np.sqrt(max(around, information[k])) / information[k]
+    chance = min(1.0, 2.0 * float(stdtr(n - 2, -abs(size) / spread)) * (len(after) - 1))
+    return [Step(float(times_s[after[k]]), size, chance)]
 
 
 def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str]]:

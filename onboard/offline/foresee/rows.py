@@ -37,7 +37,7 @@ from onboard.offline.foresee.plan import (
 )
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, standing
-from onboard.regressor.signals import SignalNoise, Signals
+from onboard.regressor.signals import SignalNoise, Signals, noise_of_joints
 
 _SEED = 1
 
@@ -118,7 +118,7 @@ def _signals(
     sigma, refused = _of_rows(vehicle, identifier, plan, friction)
     sigma *= inflation
     period_s = 1.0 / settings.row_rate_hz
-    noise = JointNoise(vehicle, row_model.vehicle).at(plan.dq)
+    noise = noise_of_joints(JointNoise(vehicle, row_model.vehicle).at(plan.dq), plan.dq, plan.ddq)
     of_base = np.zeros((3, 3))
     if roles.imus:
         of_base = np.stack(_imu_noise(vehicle))
@@ -131,7 +131,7 @@ def _signals(
     return Signals(
         *(plan.time_s, q, dq, ddq, BaseMotion(*shaken)),
         *(true + sigma * rng.standard_normal(true.shape), sigma, np.gradient(true, period_s, axis=0)),
-        SignalNoise(noise[0], noise[1], noise[2], spread[0], spread[1], spread[2], inflation),
+        SignalNoise(*noise, spread[0], spread[1], spread[2], inflation),
         flowing,
         refused if refused.any() else None,
     )

@@ -27,7 +27,7 @@ def fits(rng, y_of, n=3000, sigma=0.05, drawn=TRUTH):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, y, np.full(n, sigma), np.full(n, sigma), None)
-    return instrument_fits(seen, mean, drawn, PHYSICAL, 1.0)[0]
+    return instrument_fits(seen, mean, drawn, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
 
 
 def test_honest_rows_have_nothing_against_them(rng):
@@ -47,6 +47,26 @@ def test_a_scale_that_jumps_is_seen_wherever_it_does(rng, at_s):
     assert "cell reads" in judged_fit(fit, 1.0)[0][0]
 
 
+@pytest.mark.parametrize("scale", [1.0, 1.05])
+def test_a_long_rest_before_the_motion_hides_no_jump_and_makes_none(rng, scale):
+    """Rows of rest are exact: 100 times as large a signal, were it one."""
+    t = 0.01 * np.arange(3000)
+    moves, sigma = t > 20.0, np.where(t > 20.0, 0.05, 0.0005)
+    Y = np.column_stack([np.where(moves, np.sin(5.0 * t), 0.7), np.where(moves, np.cos(7.0 * t), 0.2), np.ones(t.size)])
+    y = np.where(t > 25.0, scale, 1.0) * (Y @ (TRUTH * PHYSICAL)) + TRUTH[2] + sigma * rng.normal(size=t.size)
+    mean = np.linalg.lstsq(Y / sigma[:, None], y / sigma, rcond=None)[0]
+    seen = RowBlocks(3, 0.5, ("cell",))
+    seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
+    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    assert fit.step is not None
+    if scale == 1.0:
+        assert judged_fit(fit, 1.0) == ([], [])
+    else:
+        assert fit.step.size == pytest.approx(scale - 1.0, rel=0.3)
+        assert fit.step.time_s == pytest.approx(25.0, abs=1.0)
+        assert "cell reads +" in judged_fit(fit, 1.0)[0][0]
+
+
 @pytest.mark.parametrize("block", [0, 59])
 def test_one_block_that_is_off_at_an_end_is_no_step(rng, block):
     fit = fits(rng, lambda t, y: np.where(np.floor(t / 0.5) == block, 1.3, 1.0) * y)
@@ -62,7 +82,7 @@ def test_rows_that_read_nothing_have_no_gain(rng):
     Y = np.column_stack([np.sin(5.0 * t), np.sin(5.0 * t) * np.where(t > 3.0, 1.4, 1.0) + 0.1, np.full(n, 0.1)])
     seen = RowBlocks(3, 0.5, ("base IMU",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, np.zeros(n), np.full(n, sigma), np.full(n, sigma), None)
-    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, PHYSICAL, 1.0)
+    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)
     assert fit.step is None
     assert np.isnan(fit.response)
 
@@ -88,7 +108,7 @@ def test_what_is_left_over_is_held_against_the_noise_at_the_answer(rng):
     wide, own = np.full(t.size, noise * 100.0), np.full(t.size, 0.002)
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, wide, own, doubt)
-    fit = instrument_fits(seen, TRUTH, TRUTH, PHYSICAL, 1.0)[0]
+    fit = instrument_fits(seen, TRUTH, TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.misfit == pytest.approx(0.5 * 0.4**2 / (own[0] ** 2 + (noise * TRUTH[0]) ** 2), rel=0.05)
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
@@ -103,7 +123,7 @@ def test_rows_without_the_payload_are_judged_by_themselves(rng):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, np.full(t.size, 0.002), np.full(t.size, 0.002), None)
-    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, 1.0)[0]
+    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.unexplained > 0.4
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
