@@ -23,6 +23,7 @@ from hil_sim.scenario.tables import Scenario, ScenarioError
 Table = dict[str, Any]
 
 _REST_S, _REACH_S, _MOVE_S, _END_S = 4.0, 12.0, 24.0, 1.0
+_BURNS = 0.15, 0.6  # of the mission: when each thruster is on for a second
 _GRAVITY = [0.0, 0.0, -9.80665]
 _WIRING = ("canopen_sync", "sync_pulse")  # together the sync box
 _OURS = ("pps", "pulse_generator")  # of the flight computer itself
@@ -244,6 +245,13 @@ def _add_mission(out: Table, said: Table, estimation: Table, drawing: Drawing) -
     if gone is not None:
         steps += [_hold(gone, 2.0), _swing(moving[-1], _MOVE_S, 0.35)]
     out["sequence"] = [*steps, _hold(last, _END_S)]
+    end_s = sum(step["duration_s"] for step in out["sequence"])
+    frames = [one["at"] for one in out["device"].values() if one["kind"] == "thruster"]
+    out["burn"] = [
+        {"frame": frame, "at_s": round(part * end_s + 1.5 * k, 3), "duration_s": 1.0}
+        for k, frame in enumerate(frames)
+        for part in _BURNS
+    ]
 
 
 def _swing(phase: int, duration_s: float, size: float) -> Table:

@@ -71,7 +71,7 @@ class UrdfModel:
 
     def _read(self, link: str) -> Body:
         body = self.model.body(PREFIX + link)
-        R = _matrix(body.iquat)
+        R = matrix_of(body.iquat)
         return Body(float(body.mass[0]), np.array(body.ipos), R @ np.diag(body.inertia) @ R.T)
 
     @property
@@ -161,7 +161,8 @@ def _together(one: Body, other: Body) -> Body:
     return Body(mass, centre, inertia)
 
 
-def _matrix(quaternion: FloatArray) -> FloatArray:
+def matrix_of(quaternion: FloatArray) -> FloatArray:
+    """Rotation of a quaternion (w, x, y, z), (3, 3)."""
     out = np.zeros(9)
     mujoco.mju_quat2Mat(out, np.asarray(quaternion, np.float64))
     return out.reshape(3, 3)
@@ -171,4 +172,4 @@ def rotation(roll_pitch_yaw: FloatArray) -> FloatArray:
     """(3, 3): Rz(yaw) Ry(pitch) Rx(roll), rad."""
     quaternion = np.zeros(4)
     mujoco.mju_euler2Quat(quaternion, np.asarray(roll_pitch_yaw, np.float64), "XYZ")
-    return _matrix(quaternion)
+    return matrix_of(quaternion)

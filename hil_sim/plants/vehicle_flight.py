@@ -19,6 +19,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.base_sway import BasePath
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
+from hil_sim.plants.jets import Jets
 from hil_sim.plants.soft_parts import SoftParts, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
@@ -79,6 +80,7 @@ class VehicleFlight:
         pucks: of a planar one.
         cabin: in which it is held, let go and pushed, at half steps.
         soft: its springs; none of a prescribed base.
+        jets: thrusters of a free one.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class VehicleFlight:
         pucks: Sequence[Puck] = (),
         cabin: Cabin | None = None,
         soft: SoftParts | None = None,
+        jets: Jets | None = None,
     ) -> None:
         self.vehicle, self._motion, self._places, self._link = vehicle, motion, places, link
         self._step_s, self._path, self._pucks = step_s, path, pucks
@@ -104,7 +107,7 @@ class VehicleFlight:
         self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._pose = self.data.qpos[: self._np].copy()
         self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
-        self._cabin = cabin
+        self._cabin, self._jets = cabin, jets
         if cabin is not None:
             self._pose, self._velocity = cabin.start()
         self.count = 0  # of the next row
@@ -219,6 +222,8 @@ class VehicleFlight:
         if self._soft.slosh is not None:
             pull = self._soft.pull(soft, self._anchor(pose, velocity), level=nb == 3)
             wrench += self._at_base(-pull, soft[-6:-3], pose)
+        if self._jets is not None and self._jets.burns:
+            wrench += self._jets.push(0.5 * self._step_s * stage, self._turn(pose))
         if cabin is not None and not cabin.held(stage):
             wrench += cabin.push(stage)
         held = nb == 0 or (cabin is not None and cabin.held(stage))

@@ -21,6 +21,7 @@ from hil_sim.plants.base_sway import sway
 from hil_sim.plants.body import Body, built
 from hil_sim.plants.cabin import Cabin, Release
 from hil_sim.plants.driven_vehicle import Drivable, Drive
+from hil_sim.plants.jets import Jets
 from hil_sim.plants.joint_swings import JointSwings, wheels
 from hil_sim.plants.soft_parts import springs
 from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
@@ -101,7 +102,8 @@ class VehiclePlant(world.Plant):
         self.soft, lightened = springs(scenario, self.bodies, self._model.joints, rng)
         self._model.build(lightened)
         given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
-        self._flight = VehicleFlight(*given, self.cabin, self.soft)
+        self.jets = Jets(scenario, self._model, self.bodies)
+        self._flight = VehicleFlight(*given, self.cabin, self.soft, self.jets)
         self._coming = deque(self._events(rng, self._coarse_s, self._steps))
         self._caught = next((moves for name, _, moves in self._coming if name == "capture"), None)
         joints = len(self.joints)
@@ -213,6 +215,12 @@ class VehiclePlant(world.Plant):
     def wheel_rate_rad_s(self, at: str) -> FloatArray:
         """See ``world.Plant``."""
         return self.rows_true.rates[:, self._joint(at)]
+
+    def thrust_n(self, at: str) -> FloatArray:
+        """See ``world.Plant``; ``at`` is the thruster's frame."""
+        if at not in self.jets.frames:
+            return super().thrust_n(at)
+        return self.jets.force_n(at, self.step_s * np.arange(self.rows, dtype=np.float64))
 
     @property
     def efforts_n_m(self) -> dict[str, float]:

@@ -65,6 +65,12 @@ class Sheets(NamedTuple):
         return sheet("reaction_wheel") | {"quantity": "wheel_rate"} | own
 
     @staticmethod
+    def thrust(said: Mapping[str, Any]) -> dict[str, Any]:
+        """A thruster: counts and calibration of the file."""
+        stated = {"scale_sigma": said["scale_sigma"]} if "scale_sigma" in said else {}
+        return sheet("thruster") | {"quantity": "thrust", "step_N": abs(said["scale"])} | stated
+
+    @staticmethod
     def load_cell(said: Mapping[str, Any]) -> dict[str, Any]:
         """A load cell: capacity, lever, noise, delay and calibration of the file."""
         table = sheet("load_cell")

@@ -199,6 +199,15 @@ class SloshTable(Table):
     damping_ratio: NonNegative = 0.005
 
 
+class BurnTable(Table):
+    """``[[burn]]``: the thruster at a frame of the URDF is on. Without ``force_N``: it gives the vehicle 10 mm/s^2."""
+
+    frame: str
+    at_s: NonNegative
+    duration_s: PositiveFloat
+    force_N: PositiveFloat | None = None
+
+
 class TableTop(Table):
     """``[table]`` of a planar base: sigmas of its tilt; drag of a puck is drawn between none and these."""
 
@@ -226,6 +235,7 @@ class VehicleScenario(Scenario):
     backlash: BacklashTable | None = None
     slosh: SloshTable | None = None
     parabolas: Parabolas | None = None
+    burn: tuple[BurnTable, ...] = ()
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
 
     @model_validator(mode="before")
@@ -247,6 +257,8 @@ class VehicleScenario(Scenario):
             raise ValueError("flexibility and backlash are for a base that floats or stands")
         if self.payload is not None and self.vehicle.payload_link is None:
             raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
+        if self.burn and (self.vehicle.base != "free" or self.parabolas is not None):
+            raise ValueError('burn: thrusters push a base = "free" that is not let go by hand')
         if self.payload is None and (self.capture is not None or self.ejection is not None):
             raise ValueError("capture and ejection need a [payload]")
         if any(step.action == "asked" for step in self.sequence) != (self.motion.segments is not None):

@@ -8,8 +8,8 @@ from hil_sim.devices.canopen.canopen_node import CanopenNode
 from hil_sim.devices.canopen.object_dictionary import Access, DataType, Entry
 from hil_sim.devices.emulator import Bench, Equivalent, Twin
 from hil_sim.faults import INPUT_KINDS, NO_FAULTS, DeviceFaults, FaultyScalar
+from hil_sim.scenario.sensor_tables import Vector
 from hil_sim.scenario.sheets import Sheets
-from hil_sim.scenario.tables import ScenarioError
 from hil_sim.sensing.analog import ScalarAnalog
 from hil_sim.sensing.controller_sensors import ThrustSensor
 
@@ -54,11 +54,13 @@ class ThrusterTable(CanNodeEmulator):
     quantities = ("thrust",)
 
     kind: Literal["thruster"]
+    axis: Vector = (1.0, 0.0, 0.0)  # of its frame, for a rehearsal
 
     @classmethod
     def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
-        """See ``Emulator``: a mission says when a thruster is on, and no default one does."""
-        raise ScenarioError(f"device.{name}: thrusters are not rehearsed; take it out of the file that is")
+        """See ``Emulator``."""
+        table = cls.node_keys(said) | {"measures": name, "at": said["frame"], "axis": said["axis"]}
+        return Equivalent(table, {name: sheets.thrust(said)}, {})
 
     def build(self, bench: Bench) -> Twin:
         """See ``Emulator``."""
