@@ -16,8 +16,10 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
+from hil_sim.plants.body import Body
 from hil_sim.plants.servo_axis import STEP_S, Controller
 from hil_sim.plants.vehicle_flight import Puck, drag_wrench
+from hil_sim.scenario.vehicle_tables import JointFriction
 
 _KEPT: Final = 512  # steps that can be asked for
 _NOISE: Final = 1 << 14  # samples of encoder noise, one a millisecond, then again from the first
@@ -201,3 +203,16 @@ class DrivenVehicle:
         for angle, rate, axis in zip(angles, self.rates_rad_s, self.axes.values(), strict=True):
             axis.lowest_rad, axis.highest_rad = min(axis.lowest_rad, angle), max(axis.highest_rad, angle)
             axis.fastest_rad_s = max(axis.fastest_rad_s, abs(rate))
+
+
+def drawn_drives(
+    table: JointFriction, efforts_n_m: Mapping[str, float], bodies: Mapping[str, Body], rng: np.random.Generator
+) -> dict[str, Drive]:
+    """Friction and rotor of every joint, by its largest torque; ``bodies`` are what the joints turn."""
+    found = {}
+    for joint, effort in efforts_n_m.items():
+        factor = 2.0 ** rng.uniform(-1.0, 1.0, 3)
+        turned = sum(float(body.principal_kg_m2[-1]) for body in bodies.values()) / len(efforts_n_m)
+        sizes = effort * table.coulomb, effort * table.viscous_s_rad, turned * table.rotor
+        found[joint] = Drive(*(float(size * by) for size, by in zip(sizes, factor, strict=True)))
+    return found

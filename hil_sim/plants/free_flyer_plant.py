@@ -18,9 +18,8 @@ from hil_sim.plants import free_flyer, world
 from hil_sim.plants.actuators import Actuators, Hold, Pulse, Wheel
 from hil_sim.plants.arm_swings import ArmSwings
 from hil_sim.plants.body import Body, built
-from hil_sim.plants.driven_vehicle import Drivable
+from hil_sim.plants.driven_vehicle import Drivable, drawn_drives
 from hil_sim.plants.servo_axis import STEP_S
-from hil_sim.plants.vehicle_plant import drawn_drives
 from hil_sim.scenario.free_flyer_tables import JOINTS, Built, FreeFlyerScenario, Payload
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import JointFriction

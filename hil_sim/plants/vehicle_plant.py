@@ -8,7 +8,7 @@ no sensor reads future rows.
 
 import copy
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 import mujoco
@@ -20,14 +20,14 @@ from hil_sim.plants import urdf_drawing, world
 from hil_sim.plants.base_sway import sway
 from hil_sim.plants.body import Body, built
 from hil_sim.plants.cabin import Cabin, Release
-from hil_sim.plants.driven_vehicle import Drivable, Drive
+from hil_sim.plants.driven_vehicle import Drivable, drawn_drives
 from hil_sim.plants.jets import Jets
 from hil_sim.plants.joint_swings import JointSwings, wheels
 from hil_sim.plants.soft_parts import springs
 from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
 from hil_sim.plants.vehicle_flight import Jolt, Puck, Released, Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import JointFriction, LetGo, PayloadTable, Tolerance, VehicleScenario
+from hil_sim.scenario.vehicle_tables import LetGo, PayloadTable, Tolerance, VehicleScenario
 
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
 _DRAWS = 1000  # of a part until it is one that can exist
@@ -377,19 +377,6 @@ def _let_go(table: LetGo, base: str, rng: np.random.Generator) -> FloatArray:
     return {"free": np.concatenate([velocity, rate]), "planar": np.array([*velocity[:2], rate[2]])}.get(
         base, np.zeros(0)
     )
-
-
-def drawn_drives(
-    table: JointFriction, efforts_n_m: Mapping[str, float], bodies: Mapping[str, Body], rng: np.random.Generator
-) -> dict[str, Drive]:
-    """Friction and rotor of every joint, by its largest torque; ``bodies`` are what the joints turn."""
-    found = {}
-    for joint, effort in efforts_n_m.items():
-        factor = 2.0 ** rng.uniform(-1.0, 1.0, 3)
-        turned = sum(float(body.principal_kg_m2[-1]) for body in bodies.values()) / len(efforts_n_m)
-        sizes = effort * table.coulomb, effort * table.viscous_s_rad, turned * table.rotor
-        found[joint] = Drive(*(float(size * by) for size, by in zip(sizes, factor, strict=True)))
-    return found
 
 
 def _pucks(scenario: VehicleScenario, model: UrdfModel, rng: np.random.Generator) -> list[Puck]:
