@@ -15,7 +15,6 @@ from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.kinematics import link_motions, wrench_columns
@@ -65,6 +64,8 @@ def planar_columns(vehicle: VehicleModel, signals: FlightSignals, offsets: Float
     Raises:
         SignalError: joint signals of another vehicle.
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - 0.1 s, of all that fit a flight and have no table
+
     n = len(signals.q)
     ticks, both = np.arange(n), 0.5 * np.arange(2 * n - 1)
     q, dq, ddq = (np.asarray(CubicSpline(ticks, x)(both), np.float64) for x in (signals.q, signals.dq, signals.ddq))

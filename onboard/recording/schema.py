@@ -14,6 +14,7 @@ What ``ros2msg`` cannot express is in the comment after a field, and the dtype i
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from math import prod
 
 import numpy as np
@@ -46,6 +47,7 @@ _FIELD = re.compile(
 )
 
 
+@lru_cache(maxsize=256)
 def message_bytes(dtype: np.dtype[np.void]) -> int:
     """Bytes of a row in a message: all up to the end of its last field."""
     assert dtype.fields is not None

@@ -18,7 +18,8 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
 from onboard.identification.exiddm.chance import Chance, squares_of
-from onboard.identification.exiddm.whole_flight import Block, FlightFit, WholeFlight, total_of
+from onboard.identification.exiddm.flight_blocks import Block, total_of
+from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
 from onboard.identification.rows.held_out import HeldOut, HeldOutFit
 
 _PAYLOAD = slice(0, 10)
@@ -64,22 +65,25 @@ def halves(flight: WholeFlight, found: FlightFit) -> HeldOut:
         SingularError: a half that determines too little.
     """
     x, prior = found.fit.x, flight.prior_information
-    bare = [block for block in flight.without_payload(x) if block.held]
+    bare = flight.without_payload(x)
     held, free = ([block for block in found.blocks if block.held == wanted] for wanted in (True, False))
     middle_s = _middle(held)
     predicted = []
     for later in (True, False):
-        own, none = ([b for b in blocks if (b.middle_s > middle_s) == later] for blocks in (held, bare))
+        own = [block for block in held if (block.middle_s > middle_s) == later]
+        none = sum(squares for at_s, squares in bare if (at_s > middle_s) == later)
         other = [block for block in held if (block.middle_s > middle_s) != later]
         if not own or not other:
             raise SingularError("the payload was not held for long enough to be divided into halves")
         known = total_of([*other, *free], x.size).plus(Normal(prior, prior @ x, 0.0))
         away = -inverse_of(known.information) @ known.gradient
-        predicted.append(_prediction(total_of(own, x.size), x, away, flight, total_of(none, x.size).squares, own))
+        predicted.append(_prediction(total_of(own, x.size), x, away, flight, none, own))
     of_all, rows = total_of(held, x.size).squares, sum(block.rows for block in held)
     later_half, earlier_half = predicted
     return HeldOut(
-        later_half, earlier_half, HeldOutFit(float(np.sqrt(of_all / total_of(bare, x.size).squares)), of_all / rows)
+        later_half,
+        earlier_half,
+        HeldOutFit(float(np.sqrt(of_all / sum(squares for _, squares in bare))), of_all / rows),
     )
 
 

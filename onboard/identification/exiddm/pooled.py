@@ -22,7 +22,8 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
 from onboard.identification.exiddm.chance import Chance, squares_of
-from onboard.identification.exiddm.whole_flight import Block, WholeFlight, misfit_by_instrument, total_of
+from onboard.identification.exiddm.flight_blocks import Block, misfit_by_instrument, total_of
+from onboard.identification.exiddm.whole_flight import WholeFlight
 from onboard.identification.rows.held_out import HeldOut, HeldOutFit
 
 _PAYLOAD = slice(0, 10)
@@ -164,7 +165,7 @@ class Pool:
         """Prediction of the later flights from the earlier ones, and the reverse."""
         if len(parts) < 2:
             return None
-        bare = [total_of(f.without_payload(one), one.size).squares for f, one in zip(self._flights, x, strict=True)]
+        bare = [sum(s for _, s in f.without_payload(one)) for f, one in zip(self._flights, x, strict=True)]
         squares = [sum(block.normal.squares for block in part.blocks) for part in parts]
         rows, middle = [sum(block.rows for block in part.blocks) for part in parts], (len(parts) + 1) // 2
         predicted = []

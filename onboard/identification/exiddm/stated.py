@@ -115,7 +115,7 @@ def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[Kind]) -> Flig
     if not unlikely:
         return found
     flight.widen(np.concatenate(unlikely), _FREE)
-    return flight.fit(found.fit.x)
+    return flight.fit_again(found)
 
 
 def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
-from onboard.identification.exiddm.imu_errors import whitened
+from onboard.identification.exiddm.flight_blocks import Block, apart, misfit_by_instrument, total_of
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor, first_rate
 from onboard.identification.exiddm.ticks import Ticks
 
@@ -34,13 +34,14 @@ INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 KINK_s = 5.0
 _BLOCK_TICKS = 200
 _SHORTEST_TICKS, _FEWEST_TICKS = 20, 4  # of a segment, of a prediction
-_CHANCE = 1e-5  # of a block's residual sum: what is exceeded more rarely counts
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _MOST_GLITCHES = 0.1  # share of the ticks that may be left out as outliers
 _EVALUATIONS = 25  # predictions of the flight in a stage
 _HOPELESS = 2.0  # residual sum over its rows: a fit that will not get below it is given up
 _PATIENCE = 6  # predictions by whose gain the rest is judged
-_ROUGH, _FINE = 50.0, 1.0  # decrease of the residual sum that a last step, which is taken, promises
+_ROUGH, _FINE = 50.0, 3.0  # decrease of the residual sum that a last step, which is taken, promises
+_LINEAR, _NEAR = 1e-3, 10.0  # a step promises so little of the one before: steps may end so near the minimum
+_SAME = 0.05  # relative change of any sigma that is none: 0.1 % in the mean
 _DAMPING = 1e-6  # of the first step
 
 
@@ -59,17 +60,6 @@ class Instrument(NamedTuple):
     lines: slice
 
 
-class Block(NamedTuple):
-    """Normal equations of some ticks of one instrument at an estimate."""
-
-    normal: Normal  # by the parameters in ``columns``
-    columns: IndexArray
-    rows: int
-    instrument: str
-    held: bool
-    middle_s: float
-
-
 class FlightFit(NamedTuple):
     """The maximum likelihood estimate of a whole flight."""
 
@@ -83,6 +73,15 @@ class FlightFit(NamedTuple):
     by_instrument: dict[str, float]  # the same of each instrument: the larger of all its rows and its worst part
     residuals: FloatArray  # (n, lines) whitened, predicted less measured, of all segments; NaN where not used
     glitches: int  # lines left out
+
+
+class _Minimum(NamedTuple):
+    """Where the residual sum is least."""
+
+    fit: Fit
+    blocks: tuple[Block, ...]  # there
+    promised: float  # decrease of the residual sum by the last step, whose end was not predicted
+    gained: float  # by the step before; NaN where there is none
 
 
 class _Along(NamedTuple):
@@ -168,6 +167,10 @@ class WholeFlight:
         ]
         self._sigma = [one.ticks.sigma for one in self.segments]
         self._left: list[FloatArray] = []  # whitened residuals of each segment, (n, lines), at the last evaluation
+        of_base, lines = np.array([*range(3, PAYLOAD.stop), *predictor.of_bodies], np.intp), sum(predictor.biases, ())
+        self._seen = [  # what the readings of each instrument depend on, but rates and biases
+            np.setdiff1d(np.concatenate([of_base, own]), lines).astype(np.intp) for own in predictor.of_each
+        ]
         self._wander = {
             device: (at, max(1, round(memory_s / predictor.period_s)))
             for device, own in enumerate(predictor.of_further, 1)
@@ -206,35 +209,40 @@ class WholeFlight:
         """
         x = start
         for length_s in stages_s:
-            x = self._settle(x, _ROUGH, length_s)[0].x
+            self.weigh(x)
+            x = self._settle(x, _ROUGH, length_s).fit.x
             x = self.start(np.concatenate([start[:10], x[10 : self.constants]]))
-        x = self._settle(x, _ROUGH)[0].x
-        glitches = self._leave_out()
-        found, blocks = self._settle(x, _FINE)
+        self.weigh(x)
+        found = self._settle(x, _ROUGH)
+        glitches, as_before = self._leave_out(), self.weigh(found.fit.x)
+        near = _NEAR if found.promised < _LINEAR * found.gained else _FINE
+        if glitches or not as_before or found.promised > near:
+            found = self._settle(found.fit.x, near)
+        return self._found(found, glitches)
+
+    def fit_again(self, found: FlightFit) -> FlightFit:
+        """Maximum likelihood after :meth:`widen`, from the fit before it.
+
+        Raises:
+            ConvergenceError, SingularError, RowError, SignalError: as :meth:`fit`.
+        """
+        self._left = [found.residuals]
+        return self._found(self._settle(found.fit.x, _FINE, known=found.blocks), found.glitches)
+
+    def _found(self, minimum: _Minimum, glitches: int) -> FlightFit:
+        found, blocks = minimum.fit, minimum.blocks
         chi, covariance = found.x[:10], found.covariance[:10, :10]
         known = int(np.isfinite(self.sigma).sum())
         freedom = sum(block.rows for block in blocks) + known - found.x.size
         misfit = found.residual_sum / max(freedom, 1)
-        return FlightFit(
-            body_estimate(chi, covariance),
-            found,
-            self.names,
-            chi,
-            covariance,
-            blocks,
-            misfit,
-            misfit_by_instrument(blocks),
-            np.concatenate(self._left),
-            glitches,
-        )
+        told = found, self.names, chi, covariance, blocks, misfit, misfit_by_instrument(blocks)
+        return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), glitches)
 
-    def blocks(self, x: FloatArray, length_s: float = np.inf, *, held_only: bool = False) -> list[Block]:
+    def blocks(self, x: FloatArray, length_s: float = np.inf) -> list[Block]:
         """Normal equations of all ticks up to so many seconds after the start of each segment, at x, (p,)."""
         found = []
         self._left = [np.full(one.ticks.measured.shape, np.nan) for one in self.segments]
         for k, one in enumerate(self.segments):
-            if held_only and not one.held:
-                continue
             for along in self._along(x, k, length_s):
                 middle_s = float(one.ticks.time_s[along.ticks].mean())
                 for instrument in self.instruments:
@@ -247,39 +255,57 @@ class WholeFlight:
                         found.append(Block(normal, columns, r.size, instrument.name, one.held, middle_s))
         return found
 
-    def without_payload(self, x: FloatArray) -> list[Block]:
-        """Normal equations of the held segments if nothing were held, all else as in x, (p,), rates by readings."""
+    def without_payload(self, x: FloatArray) -> list[tuple[float, float]]:
+        """Residual sums of the held segments if nothing were held, all else as in x, (p,), rates by readings.
+
+        Returns:
+            The middle, s, and the sum of each block.
+        """
         bare = x[: self.constants].copy()
         bare[:10] = 0.0
-        return self.blocks(self.start(bare), held_only=True)
+        at, found = self.start(bare), []
+        for k, one in enumerate(self.segments):
+            for along in self._along(at, k, np.inf) if one.held else ():
+                for instrument in self.instruments:
+                    use = self._use[k][along.ticks, instrument.device]
+                    if use.any():
+                        r = self._whitened(along, k, instrument, use)[0]
+                        found.append((float(one.ticks.time_s[along.ticks].mean()), float(r @ r)))
+        return found
 
-    def _settle(self, x: FloatArray, tolerance: float, length_s: float = np.inf) -> tuple[Fit, tuple[Block, ...]]:
-        self.weigh(x)
-        best = np.inf, tuple[Block, ...](), self._left
+    def _settle(
+        self, x: FloatArray, tolerance: float, length_s: float = np.inf, known: tuple[Block, ...] = ()
+    ) -> _Minimum:
+        """The minimum; the normal equations at x are not computed where they are ``known``."""
+        best = np.inf, x, known, self._left
         bests: list[float] = []
 
         def evaluate(at: FloatArray) -> Normal:
             nonlocal best
             if len(bests) == _EVALUATIONS:
                 raise ConvergenceError(f"not converged after {_EVALUATIONS} predictions of the flight")
-            blocks = tuple(self.blocks(at, length_s))
+            blocks = known if known and not bests else tuple(self.blocks(at, length_s))
             total = total_of(blocks, len(self.names))
             cost = total.squares + float(np.nansum((at / self.sigma) ** 2))
             if cost < best[0]:
-                best = cost, blocks, self._left
+                best = cost, at, blocks, self._left
             bests.append(best[0])
             _give_up(bests, sum(block.rows for block in blocks))
             return total
 
         found = fit_normal(evaluate, x, np.zeros_like(x), self.prior_information, _EVALUATIONS, tolerance, _DAMPING)
-        self._left = best[2]
-        return found, best[1]
+        cost, at, blocks, self._left = best
+        gained = bests[-2] - bests[-1] if len(bests) > 1 else np.nan
+        here = tuple(block.moved(found.x - at) for block in blocks)
+        return _Minimum(found, here, cost - found.residual_sum, gained)
 
-    def weigh(self, x: FloatArray) -> None:
-        """Add the effect of the joints' noise, with the payload of x, to the IMU's."""
+    def weigh(self, x: FloatArray) -> bool:
+        """Add the effect of the joints' noise, with the payload of x, to the IMU's; whether it is about as before."""
+        before, self._sigma = self._sigma, []
         for k, one in enumerate(self.segments):
             noise = self._predictor.joint_noise(one.ticks.q, one.ticks.joint_sigma, self._state(x, k))
-            self._sigma[k] = np.hypot(one.ticks.sigma, noise)
+            self._sigma.append(np.hypot(one.ticks.sigma, noise))
+        return all((np.abs(new - old) <= _SAME * old).all() for new, old in zip(self._sigma, before, strict=True))
 
     def _leave_out(self) -> int:
         """Leave out ticks of an instrument that the last fit contradicts, if these are few; returns how many lines."""
@@ -330,36 +356,45 @@ class WholeFlight:
         t = time_s - self._begin_s
         return np.column_stack([np.ones_like(t), t, np.maximum(0.0, t[:, None] - self._kinks_s)])
 
+    def _whitened(
+        self, along: _Along, segment: int, instrument: Instrument, use: BoolArray
+    ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray] | None]:
+        """Residuals of the ticks to use, (u,), their sigmas, (t, lines), and what the delay's wander does to rows."""
+        own, device, one = instrument.lines, instrument.device, self.segments[segment]
+        sigma = self._sigma[segment][along.ticks, own][use]
+        r = ((along.values[:, own] - one.ticks.measured[along.ticks, own])[use] / sigma).ravel()
+        if device not in self._wander:
+            return r, sigma, None
+        delay_at, ticks = self._wander[device]
+        effect = (along.jacobian[:, own, delay_at][use] / sigma).ravel() * self._predictor.sigma[delay_at]
+        split = apart(effect, np.repeat(np.flatnonzero(use) // ticks, own.stop - own.start))
+        return split(r[:, None])[:, 0], sigma, split
+
     def _rows(
         self, along: _Along, segment: int, instrument: Instrument, use: BoolArray
     ) -> tuple[FloatArray, FloatArray, IndexArray]:
         """Whitened residuals of the ticks to use, (u,), their derivatives, (u, k), and by which parameters, (k,)."""
-        own, predictor, one = instrument.lines, self._predictor, self.segments[segment]
-        measured, sigma = one.ticks.measured[along.ticks, own], self._sigma[segment][along.ticks, own]
-        r, J = whitened(along.values[:, own], along.jacobian[:, own], measured, sigma, use)
-        by_rate = J[:, RATE]
-        by_constants = J[:, RATE.stop :] + by_rate @ along.d_rate[:, RATE.stop :]
-        seen: BoolArray = np.asarray(by_constants.any(axis=0))
-        if not one.held:
-            seen[:10] = False
-        parts, columns = [], []
-        lines = np.repeat(along.lines[use], own.stop - own.start, axis=0)
-        begun = lines.any(axis=0)
-        for at, (bias_at, drift_at) in zip(self._of_lines, predictor.biases, strict=True):
-            seen[[bias_at - RATE.stop, drift_at - RATE.stop]] = False
-            if J[:, bias_at].any():
-                parts.append(J[:, bias_at, None] * lines[:, begun])
-                columns.append(at[begun])
-        if instrument.device in self._wander:
-            delay_at, ticks = self._wander[instrument.device]
-            stretch = np.repeat(np.flatnonzero(use) // ticks, own.stop - own.start)
-            apart = _apart(J[:, delay_at] * predictor.sigma[delay_at], stretch)
+        r, sigma, split = self._whitened(along, segment, instrument, use)
+        slopes = along.jacobian[:, instrument.lines]  # (n, lines, predictor's p)
+        slopes = slopes if use.all() else slopes[use]
+        seen = self._seen[instrument.device]
+        seen = seen if self.segments[segment].held else seen[seen >= PAYLOAD.stop]
+        by_constants = slopes.take(seen, axis=2)
+        by_constants /= sigma[..., None]
+        by_rate = (slopes[..., RATE] / sigma[..., None]).reshape(r.size, 3)
+        J = by_constants.reshape(r.size, -1)
+        J += by_rate @ along.d_rate[:, seen]
         first = self.constants + 3 * segment
-        J = np.concatenate([by_constants[:, seen], by_rate @ along.d_rate[:, RATE], *parts], axis=1)
-        which = np.concatenate([np.flatnonzero(seen), np.arange(first, first + 3), *columns]).astype(np.intp)
-        if instrument.device in self._wander:
-            r, J = apart(r[:, None])[:, 0], apart(J)
-        return r, J, which
+        parts, columns = [J, by_rate @ along.d_rate[:, RATE]], [seen - RATE.stop, np.arange(first, first + 3)]
+        lines = along.lines[use]  # (t, 2 + kinks)
+        begun = lines.any(axis=0)
+        for at, (bias_at, _) in zip(self._of_lines, self._predictor.biases, strict=True):
+            by_bias = slopes[..., bias_at] / sigma
+            if by_bias.any():
+                parts.append((by_bias[..., None] * lines[:, None, begun]).reshape(r.size, -1))
+                columns.append(at[begun])
+        J = np.concatenate(parts, axis=1)
+        return r, J if split is None else split(J), np.concatenate(columns).astype(np.intp)
 
 
 def _give_up(bests: Sequence[float], rows: int) -> None:
@@ -385,39 +420,3 @@ def _instruments_of(predictor: ImuPredictor) -> list[Instrument]:
     first = [Instrument(name, 0, slice(3 * k, 3 * k + 3)) for k, name in enumerate(INSTRUMENTS)]
     further = zip(predictor.further, predictor.lines[1:], strict=True)
     return [*first, *(Instrument(one.name, device, own) for device, (one, own) in enumerate(further, 1))]
-
-
-def _apart(effect: FloatArray, stretch: IndexArray) -> Callable[[FloatArray], FloatArray]:
-    """Multiplication of rows, (u, k), by ``(1 + d d')^(-1/2)``, d the effect, (u,), in each stretch of them."""
-    count = int(stretch[-1]) + 1
-    squares = np.bincount(stretch, effect**2, count)
-    share = np.where(squares > 0.0, (1.0 - (1.0 + squares) ** -0.5) / np.maximum(squares, 1e-300), 0.0)
-    starts = np.searchsorted(stretch, np.arange(count))
-
-    def apply(rows: FloatArray) -> FloatArray:
-        along = np.add.reduceat(np.vstack([effect[:, None] * rows, np.zeros((1, rows.shape[1]))]), starts)
-        along[np.bincount(stretch, minlength=count) == 0] = 0.0
-        return np.asarray(rows - effect[:, None] * (share[:, None] * along)[stretch], np.float64)
-
-    return apply
-
-
-def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
-    """Normal equations of all blocks together."""
-    information, gradient, squares = np.zeros((parameters, parameters)), np.zeros(parameters), 0.0
-    for block in blocks:
-        information[np.ix_(block.columns, block.columns)] += block.normal.information
-        gradient[block.columns] += block.normal.gradient
-        squares += block.normal.squares
-    return Normal(information, gradient, squares)
-
-
-def misfit_by_instrument(blocks: Sequence[Block]) -> dict[str, float]:
-    """Residual sum over the number of rows, of all rows or of the part in which it is largest beyond chance."""
-    found = {}
-    for instrument in dict.fromkeys(block.instrument for block in blocks):
-        own = [block for block in blocks if block.instrument == instrument]
-        of_all = sum(block.normal.squares for block in own) / max(1, sum(block.rows for block in own))
-        parts = [block.normal.squares / float(chdtri(block.rows, _CHANCE)) for block in own if block.rows]
-        found[instrument] = max([of_all, *parts])
-    return found

@@ -12,12 +12,13 @@ from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import FARTHEST
 from onboard.identification.exiddm import witnesses
+from onboard.identification.exiddm.flight_blocks import apart, total_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
 from onboard.identification.exiddm.parts import differences, halves
 from onboard.identification.exiddm.stated import KINDS, UNLIKELY, freely, kinds_of, leans_on
-from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight, _apart, total_of
+from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
@@ -69,6 +70,31 @@ def test_the_payload_is_the_truth_within_its_sigmas(fitted):
     assert set(found.by_instrument) == set(INSTRUMENTS)
     assert max(found.by_instrument.values()) < 1.15
     assert found.glitches == 0
+
+
+def test_normal_equations_of_a_fit_are_those_at_its_estimate(fitted):
+    """Its last step is not predicted, and would leave a gradient of half a sigma where they are not moved with it."""
+    flight, found = fitted
+    told, anew = (total_of(blocks, len(found.names)) for blocks in (found.blocks, flight.blocks(found.fit.x)))
+    sigma = np.sqrt(np.diag(found.fit.covariance))
+    assert np.abs((told.gradient - anew.gradient) * sigma).max() < 0.02
+    assert told.squares == pytest.approx(anew.squares, abs=0.1)
+    at_the_minimum = anew.gradient + flight.prior_information @ found.fit.x
+    assert np.abs(at_the_minimum * sigma).max() < 0.02
+
+
+def test_a_fit_again_is_that_of_all_ticks_anew(ticks, predictor, fitted):
+    _, whole = fitted
+    again, anew = (WholeFlight(predictor, WIDE, segments(ticks)) for _ in range(2))
+    scales = np.array([k for k, name in enumerate(whole.names) if name.startswith("accelerometer_scale")])
+    again.fit(whole.fit.x)
+    for flight in (again, anew):
+        flight.widen(scales, 10.0)
+    found, expected = again.fit_again(whole), anew.fit(whole.fit.x)
+    sigma = np.sqrt(np.diag(expected.fit.covariance))
+    assert np.abs((expected.fit.x - whole.fit.x) / sigma).max() > 0.3  # it is another one
+    assert np.abs((found.fit.x - expected.fit.x) / sigma).max() < 0.03
+    np.testing.assert_allclose(np.sqrt(np.diag(found.fit.covariance)), sigma, rtol=0.01)
 
 
 def test_what_was_flown_free_narrows_the_interval(ticks, predictor, fitted):
@@ -242,6 +268,4 @@ def test_rows_with_a_common_error_in_each_stretch_are_whitened(rng):
     values, vectors = np.linalg.eigh(np.eye(5) + common)
     assert values.max() > 1.5
     rows = rng.standard_normal((5, 3))
-    np.testing.assert_allclose(
-        _apart(effect, stretch)(rows), (vectors / np.sqrt(values)) @ vectors.T @ rows, atol=1e-12
-    )
+    np.testing.assert_allclose(apart(effect, stretch)(rows), (vectors / np.sqrt(values)) @ vectors.T @ rows, atol=1e-12)

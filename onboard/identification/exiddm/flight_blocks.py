@@ -1,0 +1,68 @@
+"""Normal equations of parts of a flight, by instrument (:mod:`onboard.identification.exiddm.whole_flight`)."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.maximum_likelihood import Normal
+
+_CHANCE = 1e-5  # of a block's residual sum: what is exceeded more rarely counts
+
+
+class Block(NamedTuple):
+    """Normal equations of some ticks of one instrument at an estimate."""
+
+    normal: Normal  # by the parameters in ``columns``
+    columns: IndexArray
+    rows: int
+    instrument: str
+    held: bool
+    middle_s: float
+
+    def moved(self, by: FloatArray) -> "Block":
+        """At parameters that are so far from the estimate, (p,), as the normal equations tell it."""
+        d, normal = by[self.columns], self.normal
+        change = normal.information @ d
+        squares = normal.squares + float(d @ (2.0 * normal.gradient + change))
+        return self._replace(normal=Normal(normal.information, normal.gradient + change, max(0.0, squares)))
+
+
+def total_of(blocks: Sequence[Block], parameters: int) -> Normal:
+    """Normal equations of all blocks together."""
+    information, gradient, squares = np.zeros((parameters, parameters)), np.zeros(parameters), 0.0
+    for block in blocks:
+        information[np.ix_(block.columns, block.columns)] += block.normal.information
+        gradient[block.columns] += block.normal.gradient
+        squares += block.normal.squares
+    return Normal(information, gradient, squares)
+
+
+def misfit_by_instrument(blocks: Sequence[Block]) -> dict[str, float]:
+    """Residual sum over the number of rows, of all rows or of the part in which it is largest beyond chance."""
+    found = {}
+    for instrument in dict.fromkeys(block.instrument for block in blocks):
+        own = [block for block in blocks if block.instrument == instrument]
+        of_all = sum(block.normal.squares for block in own) / max(1, sum(block.rows for block in own))
+        parts = [block.normal.squares / float(chdtri(block.rows, _CHANCE)) for block in own if block.rows]
+        found[instrument] = max([of_all, *parts])
+    return found
+
+
+def apart(effect: FloatArray, stretch: IndexArray) -> Callable[[FloatArray], FloatArray]:
+    """Multiplication of rows, (u, k), by ``(1 + d d')^(-1/2)``, d the effect, (u,), in each stretch of them."""
+    count = int(stretch[-1]) + 1
+    squares = np.bincount(stretch, effect**2, count)
+    share = np.where(squares > 0.0, (1.0 - (1.0 + squares) ** -0.5) / np.maximum(squares, 1e-300), 0.0)
+    there, starts = np.unique(stretch, return_index=True)
+
+    def apply(rows: FloatArray) -> FloatArray:
+        moved, along = effect[:, None] * rows, np.zeros((count, rows.shape[1]))
+        along[there] = np.add.reduceat(moved, starts)
+        along *= share[:, None]
+        np.multiply(effect[:, None], along[stretch], out=moved)
+        return np.subtract(rows, moved, out=moved)
+
+    return apply
