@@ -35,6 +35,7 @@ from onboard.estimation.errors import RowError
 from onboard.estimation.rls import SquareRootRls
 
 _MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 class Interval(NamedTuple):
@@ -172,7 +173,7 @@ class JackknifeEstimate:
         signal = noise < _MOST_NOISE
         noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
         # Information without the noise; the prior's alone where nothing else remains.
-        keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), np.finfo(np.float64).tiny))
+        keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), _TINY))
         shared = T.T @ blocks.noise_moment
         x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
         self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'

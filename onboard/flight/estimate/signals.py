@@ -23,6 +23,7 @@ from onboard.flight.estimate.stuck import Said, StuckWatch
 from onboard.timebase.timebase import Timebase
 
 HISTORY_S = 2.0
+_TINY = float(np.finfo(np.float64).tiny)
 CYCLIC_LEFT = 0.1  # of cyclic errors, where an estimator fits them: other harmonics, and what depends on the load
 
 
@@ -271,7 +272,7 @@ class SignalSmoother:
             offset_s = np.where(under, t[index] - at_s[:, None], 0.0)  # (n, l)
             middle_s = offset_s.sum(axis=1, keepdims=True) / samples
             away_s = np.where(under, offset_s - middle_s, 0.0)
-            spread = np.maximum((away_s * away_s).sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+            spread = np.maximum((away_s * away_s).sum(axis=1, keepdims=True), _TINY)
             weights = np.where(under, 1.0 / samples, 0.0) - middle_s * away_s / spread
             values[:, mine] = (weights[:, None] @ recent.values[index][:, :, mine])[:, 0]
             sigma[:, mine] = noise[mine] * np.sqrt((weights * weights).sum(axis=1, keepdims=True))

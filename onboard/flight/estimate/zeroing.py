@@ -23,6 +23,7 @@ from onboard.estimation.arrays import FloatArray
 _EXPLAINED = 4.0  # sigmas
 _STEPS = 64  # temperatures kept: of some seconds
 _PLAUSIBLE_K = 100.0  # from the first temperature
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 class Temperatures:
@@ -128,10 +129,10 @@ class Zeroing:
         assert self._settings is not None
         n, mean_k = self.ticks, self._sums[1, 0] / self.ticks
         mean = self._sums[0, 1:] / n
-        spread_k = max(self._temperature_square - n * mean_k * mean_k, np.finfo(np.float64).tiny)
+        spread_k = max(self._temperature_square - n * mean_k * mean_k, _TINY)
         together = self._sums[1, 1:] - mean_k * self._sums[0, 1:]
         left = self._force_square - n * mean * mean - together * together / spread_k
-        scatter = np.maximum(left / n, np.finfo(np.float64).tiny)  # (3,) of a tick about the line of least squares
+        scatter = np.maximum(left / n, _TINY)  # (3,) of a tick about the line of least squares
         prior = self._settings.drift_sigma_m_s2_k
         if not prior:
             return mean, np.sqrt(scatter)

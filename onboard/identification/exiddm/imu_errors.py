@@ -64,6 +64,19 @@ _BIAS = 12 * (_ROWS // 3) + _ROWS % 3  # place of each row's bias
 _POWERS = np.repeat([1.0, 2.0], 3)  # of time that each row is scaled by
 
 
+def _gains() -> FloatArray:
+    """Map of the errors to the elements of :func:`gain_of`, (SIZE, 36)."""
+    gains = np.zeros((SIZE, 6, 6))
+    for k in range(2):  # gyro, accelerometer
+        scale, misalignment, cross_axis = (first + 3 * k for first in (6 + 9 * k, 9 + 9 * k, _CROSS.start))
+        rows = slice(3 * k, 3 * k + 3)
+        for axis, unit in enumerate(np.eye(3)):
+            gains[scale + axis, rows, rows] = np.diag(unit)
+            gains[misalignment + axis, rows, rows] = -hat(unit)
+            gains[cross_axis + axis, rows, rows] = _sym(unit)
+    return gains.reshape(SIZE, 36)
+
+
 def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
     """The IMU's errors as blocks of unknowns, in the order that :func:`imu_reading` takes them."""
     blocks = {}
@@ -88,12 +101,7 @@ def gain_of(errors: FloatArray) -> FloatArray:
     Args:
         errors: in the order of :func:`imu_blocks`, (SIZE,).
     """
-    E = np.eye(6)
-    for k, ((scale, misalignment), cross_axis) in enumerate(
-        zip(errors[_OF_AXES].reshape(2, 4, 3)[:, 2:], errors[_CROSS].reshape(2, 3), strict=True)
-    ):
-        rows = slice(3 * k, 3 * k + 3)
-        E[rows, rows] += np.diag(scale) - hat(misalignment) + _sym(cross_axis)
+    E: FloatArray = _IDEAL + (errors @ _GAIN).reshape(6, 6)
     return E
 
 
@@ -156,3 +164,6 @@ def whitened(
     """
     residual = ((values - measured) / sigma)[use].ravel()
     return residual, (jacobian / sigma[..., None])[use].reshape(residual.size, -1)
+
+
+_IDEAL, _GAIN = np.eye(6), _gains()
