@@ -4,15 +4,22 @@ Whitened innovations of a consistent filter are white with unit variance, so the
 with mean 1 at every frequency (Brockwell and Davis, Time Series: Theory and Methods, section 10.3). A chi-squared over
 all frequencies hardly shows a line: 0.2 sigma of a tick are 4 % of it, and 20 times the mean in its own bin.
 
+A swing as slow as the arm's motion leaves no line: the payload, whose effect has the same frequencies, takes up most of
+it, and a window of four seconds has not two of its periods. What is left over is slow all the same. The variance of an
+estimate from slow motion follows from the spectral density of the noise at its frequencies, not from all of its power:
+what residuals of a window have below 1.5 Hz, and half-second sums of innovations, 1 for white noise, multiplies it.
+
 Where springs keep every window from being explained there are no innovations. What they swing shows in the residuals of
 the fit that came nearest, as a peak that holds most of the power of one channel: by a periodogram with Hann's window,
 which keeps slow residuals from leaking into it (Percival and Walden, Spectral Analysis for Physical Applications, 6.4).
 Up to 1 Hz the arm's own motion leaves peaks as well, whatever is wrong: none is named.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 
@@ -22,6 +29,9 @@ _CHANNELS = 6
 _WAITS_s = 0.5, 8.0  # the first, which doubles, and the longest
 _RECENT_s = 60.0  # for which a line is remembered
 _LOWEST_Hz, _FEWEST_CYCLES = 1.0, 2  # of a line: above the one, no fewer than the other
+_SLOW_Hz = 1.5  # the arm moves at 0.1 to 0.6 Hz
+_SUMMED_s, _RECENT_SUMS = 0.5, 16
+_SENSORS = "gyro", "accelerometer"
 _MOST = 0.5  # of its channel's power: what a line holds at least
 
 
@@ -34,6 +44,54 @@ class Line(NamedTuple):
     instrument: str
 
 
+class SlowPower:
+    """Power of whitened residuals at the frequencies of the arm's motion, by sensor: chi-squared, if they are white.
+
+    Of the window from which the filter goes on, below 1.5 Hz; and of the innovations since and of the last of them, of
+    which half seconds are summed up.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self.forget()
+
+    def forget(self) -> None:
+        """Clear the sums after a reset of the filter."""
+        self._window = self._since = np.zeros(2), 0  # squares by sensor, degrees of freedom of each
+        self._recent = deque[FloatArray](maxlen=_RECENT_SUMS)
+        self._sum, self._summed, self._ticks = np.zeros(_CHANNELS), 0, 0
+
+    def begin(self, residual: FloatArray) -> None:
+        """The filter goes on from a window: its whitened residuals, gyro then accelerometer, (n, 6)."""
+        self.forget()
+        power = np.abs(np.fft.rfft(np.nan_to_num(residual), axis=0)) ** 2 / len(residual)
+        bins = int(_SLOW_Hz * len(residual) * self._period_s)
+        slow = 2.0 * power[1 : 1 + bins].reshape(-1, 2, 3).sum(axis=(0, 2))
+        self._window = slow, 6 * min(bins, len(power) - 1)
+
+    def add(self, innovation: FloatArray, ticks: int) -> None:
+        """Take in a batch: the innovations of the ticks that were used, (u, 6), of so many."""
+        self._sum = self._sum + innovation.sum(axis=0)
+        self._summed, self._ticks = self._summed + len(innovation), self._ticks + ticks
+        if self._ticks * self._period_s < _SUMMED_s:
+            return
+        if self._summed:
+            squares = (self._sum**2 / self._summed).reshape(2, 3).sum(axis=1)
+            self._since = self._since[0] + squares, self._since[1] + 3
+            self._recent.append(squares)
+        self._sum, self._summed, self._ticks = np.zeros(_CHANNELS), 0, 0
+
+    def by_sensor(self, chance: float) -> dict[str, float]:
+        """Of those whose power is less probable than ``chance``: its mean, 1 for white noise."""
+        recent = np.sum([np.zeros(2), *self._recent], axis=0), 3 * len(self._recent)
+        found: dict[str, float] = {}
+        for squares, freedom in (self._window, self._since, recent):
+            for name, total in zip(_SENSORS, squares.tolist(), strict=True):
+                if freedom and chdtrc(freedom, total) < chance:
+                    found[name] = max(found.get(name, 0.0), total / freedom)
+        return found
+
+
 class InnovationLines:
     """Periodograms of whitened innovations, block by block.
 
@@ -42,17 +100,25 @@ class InnovationLines:
 
     Attributes:
         strongest: None while there is none.
+        slow: power at the frequencies of the arm's motion.
     """
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
+        self.slow = SlowPower(period_s)
         self._block = np.zeros((round(_BLOCK_s / period_s), _CHANNELS))
         self._filled = self._used = 0
         self.strongest: Line | None = None
 
     def forget(self) -> None:
-        """Begin a new block after a reset of the filter; what was found stays."""
+        """Begin a new block after a reset of the filter; the strongest line stays."""
         self._filled = self._used = 0
+        self.slow.forget()
+
+    def begin(self, residual: FloatArray) -> None:
+        """The filter goes on from a window with these whitened residuals, (n, 6)."""
+        self.forget()
+        self.slow.begin(residual)
 
     def add(self, innovation: FloatArray, use: BoolArray) -> None:
         """Takes in a batch.
@@ -63,6 +129,7 @@ class InnovationLines:
         """
         ticks = np.zeros((len(use), _CHANNELS))
         ticks[use] = innovation.reshape(-1, _CHANNELS)
+        self.slow.add(ticks[use], len(use))
         end = self._filled + len(ticks)
         if end > len(self._block):
             self._look()
@@ -79,7 +146,7 @@ class InnovationLines:
             frequency = (place + 1) / (self._filled * self._period_s)
             name = "gyro" if channel < _CHANNELS // 2 else "accelerometer"
             self.strongest = Line(largest, largest / expected, frequency, name)
-        self.forget()
+        self._filled = self._used = 0
 
 
 class Unexplained:

@@ -36,6 +36,7 @@ _EXCHANGED = "the payload changed without a release, so an instrument did: check
 _CONTRADICTED = "no payload explains more than a second or two of the motion"
 _SWINGING = "slosh, a flexible joint, or an instrument that drifts"
 _WORST_MISFIT = 1.5  # of an instrument's innovations
+_MOST_SLOW, _SLOW_CHANCE, _NO_CHANCE = 4.0, 1e-4, 1e-7  # power below 1.5 Hz; at what chance it counts, and refuses
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
 _RECENT_s = 60.0
 _DOUBTED = 20.0  # times the stated sigma of a cell's scale
@@ -194,14 +195,24 @@ class ExiddmIdentifier:
         if state is None:
             return Findings()
         known, names, stated = self._known(), predictor.names, predictor.stated
-        off = {name: ratio for name, ratio in self.exiddm.misfit.by_instrument().items() if ratio > _WORST_MISFIT}
+        slow = self.exiddm.lines.slow
+        each = {
+            **self.exiddm.misfit.by_instrument(),
+            **{f"{name} below 1.5 Hz": ratio for name, ratio in slow.by_sensor(_SLOW_CHANCE).items()},
+        }
+        off = {name: ratio for name, ratio in each.items() if ratio > _WORST_MISFIT}
+        swaying = tuple(
+            f"residuals of the {name} below 1.5 Hz are {ratio**0.5:.1f} times its noise: {_SWINGING}"
+            for name, ratio in slow.by_sensor(_NO_CHANCE).items()
+            if ratio > _MOST_SLOW
+        )
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         against = too_large({names[k]: float(state[k] / stated[k]) for k in known})
-        return Findings((*contradicted(self._by_the_data(state)), *against), tuple(doubts))
+        return Findings((*swaying, *contradicted(self._by_the_data(state)), *against), tuple(doubts))
 
     def _known(self) -> IndexArray:
         """Corrections with a stated sigma, of what is in use."""
@@ -246,13 +257,14 @@ class ExiddmIdentifier:
     def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard parameters, (10,), and their covariance, (10, 10).
 
-        The covariance is multiplied by the largest that is above one: misfit, strongest line, or the square of the most
-        contradicted correction over three of its sigmas. Taking the part A of a prior's information on parameters k, of
-        mean zero, away changes a covariance P by ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the mean by ``P_.k (A^-1 -
-        P_kk)^-1 x_k``.
+        The covariance is multiplied by the largest that is above one: misfit, strongest line, power below 1.5 Hz, or
+        the square of the most contradicted correction over three of its sigmas. Taking the part A of a prior's
+        information on parameters k, of mean zero, away changes a covariance P by ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the
+        mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
         """
         line, P = self.exiddm.lines.strongest, self.exiddm.covariance
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
+        misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(_SLOW_CHANCE).values()])
         worst = max(map(abs, self._by_the_data(state).values()), default=0.0)
         misfit = max(misfit, (worst / DOUBTFUL) ** 2)
         mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]

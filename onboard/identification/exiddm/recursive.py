@@ -176,11 +176,10 @@ class RecursiveExiddm(BoundedWork):
         self._hypotheses, self._prior = hypotheses, (mean, covariance)
         self._solves, self.unexplained.wait, self._grown = 0, 0, 1.0
         self._start: FloatArray | None = None
-        self._window = self._none
+        self._window = self._pending = self._none
         self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
         self._stepped: Ticks | None = None  # ticks of the window and of the steps since
         self._accused: Accusation | None = None  # the window is solved without it
-        self._pending = self._none
         self._detector.forget()
         self.misfit.forget()
         self.lines.forget()
@@ -226,6 +225,7 @@ class RecursiveExiddm(BoundedWork):
             self.unexplained.count += found is None
             if found is not None:
                 self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
+                self.lines.begin(found.residual)
             assert self.state is not None
             self._snapshots.append(self.state, self.covariance)
             return
@@ -236,10 +236,7 @@ class RecursiveExiddm(BoundedWork):
             return
         else:
             self._trials = self._trials_now(None)
-        if self._trials.next() is not None:
-            self._ask()
-        else:
-            self._judge(self._trials.choice)
+        self._ask() if self._trials.next() is not None else self._judge(self._trials.choice)
 
     def _judge(self, choice: Choice | None) -> None:
         """Leave out the instrument without which the window is explained, if that is one, or one much better."""
@@ -285,6 +282,7 @@ class RecursiveExiddm(BoundedWork):
             self.exchanged = hypothesis is Hypothesis.NEW and self._before is True
         self.held = hypothesis is not Hypothesis.NOTHING
         self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
+        self.lines.begin(solved.residual)
         self.ticks_used, self._hypotheses, self.unexplained.wait = solved.used, (hypothesis,), 0
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1

@@ -72,6 +72,7 @@ class Solved(NamedTuple):
     glitches: int
     strained: float  # squares of the deviations from the prior, and what the residuals' exceed chance by
     cost: float  # squares of residuals and of deviations from the prior; of what was left out the least it can be
+    residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
 
     @property
     def mass_sigma(self) -> float:
@@ -293,7 +294,8 @@ class WindowSolve:
         strained = fitted.residual_sum - squares + max(0.0, squares - float(chdtri(float(use.sum()), _GOOD_FIT)))
         end = whole.state + F @ (fitted.x - self._at)
         cost = fitted.residual_sum + glitches * float(chdtri(1.0, _GLITCH))
-        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained, cost)
+        residual = whole.residual[:, self._own].copy()
+        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained, cost, residual)
         self.over, self._descent = True, None
 
     def _guessed(self) -> Iterator[FloatArray]:

@@ -42,3 +42,31 @@ def test_what_was_found_stays_over_a_reset_and_half_a_block_does_not(rng):
     assert found is not None
     lines.forget()
     assert lines.strongest == found
+
+
+@pytest.mark.parametrize(("channel", "sensor"), [(1, "gyro"), (5, "accelerometer")])
+def test_a_window_with_a_swing_as_slow_as_the_motion_is_widened_and_one_of_noise_is_not(rng, channel, sensor):
+    """1.8 periods of 0.8 sigma: 5 % of the residuals' power, most of what they have below 1.5 Hz."""
+    lines, white = InnovationLines(PERIOD_s), rng.normal(size=(400, 6))
+    lines.begin(white)
+    assert lines.slow.by_sensor(1e-4) == {}
+    swinging = white.copy()
+    swinging[:, channel] += 0.8 * np.sin(2.0 * np.pi * 0.45 * PERIOD_s * np.arange(400))
+    lines.begin(swinging)
+    [(found, ratio)] = lines.slow.by_sensor(1e-4).items()
+    assert found == sensor
+    assert 2.0 < ratio < 6.0
+    assert (swinging**2).mean() < 1.15
+    lines.begin(white)
+    assert lines.slow.by_sensor(1e-4) == {}
+
+
+def test_innovations_after_a_window_count_with_it(rng):
+    lines, white = InnovationLines(PERIOD_s), rng.normal(size=(8000, 6))
+    lines.begin(white[:400])
+    run(lines, white)
+    assert lines.slow.by_sensor(1e-4) == {}
+    run(lines, white + 0.3 * np.sin(2.0 * np.pi * 0.45 * PERIOD_s * np.arange(8000))[:, None])
+    assert lines.slow.by_sensor(1e-4).keys() == {"gyro", "accelerometer"}
+    lines.slow.forget()
+    assert lines.slow.by_sensor(1e-4) == {}

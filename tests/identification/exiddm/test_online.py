@@ -46,7 +46,7 @@ def test_with_an_imu_left_out_the_answer_is_that_of_a_wide_prior_of_the_cells_sc
         imu_frames=("imu", "imu_2"),
         sigma=np.full(SCALE_AT + 1, SIGMA),
     )
-    quiet = SimpleNamespace(strongest=None, by_instrument=dict)
+    quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
     online = ExiddmIdentifier(
         SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
     )
@@ -92,7 +92,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
         of_further=[],
         imu_frames=("imu", "imu_2"),
     )
-    quiet = SimpleNamespace(strongest=None, by_instrument=dict)
+    quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
     online = ExiddmIdentifier(
         SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
     )
@@ -104,3 +104,5 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     predictor.biases = []
     fusion.leave_out(2)
     np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
+    quiet.slow.by_sensor = lambda _: {"gyro": 6.5, "accelerometer": 2.0}
+    np.testing.assert_allclose(online._payload(state)[1], 6.5 * covariance[PAYLOAD, PAYLOAD])
