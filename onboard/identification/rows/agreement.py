@@ -1,7 +1,6 @@
 """Tests whether the rows agree: unexplained readings and steps of an instrument's gain, which no interval contains.
 
-Per instrument, at the estimate of all rows. Readings are less what its bias could make of them, so that rest does not
-count as signal.
+Per instrument, at the estimate of all rows:
 
 - *Gain*: a jump of the instrument's scale, or an error that begins in the measured motion, is a step of the ratio of
   readings to those predicted. It is estimated together with a constant error of the gain and all parameters, which
@@ -59,7 +58,6 @@ def instrument_fits(
     mean: FloatArray,
     drawn: FloatArray,
     physical: BoolArray,
-    constant: BoolArray,
     prior: FloatArray,
     correlation: float,
 ) -> tuple[InstrumentFit, ...]:
@@ -70,17 +68,15 @@ def instrument_fits(
         mean: the estimate, (p,).
         drawn: base parameters of the drawing, (p,).
         physical: which parameters are of bodies, and not of an instrument, (p,).
-        constant: which are biases of instruments, (p,).
         prior: information on the parameters before the rows, (p, p).
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
     v = np.concatenate([mean, [-1.0, 0.0]])
     rows_of = {part: blocks.of(*part)[0][:, :-2, :-2] for part in blocks.parts}
     every = prior + sum(H.sum(axis=0) for H in rows_of.values())
+    body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
     found = []
     for number, name in enumerate(blocks.instruments):
-        together = sum((H.sum(axis=0) for (_, own), H in rows_of.items() if own == number), np.zeros_like(prior))
-        body, plan = (_without_constant(np.where(physical, one, 0.0), together, constant) for one in (mean, drawn))
         steps, squares, worst, lost = list[Step](), np.zeros(4), (0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
             if own != number:
@@ -96,8 +92,8 @@ def instrument_fits(
             expected = blocks.own(held, number) + correlation * max(float(v @ noise.sum(axis=0) @ v), 0.0)
             worst = max(worst, (float(unexplained), float(left.sum() / expected)))
             if readings.any():
-                scores, scaled = (noise - N)[:, :-2] @ v, np.where(physical, mean, 0.0)
-                steps += _steps(blocks.times_s(held, number), rows_of[held, own], scores, scaled, every)
+                scores = (noise - N)[:, :-2] @ v
+                steps += _steps(blocks.times_s(held, number), rows_of[held, own], scores, body, every)
         rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
@@ -111,12 +107,6 @@ def _sums(N: FloatArray, v: FloatArray) -> FloatArray:
     """``v' N v`` of each block, (b,), not below zero; of its first parameters where ``v`` has no more."""
     n = v.size
     return np.asarray(np.maximum(np.einsum("i,bij,j->b", v, N[:, :n, :n], v), 0.0))
-
-
-def _without_constant(body: FloatArray, H: FloatArray, constant: BoolArray) -> FloatArray:
-    """Parameters (p,) whose readings are those of ``body`` less what biases could make of them, least squares."""
-    body[constant] = -np.linalg.lstsq(H[np.ix_(constant, constant)], H[constant] @ body)[0]
-    return body
 
 
 def _steps(times_s: FloatArray, H: FloatArray, scores: FloatArray, body: FloatArray, every: FloatArray) -> list[Step]:

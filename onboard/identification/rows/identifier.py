@@ -44,8 +44,7 @@ from onboard.regressor.signals import Signals
 
 _SCALE_ROUNDS = 2
 _SEEN_SHARE = 0.4  # of a jackknife block: two kernels
-_CONSTANT = ("bias_", "zero_force_")  # parameters that are no body's
-_OF_INSTRUMENTS = (*_CONSTANT, "scale_")
+_OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
 _BATCH_TICKS = 64  # ticks whose rows are gated with one estimate before they update it
 
 
@@ -136,7 +135,6 @@ class Identifier:
         self._of_motion = of_motion(considered)
         self._corrections = FittedCorrections(p, considered, block_s) if free and self._of_motion else None
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
-        self._constant = np.array([name.startswith(_CONSTANT) for name in base.names])
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -307,7 +305,7 @@ class Identifier:
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
         drawn, jackknife = self.base.value(self.model.chi), self.block_jackknife()
-        parameters = self._physical, self._constant, self.rls.prior_equations()[0]
+        parameters = self._physical, self.rls.prior_equations()[0]
         for fit in instrument_fits(self.seen, jackknife.mean, drawn, *parameters, self._inflation**2):
             bad, doubt = judged_fit(fit, self._inflation**2)
             against += bad

@@ -27,7 +27,7 @@ def fits(rng, y_of, n=3000, sigma=0.05, drawn=TRUTH):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, y, np.full(n, sigma), np.full(n, sigma), None)
-    return instrument_fits(seen, mean, drawn, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    return instrument_fits(seen, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
 
 
 def test_honest_rows_have_nothing_against_them(rng):
@@ -57,7 +57,7 @@ def test_a_long_rest_before_the_motion_hides_no_jump_and_makes_none(rng, scale):
     mean = np.linalg.lstsq(Y / sigma[:, None], y / sigma, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
-    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.step is not None
     if scale == 1.0:
         assert judged_fit(fit, 1.0) == ([], [])
@@ -82,7 +82,7 @@ def test_rows_that_read_nothing_have_no_gain(rng):
     Y = np.column_stack([np.sin(5.0 * t), np.sin(5.0 * t) * np.where(t > 3.0, 1.4, 1.0) + 0.1, np.full(n, 0.1)])
     seen = RowBlocks(3, 0.5, ("base IMU",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, np.zeros(n), np.full(n, sigma), np.full(n, sigma), None)
-    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)
+    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)
     assert fit.step is None
     assert np.isnan(fit.response)
 
@@ -108,7 +108,7 @@ def test_what_is_left_over_is_held_against_the_noise_at_the_answer(rng):
     wide, own = np.full(t.size, noise * 100.0), np.full(t.size, 0.002)
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, wide, own, doubt)
-    fit = instrument_fits(seen, TRUTH, TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.misfit == pytest.approx(0.5 * 0.4**2 / (own[0] ** 2 + (noise * TRUTH[0]) ** 2), rel=0.05)
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
@@ -123,7 +123,7 @@ def test_rows_without_the_payload_are_judged_by_themselves(rng):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, np.full(t.size, 0.002), np.full(t.size, 0.002), None)
-    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, ~PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.unexplained > 0.4
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
