@@ -66,7 +66,7 @@ def write(path: Path, read: Samples, imu_until_s: float = np.inf) -> Path:
 
 @pytest.fixture(scope="module")
 def read() -> Samples:
-    return fly(np.random.default_rng(3), 8.0)
+    return fly(np.random.default_rng(3), 10.0)
 
 
 @pytest.fixture(scope="module")
