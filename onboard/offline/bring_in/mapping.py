@@ -115,6 +115,9 @@ def _as_ratio(scale: object) -> object:
     return scale if isinstance(scale, list) else [scale, 1]
 
 
+MOST_A_COUNT = 1e30  # SI; records hold it as a number of four bytes
+
+
 class _Quantity(_Section):
     keeps: ClassVar[tuple[str, ...]] = ()  # allowed stored units; empty: any
 
@@ -127,6 +130,8 @@ class _Quantity(_Section):
         good = [unit for unit, (kept, _) in UNITS.items() if not self.keeps or kept in self.keeps]
         if self.unit not in good:
             raise ValueError(f"unit {self.unit!r} is not known here; use one of {', '.join(map(repr, good))}")
+        if not 1.0 / MOST_A_COUNT < self.si_count < MOST_A_COUNT:
+            raise ValueError(f"a count of {self.si_count:.3g} {self.si_unit} cannot be stored; correct the scale")
         return self
 
     @property
