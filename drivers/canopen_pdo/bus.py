@@ -169,9 +169,10 @@ class CanopenBus:
         self._dispatch(self._receive(0.0))
         self._stop_drives(now_ns)
         self._read_past_a_sync()
-        last = self._sync.tick
         for node in self._nodes:
             node.stop()
+        self._dispatch(self._receive(0.0))
+        last = self._sync.tick  # up to here a node that was not stopped yet had to answer, and may have been cut off
         self._dispatch(self._receive(2e-9 * self._period_ns))
         self._port.mute()
         for _ in range(DRAINS):
