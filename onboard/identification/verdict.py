@@ -26,7 +26,8 @@ import numpy as np
 from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import MOST_CONTRADICTED, Findings, QuantityEstimate
 from onboard.identification.rows.agreement import MOST_UNEXPLAINED, NOISE
-from onboard.identification.rows.held_out import HeldOut, HeldOutFit
+from onboard.identification.rows.held_out import HeldOut
+from onboard.identification.rows.prediction import HeldOutFit
 
 MOST_UNPREDICTED = 1.0  # of a half, left over by the prediction from the other
 WEAKLY_PREDICTED = 0.5

@@ -9,8 +9,9 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import Findings, QuantityEstimate
-from onboard.identification.rows.held_out import HeldOut, HeldOutFit, held_out
+from onboard.identification.rows.held_out import HeldOut, held_out
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.standard import identified_links, link_estimate
 from onboard.identification.verdict import Evidence, Level, Standing, standing, verdict

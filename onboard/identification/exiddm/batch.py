@@ -39,7 +39,8 @@ from onboard.identification.exiddm.imu_errors import (
     whitened,
 )
 from onboard.identification.exiddm.parameters import Block, Layout, UncertainLinks
-from onboard.identification.rows.held_out import HeldOut, HeldOutFit
+from onboard.identification.rows.held_out import HeldOut
+from onboard.identification.rows.prediction import HeldOutFit
 
 _GOOD_FIT = 1.3  # whitened residual sum per row at which no further guess is tried
 _ITERATIONS = 60  # on a part of the flight

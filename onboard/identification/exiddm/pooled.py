@@ -24,7 +24,8 @@ from onboard.estimation.maximum_likelihood import Normal, inverse_of
 from onboard.identification.exiddm.chance import Chance, squares_of
 from onboard.identification.exiddm.flight_blocks import Block, misfit_by_instrument, total_of
 from onboard.identification.exiddm.whole_flight import WholeFlight
-from onboard.identification.rows.held_out import HeldOut, HeldOutFit
+from onboard.identification.rows.held_out import HeldOut
+from onboard.identification.rows.prediction import HeldOutFit
 
 _PAYLOAD = slice(0, 10)
 _STEPS = 12

@@ -12,16 +12,10 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.prediction import HeldOutFit, predicted, reference_of
 from onboard.identification.rows.row_blocks import RowBlocks
 
 _FEWEST_BLOCKS = 2  # of a kind of rows; fewer cannot be halved
-
-
-class HeldOutFit(NamedTuple):
-    """Prediction error of one half with parameters of the other."""
-
-    relative_error: float  # weighted norm of the residual over that of the measured side
-    misfit: float  # whitened residual sum over the number of rows
 
 
 class HeldOut(NamedTuple):
@@ -48,20 +42,14 @@ def held_out(blocks: RowBlocks, identifier: Identifier) -> HeldOut | None:
     if any(half is None for half in halves):
         return None
     (earlier, early_noise), (later, late_noise) = (half for half in halves if half is not None)
-    reference = _without_the_unknown(identifier) if later[-2, -2] + earlier[-2, -2] == 0.0 else None
+    reference = reference_of(identifier.model, identifier.base, later + earlier)
     first, second = (_solved(*half, identifier) for half in ((earlier, early_noise), (later, late_noise)))
     everything = identifier.block_jackknife().mean
     return HeldOut(
-        _prediction(later, first, reference),
-        _prediction(earlier, second, reference),
-        _prediction(earlier + later, everything, reference),
+        predicted(later, first, reference),
+        predicted(earlier, second, reference),
+        predicted(earlier + later, everything, reference),
     )
-
-
-def prediction(blocks: RowBlocks, identifier: Identifier, mean: FloatArray) -> HeldOutFit:
-    """Prediction error of all these rows with given base parameters (p,); ``identifier`` used the rows."""
-    normal = np.asarray(sum(blocks.of(*part)[0].sum(axis=0) for part in blocks.parts), np.float64)
-    return _prediction(normal, mean, _without_the_unknown(identifier) if normal[-2, -2] == 0.0 else None)
 
 
 def _half(blocks: RowBlocks, later: bool) -> tuple[FloatArray, FloatArray] | None:
@@ -93,29 +81,3 @@ def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> Fl
     values, vectors = np.linalg.eigh(H)
     step = np.where(values > 0.0, vectors.T @ g / (1.0 + np.maximum(values, 0.0)), 0.0)
     return np.asarray(center + root @ vectors @ step, np.float64)
-
-
-def _prediction(normal: FloatArray, chi: FloatArray, reference: FloatArray | None) -> HeldOutFit:
-    left = _residual_sum(normal, chi)
-    whole = _residual_sum(normal, np.zeros_like(chi) if reference is None else reference)
-    return HeldOutFit(float(np.sqrt(left / whole)), left / float(normal[-1, -1]))
-
-
-def _residual_sum(normal: FloatArray, chi: FloatArray) -> float:
-    v = np.concatenate([chi, [-1.0, 0.0]])
-    return max(float(v @ normal @ v), 0.0)
-
-
-def _without_the_unknown(identifier: Identifier) -> FloatArray:
-    """Base parameters of the vehicle as drawn without the payload, or without its base where it has no payload.
-
-    Where all rows are of wrenches that are zero, there is nothing measured to compare an error with; it is compared
-    with what the unknown body takes part in.
-    """
-    model = identifier.model
-    vehicle, chi = model.vehicle, model.chi.copy()
-    unknown = vehicle.payload_columns()
-    if unknown.stop == 0:
-        unknown = slice(*(10 * vehicle.links.index(vehicle.spec.base_link) + np.array([0, 10])))
-    chi[unknown] = 0.0
-    return identifier.base.value(chi)

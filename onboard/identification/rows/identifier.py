@@ -5,7 +5,7 @@ arm's only. One recursive least squares over both gives the arm, the payload and
 quantity is reported as *supported* only if the data, not the prior, determine it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from onboard.estimation.instrumental import RecursiveInstrumental
 from onboard.estimation.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.rls import SquareRootRls
 from onboard.identification.change import Change
+from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import (
     MOST_CONTRADICTED,
     SUPPORTED_FREEDOM,
@@ -36,6 +37,7 @@ from onboard.identification.rows.drawing import judged_drawing, leans_on, wideni
 from onboard.identification.rows.fitted_corrections import FittedCorrections
 from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
+from onboard.identification.rows.prediction import prediction
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
@@ -101,7 +103,6 @@ class Identifier:
         self.base = base
         self.quantities = tuple(quantities)
         self.considered = tuple(considered)
-        self._considered_sigma = [cause.sigma for cause in considered]
         self.memory = memory
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
@@ -129,11 +130,12 @@ class Identifier:
         instruments = tuple(dict.fromkeys(_instrument(name) for name in rows))
         self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
         self._inflation = 1.0
-        self._estimated: tuple[tuple[float, ...], Estimate] | None = None  # the last one, and what it is of
+        self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
         self._of_motion = of_motion(considered)
         self._corrections = FittedCorrections(p, considered, block_s) if free and self._of_motion else None
+        self._corrected: tuple[int, dict[str, float]] | None = None  # rows used, and the corrections that they give
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
 
     @property
@@ -306,30 +308,32 @@ class Identifier:
             return Findings(tuple(against), ())
         drawn, jackknife = self.base.value(self.model.chi), self.block_jackknife()
         parameters = self._physical, self.rls.prior_equations()[0]
-        for fit in instrument_fits(self.seen, jackknife.mean, drawn, *parameters, self._inflation**2):
-            bad, doubt = judged_fit(fit, self._inflation**2)
-            against += bad
-            doubts += doubt
-        for quantity in self.quantities:
-            bad, doubt = judged_drawing(quantity, jackknife, self.considered)
+        fits = instrument_fits(self.seen, jackknife.mean, drawn, *parameters, self._inflation**2)
+        found = [judged_fit(fit, self._inflation**2) for fit in fits]
+        found += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
+        for bad, doubt in (*found, (too_large(self.corrections), doubtful(self.corrections))):
             against += bad
             doubts += doubt
         return Findings(tuple(against), tuple(doubts))
 
-    def widen(self, corrections: Mapping[str, float]) -> None:
-        """Takes each considered error as large as it was fitted, where that is more than one of its sigmas."""
-        factors = [max(1.0, abs(corrections.get(cause.name, 0.0))) for cause in self.considered]
-        self._considered_sigma = [cause.sigma * wider for cause, wider in zip(self.considered, factors, strict=True)]
-
-    def corrections(self, left_over: float) -> dict[str, float]:
+    @property
+    def corrections(self) -> dict[str, float]:
         """Fitted errors of the instruments by name, in sigmas: :class:`FittedCorrections`."""
-        if self._corrections is None:
+        if self._corrections is None or self.memory != FOR_EVER:  # the fit is of all times
             return {}
-        return self._corrections.in_sigmas(*self.rls.prior_equations(), left_over)
+        if self._corrected is None or self._corrected[0] != self.rows_used:
+            left_over = prediction(self.seen, self.model, self.base, self.block_jackknife(exact=True).mean)
+            equations = self.rls.prior_equations()
+            self._corrected = self.rows_used, self._corrections.in_sigmas(*equations, left_over.relative_error)
+        return self._corrected[1]
 
     def block_jackknife(self, level: float = 0.95, exact: bool = False) -> JackknifeEstimate:
-        """The estimate of the base parameters with its block-jackknife covariance; ``exact``: nothing considered."""
-        sigma = [0.0] * len(self.considered) if exact else self._considered_sigma
+        """The estimate of the base parameters with its block-jackknife covariance; ``exact``: nothing considered.
+
+        Each considered error is taken as large as it was fitted, where that is more than one of its sigmas.
+        """
+        fitted = {} if exact else self.corrections
+        sigma = [cause.sigma * max(float(not exact), abs(fitted.get(cause.name, 0.0))) for cause in self.considered]
         return self._recursion.block_jackknife(sigma, level)
 
     def bounds(self) -> FloatArray:
@@ -345,7 +349,7 @@ class Identifier:
         Args:
             level: of the intervals.
         """
-        of: tuple[float, ...] = (level, self.rows_used, self.refused[GateReason.RESIDUAL], *self._considered_sigma)
+        of = (level, self.rows_used, self.refused[GateReason.RESIDUAL])
         if self._estimated is None or self._estimated[0] != of:
             self._estimated = of, self._estimate(level)
         return self._estimated[1]._replace(refused=dict(self.refused))
@@ -367,7 +371,7 @@ class Identifier:
             note = quantity.note if fine else "not determined by the data so far"
             drawn = float(np.hypot.reduce([one.weights @ jackknife.mean for one in quantity.leanings], initial=0.0))
             if fine:
-                half = wider * float(np.hypot(high - mean, _normal(level) * drawn))
+                half = wider * float(np.hypot(high - mean, ndtri(0.5 + 0.5 * level) * drawn))
                 sigma, low, high = wider * float(np.hypot(sigma, drawn)), mean - half, mean + half
             leans = leans_on(self.considered, causes[index], mean, sigma, quantity.leanings, jackknife.mean)
             told = mean, sigma, low, high, float(shrinkage[index]), fine, note, wider * drawn
@@ -391,11 +395,6 @@ class Identifier:
 def _finite(parts: Sequence[FloatArray]) -> BoolArray:
     """Where all columns of ``parts``, (n, columns) each, are finite, (n,)."""
     return np.asarray(np.isfinite(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)).all(axis=1))
-
-
-def _normal(level: float) -> float:
-    """Half the width of a two-sided interval of a normal distribution, sigmas."""
-    return float(ndtri(0.5 + 0.5 * level))
 
 
 def _instrument(row: str) -> str:

@@ -79,6 +79,10 @@ class RowBlocks:
         noise = blocks.noise_by_block
         return blocks.normal + noise, noise
 
+    def total(self) -> FloatArray:
+        """Normal equations of all rows, with the noise of their regressor, (p + 2, p + 2)."""
+        return np.asarray(sum(self.of(*part)[0].sum(axis=0) for part in self.parts), np.float64)
+
     def own(self, held: bool, instrument: int) -> float:
         """Sum of squares of the readings' own sigmas, whitened: the rows' number less what the motion's noise adds."""
         return self._own[held, instrument]

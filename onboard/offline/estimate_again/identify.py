@@ -15,15 +15,15 @@ from drivers.records import Rows
 from onboard import config
 from onboard.config.checks import check
 from onboard.dynamics.urdf import with_bodies
-from onboard.flight.estimate.answers import Answers
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
-from onboard.identification.rows.held_out import HeldOutFit, held_out
+from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.prediction import HeldOutFit
 from onboard.identification.rows.standard import identified_links, without_rotors
 from onboard.identification.verdict import Evidence, Level, Standing, is_positive, standing, verdict
 from onboard.offline.estimate_again import throws
@@ -154,12 +154,7 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
         none = throws.throw(vehicle, load, who, None) if load else None
         return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
     held = held_out(who.seen, who)
-    corrections = who.corrections(held.fit.relative_error) if held else {}
-    who.widen(corrections)
     estimate = who.estimate()
-    if corrections:
-        remade = Answers(estimator.outputs["estimate"], vehicle.file.estimation.nuisance)
-        _, last, _ = remade.rows(0, 0, estimate, who.findings(), who.triangle())
     answers = _answers(last, who)
     thrown = throws.throw(vehicle, load, who, estimate) if load else None
     names = _asked_names(vehicle, who)
@@ -176,7 +171,6 @@ def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> I
     evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
     standings, sizes = _standings(estimate, thrown)
     evidence = evidence._replace(findings=who.findings(), standings=standings, sizes=sizes)
-    evidence = evidence._replace(corrections=corrections)
     if thrown is not None and thrown.principal is not None:
         evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
     return Identified(

@@ -6,7 +6,7 @@ import numpy as np
 
 from onboard import config
 from onboard.flight.estimate.estimator import Estimator
-from onboard.identification.rows.held_out import HeldOutFit, prediction
+from onboard.identification.rows.prediction import HeldOutFit, prediction
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
 from onboard.recording.errors import ChannelError
@@ -34,4 +34,4 @@ def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutF
     if not who.rows_used or not values:
         which = other if values else found.log
         raise ChannelError(f"{which} has no row that could be used; heft identify says why")
-    return prediction(who.seen, who, np.array([values[name] for name in who.base.names]))
+    return prediction(who.seen, who.model, who.base, np.array([values[name] for name in who.base.names]))
