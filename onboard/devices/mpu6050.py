@@ -14,7 +14,7 @@ from onboard.devices.base import ImuDevice, Surroundings
 from onboard.devices.buses import I2cDevice
 from onboard.section import Positive
 from onboard.timebase.delays import Delay
-from onboard.timebase.specs import ChannelClock, SampledChannel
+from onboard.timebase.specs import ChannelClock, FreeChannel, SampledChannel
 
 # DLPF_CFG 0..6: delay of the accelerometer's and of the gyroscope's low-pass filter, s (register map, register 26)
 FILTER_DELAY_S = (
@@ -32,7 +32,8 @@ class Mpu6050Device(I2cDevice, ImuDevice):
     """MPU-6050 family IMU: drained from its FIFO, or read sample by sample (``mode = "burst"``)."""
 
     about_clock = (
-        "The sample number, fitted to the sync pulses that FSYNC marks in its samples. Wire the sync line to FSYNC."
+        "The sample number, fitted to the sync pulses that FSYNC marks in its samples. Wire the sync line to FSYNC; "
+        "where it is not, say `sync_input = false`: then the fit is to arrival stamps, good to about a sample."
     )
     records = IMU
     driver_configs = (Mpu6050Config,)
@@ -46,6 +47,7 @@ class Mpu6050Device(I2cDevice, ImuDevice):
     poll_period_ms: Positive = Mpu6050Config.poll_period_ms
     max_transfer_bytes: int = Mpu6050Config.max_transfer_bytes
     mode: Literal["fifo", "burst"] = "fifo"
+    sync_input: bool = True
 
     @property
     def nominal_hz(self) -> float:
@@ -54,7 +56,8 @@ class Mpu6050Device(I2cDevice, ImuDevice):
 
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``."""
-        return {name: SampledChannel(1e9 / self.sample_rate_hz)}
+        period_ns = 1e9 / self.sample_rate_hz
+        return {name: SampledChannel(period_ns) if self.sync_input else FreeChannel(period_ns, 0.0, period_ns)}
 
     @property
     def filter_delays_s(self) -> tuple[float, float]:
@@ -68,9 +71,9 @@ class Mpu6050Device(I2cDevice, ImuDevice):
         why = f"low-pass filter, DLPF_CFG {self.filter_code}"
         return [Delay(name, "gyro", gyro_s, 0.0, why), Delay(name, "accel", accel_s, 0.0, why)]
 
-    def marks(self, name: str, rows: Mapping[str, Rows]) -> int:
+    def marks(self, name: str, rows: Mapping[str, Rows]) -> int | None:
         """See ``BusDevice``."""
-        return int(np.count_nonzero(rows[name]["sync"]))
+        return int(np.count_nonzero(rows[name]["sync"])) if self.sync_input else None
 
     def driver(self, name: str, port: I2cPort) -> Mpu6050:
         """See ``I2cDevice``."""

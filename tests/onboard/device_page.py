@@ -47,6 +47,7 @@ MEANING = {  # of keys that belong to no one driver
     "accel_noise_m_s2": "Standard deviation of one sample of specific force.",
     "gyro_noise_rad_s": "Standard deviation of one sample of angular rate.",
     "sample_rate_hz": "Nominal sample rate.",
+    "sync_input": "Whether the sync line reaches its FSYNC pin; where it does not, its times are by arrival stamps.",
     "gyro_delay_ms": "Delay of the gyro's own filter, removed from its times.",
     "accel_delay_ms": "Delay of the accelerometer's own filter.",
     "joint": "Joint of the URDF whose angle it measures; each moving joint by one device.",

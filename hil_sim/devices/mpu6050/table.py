@@ -25,8 +25,8 @@ class Mpu6050Table(MeasuringEmulator):
     def from_vehicle(cls, name: str, said: Mapping[str, Any], sheets: Sheets) -> Equivalent:
         """See ``Emulator``."""
         table = {"address": said.get("address", 0x68), "measures": name, "at": said["frame"]}
-        clocks = {name: "gyro", f"{name}_rc": "rc"}
-        return Equivalent(table | {"sync_input": sheets.pulse}, {name: sheets.imu("mpu6050", said)}, clocks)
+        table["sync_input"] = sheets.pulse and said.get("sync_input", True)
+        return Equivalent(table, {name: sheets.imu("mpu6050", said)}, {name: "gyro", f"{name}_rc": "rc"})
 
     @property
     def place(self) -> str:

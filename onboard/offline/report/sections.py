@@ -100,7 +100,8 @@ def _card(one: Compared) -> str:
     value, low, high = (_digits(factor * x, factor * (one.high - one.low)) for x in (one.value, one.low, one.high))
     more = [f"95 %: {low} … {high} {unit}"]
     if one.truth is not None and one.error_percent is not None:
-        more.append(f"truth {factor * one.truth:.1f} {unit}, error {one.error_percent:+.2f} %")
+        truth = _digits(factor * one.truth, factor * (one.high - one.low))
+        more.append(f"truth {truth} {unit}, error {one.error_percent:+.2f} %")
     return html.card(one.label, value, unit, more)
 
 
@@ -243,7 +244,9 @@ def _by_sweep(flight: FlightData, draw: Gallery, truths: dict[str, float]) -> st
     found = {sweep.phase.name: alone(sweep, flight.identifier) for sweep in flight.sweeps}
     body = draw(
         answers.by_sweep(flight, found, truths),
-        "Each sweep identified by itself, from the prior and its own rows, as it goes on. Bands: 95 %. Dashed: truth.",
+        "Each sweep identified by itself, from the prior and its own rows, as it goes on, to be held against the other "
+        "sweeps. Bands: 95 % by the rows alone, without the tolerances of the drawing: these are the same in every "
+        "sweep, and are in the intervals of the answers. Dashed: truth.",
     )
     rows = [_alone_row(sweep, one, truths.get(one.name)) for sweep, every in found.items() for one in every]
     if not rows:
@@ -252,7 +255,11 @@ def _by_sweep(flight: FlightData, draw: Gallery, truths: dict[str, float]) -> st
     if len(rows) > _ROWS_SHOWN:
         rows = []  # shown in the figure
     more = html.paragraph(f"By themselves these determine nothing: {', '.join(silent)}.") if silent else ""
-    return body + html.table(["sweep", "quantity", "value", "95 % interval", "unit", "truth", "error %"], rows) + more
+    return (
+        body
+        + html.table(["sweep", "quantity", "value", "95 % by the rows alone", "unit", "truth", "error %"], rows)
+        + more
+    )
 
 
 def _alone_row(sweep: str, one: Alone, truth: float | None) -> list[object]:

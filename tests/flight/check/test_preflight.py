@@ -110,6 +110,14 @@ def test_buses_that_are_not_there_and_a_sync_line_that_does_not_reach_the_imu(tm
     assert shown(found).rstrip().endswith("not ready")
 
 
+def test_an_imu_that_the_sync_line_is_said_not_to_reach(tmp_path):
+    text = DEVICES.replace('frame = "body"\n', 'frame = "body"\nsync_input = false\n', 1)
+    found = look_over(tmp_path, text, 1.0, fsync=False)
+    imu = {check.device: check for check in found.checks}["imu_base"]
+    assert (imu.problems, imu.marks) == ((), None)
+    assert 100.0 < imu.time_sigma_us < 2000.0  # by arrival stamps: about a sample
+
+
 def test_room_for_the_flight(tmp_path):
     text = DEVICES + '\n[recording]\ndirectory = "/proc/flights"\n'
     said = []
