@@ -1,5 +1,6 @@
 """Figures of the estimates: torque and acceleration, masses by sweep, convergence."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,12 @@ from onboard.recording.texts import printable
 
 _LINES = 4  # sweeps per axes
 GRAM = {"kg": ("g", 1e3), "kg m^2": ("g m²", 1e3), "kg m": ("g m", 1e3)}
+
+
+def digits(value: float, width: float) -> str:
+    """``value`` with two digits of an interval ``width`` wide."""
+    decimals = 0 if width <= 0 or not math.isfinite(width) else max(0, 1 - math.floor(math.log10(width)))
+    return f"{value:.{decimals}f}"
 
 
 def shown_unit(unit: str, size: float) -> tuple[str, float]:

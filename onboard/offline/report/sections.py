@@ -1,6 +1,5 @@
 """Sections of a report: verdicts and estimates, timeline, signals, regression, clocks, events."""
 
-import math
 from collections.abc import Iterator
 from html import escape
 
@@ -10,7 +9,6 @@ from drivers.records import Severity
 from onboard.dynamics.errors import ModelError
 from onboard.estimation.gates import GateReason
 from onboard.offline.report import answers, arm, figures, html, instruments, theme
-from onboard.offline.report.alone import Alone, alone
 from onboard.offline.report.base_rate import base_rate
 from onboard.offline.report.base_rate import draw as draw_base_rate
 from onboard.offline.report.compared import Compared, compared, truths_of
@@ -18,6 +16,7 @@ from onboard.offline.report.flight_data import FlightData
 from onboard.offline.report.gallery import Gallery
 from onboard.offline.report.health import health
 from onboard.offline.report.html import Cell
+from onboard.offline.report.sweeps import by_sweep
 from onboard.offline.views.summary import reason_words
 from onboard.recording.texts import printable
 from onboard.timebase.clock import ClockState
@@ -28,7 +27,6 @@ _ENDED = {
     ClockState.FLYWHEEL: "had no marks it could use at the end of the log: its time is extrapolated at the last rate",
     ClockState.INVALID: "was not to be trusted at the end of the log: extrapolated for too long",
 }
-_ROWS_SHOWN = 24
 
 
 def document(flight: FlightData) -> str:
@@ -59,7 +57,7 @@ def _sections(flight: FlightData, draw: Gallery) -> Iterator[tuple[str, str]]:
     yield "Arm", arm.section(flight, draw)
     yield "Base rate", _base_rate(flight, draw)
     yield "Torque and acceleration", _torques(flight, draw)
-    yield "Sweep by sweep", _by_sweep(flight, draw, truths)
+    yield "Sweep by sweep", by_sweep(flight, draw, truths)
     yield (
         "Convergence",
         draw(
@@ -97,18 +95,13 @@ def _head(flight: FlightData) -> str:
 
 def _card(one: Compared) -> str:
     unit, factor = answers.shown_unit(one.unit, one.value)
-    value, low, high = (_digits(factor * x, factor * (one.high - one.low)) for x in (one.value, one.low, one.high))
+    width = factor * (one.high - one.low)
+    value, low, high = (answers.digits(factor * x, width) for x in (one.value, one.low, one.high))
     more = [f"95 %: {low} … {high} {unit}"]
     if one.truth is not None and one.error_percent is not None:
-        truth = _digits(factor * one.truth, factor * (one.high - one.low))
+        truth = answers.digits(factor * one.truth, width)
         more.append(f"truth {truth} {unit}, error {one.error_percent:+.2f} %")
     return html.card(one.label, value, unit, more)
-
-
-def _digits(value: float, width: float) -> str:
-    """``value`` with two digits of an interval ``width`` wide."""
-    decimals = 0 if width <= 0 or not math.isfinite(width) else max(0, 1 - math.floor(math.log10(width)))
-    return f"{value:.{decimals}f}"
 
 
 def _verdicts(flight: FlightData) -> Iterator[tuple[str, str]]:
@@ -151,10 +144,10 @@ def _answers(found: list[Compared]) -> str:
         unit, factor = answers.shown_unit(one.unit, one.value if one.supported else 0.0)
         width = factor * (one.high - one.low)
         known = one.truth is not None
-        line: list[object] = [one.label, Cell(_digits(factor * one.truth, width) if known and one.truth else "")]
+        line: list[object] = [one.label, Cell(answers.digits(factor * one.truth, width) if known and one.truth else "")]
         if one.supported:
-            span = f"{_digits(factor * one.low, width)} … {_digits(factor * one.high, width)}"
-            line += [Cell(_digits(factor * one.value, width)), Cell(span), unit]
+            span = f"{answers.digits(factor * one.low, width)} … {answers.digits(factor * one.high, width)}"
+            line += [Cell(answers.digits(factor * one.value, width)), Cell(span), unit]
             error = one.error_percent
             line += [Cell("" if error is None else f"{error:+.2f}")]
             line += ["" if one.covered is None else Cell(*(("yes", "good") if one.covered else ("no", "bad")))]
@@ -236,40 +229,6 @@ def _torques(flight: FlightData, draw: Gallery) -> str:
                 "Ticks with a saturated sample are left out.",
             )
     return body
-
-
-def _by_sweep(flight: FlightData, draw: Gallery, truths: dict[str, float]) -> str:
-    if flight.identifier is None:
-        return ""
-    found = {sweep.phase.name: alone(sweep, flight.identifier) for sweep in flight.sweeps}
-    body = draw(
-        answers.by_sweep(flight, found, truths),
-        "Each sweep identified by itself, from the prior and its own rows, as it goes on, to be held against the other "
-        "sweeps. Bands: 95 % by the rows alone, without the tolerances of the drawing: these are the same in every "
-        "sweep, and are in the intervals of the answers. Dashed: truth.",
-    )
-    rows = [_alone_row(sweep, one, truths.get(one.name)) for sweep, every in found.items() for one in every]
-    if not rows:
-        return ""
-    silent = [sweep for sweep, every in found.items() if not every]
-    if len(rows) > _ROWS_SHOWN:
-        rows = []  # shown in the figure
-    more = html.paragraph(f"By themselves these determine nothing: {', '.join(silent)}.") if silent else ""
-    return (
-        body
-        + html.table(["sweep", "quantity", "value", "95 % by the rows alone", "unit", "truth", "error %"], rows)
-        + more
-    )
-
-
-def _alone_row(sweep: str, one: Alone, truth: float | None) -> list[object]:
-    value, low, high = float(one.value[-1]), float(one.low[-1]), float(one.high[-1])
-    unit, factor = answers.shown_unit(one.unit, value)
-    width = factor * (high - low)
-    span = f"{_digits(factor * low, width)} … {_digits(factor * high, width)}"
-    known = "" if truth is None else _digits(factor * truth, width)
-    error = "" if not truth else f"{100 * (value / truth - 1):+.2f}"
-    return [sweep, one.name, Cell(_digits(factor * value, width)), Cell(span), unit, Cell(known), Cell(error)]
 
 
 def _clocks(flight: FlightData, draw: Gallery) -> str:
