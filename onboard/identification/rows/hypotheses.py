@@ -55,6 +55,7 @@ class Hypotheses:
         self._findings = Findings()
         self._judged = 0
         self._told_rows: int | None = None  # rows used when a release was told that is not judged yet
+        self._released = False  # a release was accepted: what was released does not come back
         self._news: list[Change] = []
 
     @property
@@ -96,13 +97,13 @@ class Hypotheses:
             signals: as for :meth:`Identifier.update`.
             attached: (n,) whether the payload is held, as reported.
             excluded: (n,) reasons.
-            otherwise: (n,) the same if the last reported release did not happen.
+            otherwise: (n,) the same if the first reported release did not happen.
 
         Returns:
             (n, rows) reasons of the selected identifier.
         """
         other = attached if otherwise is None else otherwise
-        if self._told_rows is None and (other != attached).any():
+        if self._told_rows is None and not self._released and (other != attached).any():
             self._divide()
         names = self.row_names
         own = np.zeros((len(excluded), len(names)), np.int64) if signals.refused is None else signals.refused
@@ -194,7 +195,7 @@ class Hypotheses:
         for member in list(findings):
             del findings[member]
         findings |= {member: identifier.findings() for member, identifier in kept.items()}
-        self._members, self._told_rows = kept, None
+        self._members, self._told_rows, self._released = kept, None, accepted
 
     def _nothing_has_gone(self) -> bool:
         """Whether, as told, the payload is known to weigh next to nothing."""

@@ -145,15 +145,15 @@ def identifier():
     return Identifier(rows, base, sigma, 0.5, mass_quantities(rows, base, "joint_1", "arm"))
 
 
-def fly(found, rng, told_s=8.0, gone_s=8.0, scale=lambda _: (1.0, 1.0), again_s=99.0, until_s=16.0):
+def fly(found, rng, told_s=8.0, gone_s=8.0, scale=lambda _: (1.0, 1.0), again_s=99.0, back_s=99.0):
     """A swinging arm; the release is told at ``told_s`` and again, if not believed, at ``again_s``."""
     rows, news = model(), []
-    for start in np.arange(0.0, until_s, 0.5):
+    for start in np.arange(0.0, 16.0, 0.5):
         t = start + 0.01 * np.arange(50)
         q = (0.2 * np.sin(4.0 * t))[:, None]
         dq, ddq = (0.8 * np.cos(4.0 * t))[:, None], -16.0 * q
         motion = standing(rows.vehicle, t.size)
-        y = rows.regressor(q, dq, ddq, motion, t < gone_s) @ rows.chi * np.array(scale(start))
+        y = rows.regressor(q, dq, ddq, motion, (t < gone_s) | (t > back_s)) @ rows.chi * np.array(scale(start))
         y = y + NOISE_N * rng.normal(size=y.shape)
         believed_s, later_s = (again_s, 99.0) if news else (told_s, again_s)
         signals = Signals(t, q, dq, ddq, motion, y, np.full_like(y, NOISE_N))
@@ -206,3 +206,10 @@ def test_a_release_that_happens_is_believed(rng):
     found = Hypotheses(identifier)
     assert fly(found, rng) == []
     assert payload_kg(found).mean == pytest.approx(TIP_KG, rel=0.02)
+
+
+def test_an_accepted_release_is_not_judged_again(rng):
+    """Readings that change later on as if the payload were held again do not bring it back; they are refused."""
+    found = Hypotheses(identifier)
+    assert fly(found, rng, back_s=11.5) == []
+    assert found.findings().against
