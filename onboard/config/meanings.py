@@ -212,7 +212,10 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     },
     Prior: {
         "relative": _M("Relative sigma of all parameters, by link; 0 takes the link for exact.", "a link was measured"),
-        "absolute": _M("Absolute sigma of the other columns, SI, by name.", "a bias is known to be small"),
+        "absolute": _M(
+            "Absolute sigma of the other columns, SI, by name; by ExIDDM: of friction and offset of joint torques.",
+            "a bias is known to be small",
+        ),
         "link": _M('How each link was measured, for method "exiddm"; links that are not in it are certain.'),
         "joint": _M(
             'How well places and encoders of joints are known, for method "exiddm"; the defaults for joints not in it.'

@@ -23,6 +23,9 @@ class Cia402Device(CanopenNodeDevice, DrivenDevice):
 
     ``velocity_scale_rad_s``: the drive's unit of velocity; counts a second where not given. ``rated_torque_N_m``: read
     from the drive where not given. ``gear_ratio``: revolutions of the motor in one of the joint, for the torque.
+    ``torque_sigma_N_m``: by it the torque is a row, and to the ExIDDM of a free base an instrument, whose friction,
+    rotor and offset (``Fc_``, ``Fv_``, ``Ia_<joint>``, ``bias_<device>_torque``) have their sigmas in
+    ``[estimation.prior.absolute]``.
     ``driven``: it is sent set points (docs/driving.md); its statusword and every frame that it is sent are recorded.
     """
 
@@ -40,13 +43,13 @@ class Cia402Device(CanopenNodeDevice, DrivenDevice):
     ] = None
     torque_sigma_N_m: Annotated[  # noqa: N815
         Positive | None,
-        Field(description="The torque is a row of the joint, with this 1 sigma of the model's error; needs `torque`."),
+        Field(description="Use the torque; 1 sigma of the model's error, smoothed as joints are; needs `torque`."),
     ] = None
     torque_scale_sigma: Annotated[NotNegative, Field(description="Relative 1 sigma of its torque constant.")] = 0.0
     torque_friction: Annotated[
-        bool, Field(description="Whether friction and rotor inertia are parameters of that row.")
+        bool, Field(description="Whether friction and rotor inertia are in it, as unknowns.")
     ] = True
-    torque_still_rad_s: Annotated[NotNegative, Field(description="Joint rate below which that row is left out.")] = 0.0
+    torque_still_rad_s: Annotated[NotNegative, Field(description="Joint rate below which it is left out.")] = 0.0
     gear_ratio: float = Cia402Config.gear_ratio
     tpdos: tuple[int, ...] = Cia402Config.tpdos
 

@@ -84,7 +84,7 @@ class LoadCellKeys(Section):
 
 
 class TorqueKeys(Section):
-    """The torque of a joint's actuator (force of a sliding one), or its motor's current, as a row of the joint.
+    """The torque of a joint's actuator (force of a sliding one), or its motor's current; of a free base, by ExIDDM too.
 
     The reading is ``(1 + scale) (torque + friction + rotor inertia + offset)``; friction, rotor inertia and offset are
     parameters ``Fc_``, ``Fv_``, ``Ia_<joint>`` and ``bias_<device>`` with sigmas in [estimation.prior.absolute].

@@ -10,8 +10,9 @@ from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.identification import build_model
-from onboard.identification.exiddm.further import CellPrior, FurtherCell, FurtherImu
+from onboard.identification.exiddm.further import CellPrior, Friction, FurtherCell, FurtherImu
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.regressor.rows import joint_torque_row
 from tests.dynamics.free_flyer_twin import twin
 
 PERIOD_s = 0.01
@@ -34,6 +35,21 @@ def test_it_is_what_mujoco_s_sensor_in_the_wrist_reads():
         assert np.abs(found - truth[:, component]).max() < a_ten_thousandth, component
 
 
+def test_the_torque_of_a_joint_is_what_mujoco_s_drive_exerts():
+    flown = twin(1.0)
+    flight, every = flown.flight, 5
+    chain = chain_motion(flown.vehicle, *flown.motion.at(flight.time_s[::every]))
+    rate = flown.vehicle.pose_in_base("imu_base")[0] @ flight.rate_rad_s[0]
+    base = predict_base_from_rate(chain.links, every * float(flight.time_s[1]), flown.chi, rate, ())
+    truth = flight.torque_n_m[::every]
+    assert np.abs(truth).max(axis=0).min() > 0.01
+    for joint, torque in zip(flown.vehicle.joints, truth.T, strict=True):
+        row = joint_torque_row(flown.vehicle, joint.name)
+        found = CutWrench(flown.vehicle, row.frame, np.array(row.projection), ()).predict(base).values
+        a_ten_thousandth = 1e-4 * np.abs(truth).max()
+        assert np.abs(found - torque).max() < a_ten_thousandth, joint.name
+
+
 def test_nothing_beyond_a_cut_is_refused():
     with pytest.raises(UnknownFrameError, match="no link with inertia lies beyond"):
         CutWrench(twin(0.1).vehicle, "imu_base", np.eye(6)[0], ())
@@ -44,10 +60,12 @@ def test_derivatives_of_all_instruments_are_finite_differences():
     model = build_model(vehicle)
     covariance, prior, _ = exiddm_prior(vehicle, model)
     cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.03, 1e-4, 0.0025, 2e-4))
-    further = [cell, FurtherImu("imu_2", "imu_2", 10, prior, 0.003, 1.0)]
+    friction = Friction(1, 0.3, 0.2, 0.1)
+    torque = FurtherCell("torque", "joint_2", (0, 0, 0, 0, 1, 0), 5, CellPrior(0.1, 0.0, 0.01, 2e-4), friction)
+    further = [cell, torque, FurtherImu("imu_2", "imu_2", 10, prior, 0.003, 1.0)]
     geometry = geometry_prior(vehicle, model)
     predictor = ImuPredictor(model, "imu_base", PERIOD_s, 10, covariance, prior, geometry, further)
-    assert [(own.start, own.stop) for own in predictor.lines] == [(0, 6), (6, 12), (12, 13)]  # cells come last
+    assert [own.start for own in predictor.lines] == [0, 6, 12, 13]  # cells come last
     rng = np.random.default_rng(1)
     t, size, pace, phase = PERIOD_s * np.arange(12)[:, None], *rng.uniform(1.0, 3.0, (3, 5))
     joints = 0.3 * size * np.sin(pace * t + phase), 0.3 * size * pace * np.cos(pace * t + phase)

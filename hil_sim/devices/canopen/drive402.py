@@ -334,6 +334,7 @@ class Drive402Table(CanNodeEmulator):
             rated_torque_nm=self.rated_torque_Nm,
             gear_ratio=self.gear_ratio,
             velocity_window_ns=round(self.velocity_window_ms * 1e6),
+            commands=[(0.0, word) for _, word in ENABLE],  # the arm may move from the start, by drives that are on
             faults=bench.faults,
         )
         return self.supervised(twin, bench.name, *(f"{bench.name}_{channel}" for channel in self.channels))

@@ -24,6 +24,7 @@ from onboard.flight.estimate.identification import METHODS, build_online, channe
 from onboard.flight.estimate.phases import PhaseTrack
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import SignalSmoother, kernel_of
+from onboard.flight.estimate.torques import TorqueLines
 from onboard.flight.estimate.witness import RateWitness
 from onboard.flight.estimate.zeroing import Temperatures, Zeroing
 from onboard.identification.exiddm.online import ExiddmIdentifier
@@ -87,6 +88,7 @@ class Estimator:
         self._temperatures = Temperatures(self._imu)
         further = self.online.further if isinstance(self.online, ExiddmIdentifier | TableRun) else ()
         self._further = channels_of(roles, further)
+        self._torques = TorqueLines.of(roles, self.model, self.online.row_names if further else ())
         self._witness: RateWitness | None = None
         try:
             if len(roles.imus) > 1 and roles.imus[1].channels not in self._further:
@@ -188,6 +190,7 @@ class Estimator:
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
             measured, sigma, of_rows = self._means(at_ns)
+            self._torques.state(dq, self.inflation, sigma, of_rows)
             thrust = self._signals.means(self._thrusters, self._timebase, at_ns, self._period_ns)
             refused |= thrust.refused
             joints[:, thrust.refused != 0] = np.nan  # nothing is predicted without

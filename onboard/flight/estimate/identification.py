@@ -20,6 +20,7 @@ from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.torques import torque_cell
 from onboard.identification.exiddm.further import CellPrior, Further, FurtherCell, FurtherImu
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import ImuPredictor, Thruster
@@ -134,7 +135,7 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
         _check_joints(roles, model)
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
-        further = further_instruments(vehicle, roles, imu_prior)
+        further = further_instruments(vehicle, model, imu_prior)
         priors = covariance, imu_prior, geometry, further
         thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
         predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0], thrusters)
@@ -169,9 +170,9 @@ def _samples(vehicle: config.Vehicle, channel: str) -> int:
     return round(1.0 / (roles_of(vehicle).signals[channel].period_s * vehicle.file.estimation.row_rate_hz))
 
 
-def further_instruments(vehicle: config.Vehicle, roles: Roles, imu_prior: ImuPrior) -> list[Further]:
-    """What the ExIDDM uses besides the first IMU: IMUs on the base, load cells; not those too slow for its ticks."""
-    found: list[Further] = []
+def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior: ImuPrior) -> list[Further]:
+    """What the ExIDDM uses besides the first IMU, but what is too slow for its ticks: other IMUs, cells, torques."""
+    found, roles = list[Further](), roles_of(vehicle)
     for imu in roles.imus[1:]:
         if (samples := _samples(vehicle, imu.channels[0])) >= FEWEST_SAMPLES:
             prior = imu_prior._replace(delay_s=float(np.hypot(imu_prior.delay_s, UNMARKED_CLOCK_s)))
@@ -179,7 +180,10 @@ def further_instruments(vehicle: config.Vehicle, roles: Roles, imu_prior: ImuPri
             found.append(FurtherImu(imu.channels[0], imu.frame, samples, prior, place_m, UNMARKED_MEMORY_s))
     for cell in roles.cells:
         keys = cell.keys
-        if isinstance(keys, TorqueKeys) or (samples := _samples(vehicle, cell.channel)) < FEWEST_SAMPLES:
+        if (samples := _samples(vehicle, cell.channel)) < FEWEST_SAMPLES:
+            continue
+        if isinstance(keys, TorqueKeys):
+            found.append(torque_cell(vehicle, model, cell, keys, samples))
             continue
         bias = 0.01 * keys.capacity_N if keys.zero_sigma_N is None else keys.zero_sigma_N
         drift = 1e-5 * keys.capacity_N if keys.zero_drift_N_s is None else keys.zero_drift_N_s

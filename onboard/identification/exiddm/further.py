@@ -3,6 +3,9 @@
 A load cell shows ``(1 + scale) (u - delay du/dt) + bias + drift t``, u its component of the wrench through its cut
 (:mod:`onboard.dynamics.cut_wrench`): the IMU's error model (:mod:`onboard.identification.exiddm.imu_errors`) for one
 axis. A clock without marks wanders, so a delay may be a random walk as well.
+
+The torque of a joint is a cell whose cut is that joint. Measured on the motor's side of its gear it has friction and
+the rotor's inertia in it: ``u + Fc sign(dq) + Fv dq + Ia ddq`` in place of u (Limparis 2.112).
 """
 
 from typing import NamedTuple
@@ -12,6 +15,8 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.imu_errors import ImuPrior, tick_mean
 from onboard.identification.exiddm.parameters import Block
+
+OF_FRICTION = ("Fc", "Fv", "Ia")
 
 
 class FurtherImu(NamedTuple):
@@ -39,14 +44,29 @@ class CellPrior(NamedTuple):
     delay_s: float
 
 
+class Friction(NamedTuple):
+    """Friction and rotor of a joint in its measured torque: 1 sigma about none; zero: exactly none."""
+
+    joint: int  # its number in the model
+    coulomb: float  # N m
+    viscous: float  # N m s / rad
+    rotor: float  # kg m^2
+
+    def felt(self, dq: FloatArray, ddq: FloatArray) -> FloatArray:
+        """What each is multiplied by, (n, 3), where the joints move with rates and accelerations (n, joints)."""
+        rate = dq[:, self.joint]
+        return np.stack([np.sign(rate), rate, ddq[:, self.joint]], axis=1)
+
+
 class FurtherCell(NamedTuple):
-    """A load cell of the arm."""
+    """A load cell of the arm, or the torque of a joint."""
 
     name: str
     frame: str
     projection: tuple[float, ...]  # (6,) of the wrench through its cut, in the frame's axes about its origin
     samples: int
     prior: CellPrior
+    friction: Friction | None = None  # of the joint whose torque it is; None: it is a load cell
 
     @property
     def width(self) -> int:
@@ -54,29 +74,39 @@ class FurtherCell(NamedTuple):
         return 1
 
     def block(self) -> Block:
-        """Its errors as a block of unknowns, in the order of :class:`CellPrior`."""
-        names = tuple(f"{kind}_{self.name}" for kind in CellPrior._fields)
-        return Block(names, np.array(self.prior, np.float64))
+        """Its errors as a block of unknowns: those of :class:`CellPrior`, then :data:`OF_FRICTION` if it has any."""
+        friction = () if self.friction is None else self.friction[1:]
+        kinds = (*CellPrior._fields, *OF_FRICTION[: len(friction)])
+        return Block(tuple(f"{kind}_{self.name}" for kind in kinds), np.array([*self.prior, *friction], np.float64))
 
     @staticmethod
     def gain(errors: FloatArray) -> float:
-        """Its reading per component; errors in the order of :class:`CellPrior`, (4,)."""
+        """Its reading per component; errors in the order of :meth:`block`, (k,)."""
         return 1.0 + float(errors[2])
 
-    def shown(self, true: FloatArray, period_s: float, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Readings of the inner ticks, (b,), and their derivatives by its errors, (b, 4).
+    def shown(
+        self, true: FloatArray, period_s: float, errors: FloatArray, dq: FloatArray, ddq: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Readings of the inner ticks, (b,), and their derivatives by its errors, (b, k).
 
         Args:
             true: its component at b + 2 ticks.
             period_s: between ticks.
-            errors: in the order of :class:`CellPrior`, (4,).
+            errors: in the order of :meth:`block`, (k,).
+            dq: joint rates at these ticks, (b + 2, joints).
+            ddq: joint accelerations.
         """
-        bias, drift, scale, delay_s = errors
-        change = (true[2:] - true[:-2]) / (2.0 * period_s)
-        late = tick_mean(true, self.samples)[1:-1] - delay_s * change
+        bias, drift, scale, delay_s = errors[:4]
+        parts = true[:, None]
+        if self.friction is not None:
+            felt = self.friction.felt(dq, ddq)
+            parts = np.column_stack([true + felt @ errors[4:], felt])
+        change = (parts[2:] - parts[:-2]) / (2.0 * period_s)
+        late = tick_mean(parts, self.samples)[1:-1] - delay_s * change
         time_s = period_s * np.arange(1, len(true) - 1)
-        by_errors = np.stack([np.ones_like(time_s), time_s, late, -(1.0 + scale) * change], axis=1)
-        return (1.0 + scale) * late + bias + drift * time_s, by_errors
+        gain = 1.0 + scale
+        of_cell = np.ones_like(time_s), time_s, late[:, 0], -gain * change[:, 0]
+        return gain * late[:, 0] + bias + drift * time_s, np.column_stack([*of_cell, gain * late[:, 1:]])
 
 
 Further = FurtherImu | FurtherCell

@@ -259,8 +259,11 @@ class ImuPredictor:
             force = twist[..., :3] + cross(twist[..., 3:], imu.p_BoSo_B)
             effect[:, :, 0, own.start : own.start + 3] = twist[..., 3:] @ imu.R_BS
             effect[:, :, 1, own.start + 3 : own.stop] = force @ imu.R_BS
-        for (_, cut), own in zip(self._cells, self.lines[len(self._imus) :], strict=True):
+        for (cell, cut), own in zip(self._cells, self.lines[len(self._imus) :], strict=True):
             effect[:, :, 1, own.start] = cut.of_joint_accelerations(bodies, S, twist)
+            if cell.friction is not None:
+                _, viscous, rotor = self._layout.whole(state)[self._layout[cell.name]][4:]
+                effect[:, cell.friction.joint, :, own.start] += viscous, rotor
         return effect
 
     def predict(
@@ -306,7 +309,7 @@ class ImuPredictor:
             self._cells, self.lines[len(self._imus) :], self._own[len(self._imus) :], strict=True
         ):
             reading, errors = cut.predict(base), x[layout[cell.name]]
-            values[:, own.start], d_errors = cell.shown(reading.values, self.period_s, errors)
+            values[:, own.start], d_errors = cell.shown(reading.values, self.period_s, errors, dq, ddq)
             by_motion[:, own.start] = cell.gain(errors) * reading.d_values
             jacobian[:, own.start, kept.errors] = d_errors[:, kept.of_errors]
         means = by_motion[2:] + by_motion[:-2]

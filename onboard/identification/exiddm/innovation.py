@@ -8,7 +8,7 @@ from scipy.linalg import solve_triangular
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
-from onboard.identification.exiddm.further import FurtherCell
+from onboard.identification.exiddm.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.imu_prediction import ImuPredictor, Prediction
 from onboard.identification.exiddm.misfit import InnovationMisfit
@@ -57,6 +57,11 @@ class Innovations:
         own = predictor.of_further
         self.cells = [k for k, one in further if isinstance(one, FurtherCell) and own[k - 1].size]
         self._scales = np.array([own[k - 1][0] for k in self.cells], np.intp)
+        self._friction = {  # of torques: what it is multiplied by cannot be negative
+            k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]
+            for k, one in further
+            if isinstance(one, FurtherCell) and one.friction is not None
+        }
         self._common = {  # scales of an IMU's axes, of gyro and accelerometer
             k: [[at for at in predictor.of_each[k] if predictor.names[at].startswith(kind)] for kind in _SCALES]
             for k in range(len(predictor.imu_frames))
@@ -136,9 +141,15 @@ class Innovations:
             moved = predictor.stated[own]
             if k in self.cells:
                 moved = told(moved**2, np.diag(covariance)[own])
-            if (np.abs(state[own]) > FARTHEST * moved).any() or self._off_together(k, state, covariance):
+            beyond = (np.abs(state[own]) > FARTHEST * moved).any() or self._drives(k, state, covariance)
+            if beyond or self._off_together(k, state, covariance):
                 return Accusation(k, 0, for_good=True)
         return None
+
+    def _drives(self, torque: int, state: FloatArray, covariance: FloatArray) -> bool:
+        """Whether the friction or the rotor's inertia of a joint's torque is negative by more than chance."""
+        at = self._friction.get(torque, [])
+        return bool((state[at] < -FARTHEST * np.sqrt(np.diag(covariance)[at])).any())
 
     def _off_together(self, imu: int, state: FloatArray, covariance: FloatArray) -> bool:
         """Whether the mean scale of the axes of an IMU's gyro or accelerometer is corrected by more than chance."""

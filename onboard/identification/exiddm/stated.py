@@ -19,7 +19,7 @@ from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.chance import Chance, squares_of
-from onboard.identification.exiddm.further import FurtherCell
+from onboard.identification.exiddm.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
 
@@ -154,7 +154,7 @@ def _key(flight: WholeFlight, parameter: str) -> str:
         return f"prior.link.{link}"
     device, correction = _correction(flight, parameter)
     if device and isinstance(one := flight.further[device - 1], FurtherCell):
-        return f"device.{one.name}.{_OF_CELLS[correction]}" if correction in _OF_CELLS else ""
+        return _key_of_cell(flight, one, correction)
     if parameter.removeprefix("scale_") in {thruster.name for thruster in flight.thrusters}:
         return f"device.{parameter.removeprefix('scale_')}.scale_sigma"
     for kind, key in _OF_JOINTS.items():
@@ -164,6 +164,17 @@ def _key(flight: WholeFlight, parameter: str) -> str:
     if own == "place":
         return "imu_prior.position_m"
     return f"imu_prior.{own}" if own in ImuPrior._fields else ""
+
+
+def _key_of_cell(flight: WholeFlight, cell: FurtherCell, correction: str) -> str:
+    """The same of a load cell or the torque of a joint, which a drive (CiA 402) sends in a channel of its own."""
+    if cell.friction is None:
+        return f"device.{cell.name}.{_OF_CELLS[correction]}" if correction in _OF_CELLS else ""
+    if correction in OF_FRICTION:
+        return f"prior.absolute.{correction}_{flight.joints[cell.friction.joint]}"
+    drive = cell.name.removesuffix("_torque")
+    scale = f"device.{cell.name}.scale_sigma" if drive == cell.name else f"device.{drive}.torque_scale_sigma"
+    return {"bias": f"prior.absolute.bias_{cell.name}", "scale": scale}.get(correction, "")
 
 
 def _correction(flight: WholeFlight, parameter: str) -> tuple[int, str]:

@@ -110,6 +110,7 @@ class WholeFlight:
         time_s: of all their ticks, (n,).
         further: the predictor's instruments besides the first IMU, be they left out or not.
         thrusters: the predictor's.
+        joints: names of the vehicle's.
         instruments: those that take part.
         devices: their numbers.
         constants: how many of the first parameters are the predictor's without the rate.
@@ -126,6 +127,7 @@ class WholeFlight:
     ) -> None:
         self._predictor = predictor
         self.further, self.thrusters = predictor.further, predictor.thrusters
+        self.joints = tuple(joint.name for joint in predictor.vehicle.joints)
         self.instruments = tuple(one for one in _instruments_of(predictor) if one.device not in without)
         self.devices = tuple(dict.fromkeys(one.device for one in self.instruments))
         self._imu = next((k for k in self.devices if k < len(predictor.imu_frames)), 0)

@@ -53,8 +53,9 @@ class Wanted(NamedTuple):
 
     @property
     def by_torque(self) -> bool:
-        """Whether the joints' torques are what shows the payload."""
-        return self.encoder == "cia402" and self.load_cell == "none" and self.base in ("fixed", "prescribed")
+        """Whether the joints' torques are used: where they alone show the payload, and on a free base."""
+        needed = self.load_cell == "none" and self.base in ("fixed", "prescribed")
+        return self.encoder == "cia402" and (needed or self.base == "free")
 
 
 def make(wanted: Wanted, directory: Path) -> list[Path]:
@@ -205,16 +206,11 @@ accelerometer_misalignment_rad = 3.5e-3
 delay_s = 1e-4
 
 [estimation.prior.link]        # 1 sigma about the URDF, as each was weighed, balanced and swung: yours
-{known}"""
+{known}{_of_torques(wanted) if wanted.by_torque else ""}"""
     first, second = ("MX", "MY", "MZ"), ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
     sigmas = {"M": 5.0, **dict.fromkeys(first, 1.0), **dict.fromkeys(second, 0.2)}
     own = {f"{part}_{wanted.payload_link}": sigma for part, sigma in sigmas.items()}
-    if wanted.by_torque:
-        for number, joint in enumerate(wanted.joints, 1):
-            bias = f"bias_{devices.device_of(number, joint)}_torque"
-            own |= {f"Ia_{joint}": 1.0, f"Fv_{joint}": 5.0, f"Fc_{joint}": 5.0, bias: 1.0}
-    else:
-        own["bias_load_cell"] = 5.0
+    own |= _torque_sigmas(wanted, 5.0, 1.0) if wanted.by_torque else {"bias_load_cell": 5.0}
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
     relative = "".join(f"{json.dumps(link)} = 1.0\n" for link in (*wanted.links, wanted.payload_link))
     calibrated = _CALIBRATED if wanted.base == "prescribed" else ""
@@ -226,6 +222,22 @@ smoothing_ms = 100             # of both sides of every row
 {relative}
 [estimation.prior.absolute]    # 1 sigma about none: how large a payload could be, and what the instruments add
 {held}"""
+
+
+def _torque_sigmas(wanted: Wanted, friction: float, rest: float) -> dict[str, float]:
+    """Of what the joints' torques have in them, by the names of the columns; ``rest``: rotor and offset."""
+    own: dict[str, float] = {}
+    for number, joint in enumerate(wanted.joints, 1):
+        bias = f"bias_{devices.device_of(number, joint)}_torque"
+        own |= {f"Ia_{joint}": rest, f"Fv_{joint}": friction, f"Fc_{joint}": friction, bias: rest}
+    return own
+
+
+def _of_torques(wanted: Wanted) -> str:
+    own = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in _torque_sigmas(wanted, 0.5, 0.1).items())
+    return f"""
+[estimation.prior.absolute]    # 1 sigma about none: friction, rotor and offset in each joint's torque
+{own}"""
 
 
 def _taken_over(wanted: Wanted, drawn: Drawn) -> str:

@@ -21,9 +21,10 @@ from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.estimate.identification import build_exiddm, channels_of
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import CYCLIC_LEFT, kernel_of
+from onboard.flight.estimate.torques import TorqueLines
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.online import ExiddmIdentifier, rows_of
 from onboard.offline.foresee.plan import Foreseen, JointNoise, Plan, axes_words, body_values, expected
 
 _BATCH_TICKS, _PART_TICKS = 50, 10  # of a prediction; of a gain, whose work grows with the cube of its readings
@@ -124,7 +125,7 @@ def _fly(
     for first in range(0, len(q) - 3, _BATCH_TICKS):
         ticks = slice(first, min(first + _BATCH_TICKS + 2, len(q)))
         now = predictor.predict(q[ticks], dq[ticks], ddq[ticks], state, cyclic[ticks])
-        sigma = np.hypot(noise.of_lines, predictor.joint_noise(q[ticks], joints[ticks], state))[1:-1]
+        sigma = np.hypot(noise.of_lines(dq[ticks]), predictor.joint_noise(q[ticks], joints[ticks], state))[1:-1]
         inside = slice(first + 1, first + 1 + len(now.values))
         rate[inside] = now.values[:, :3]
         whitened = (now.jacobian / sigma[..., None])[here[inside]]
@@ -144,9 +145,6 @@ class Noise:
         vehicle: its file.
         model: of it.
         further: instruments besides the first IMU.
-
-    Attributes:
-        of_lines: means over a tick of all instruments, (lines,).
     """
 
     def __init__(self, vehicle: config.Vehicle, model: VehicleModel, further: Sequence[Further]) -> None:
@@ -155,11 +153,18 @@ class Noise:
         signals = [roles.signals[name] for name in names]
         per_tick = [max(1.0, np.rint(1.0 / (one.period_s * settings.row_rate_hz))) for one in signals]
         means = [np.array(one.noise) / np.sqrt(count) for one, count in zip(signals, per_tick, strict=True)]
-        self.of_lines: FloatArray = np.concatenate(means)
+        self._of_lines: FloatArray = np.concatenate(means)
+        self._torques = TorqueLines.of(roles, model, rows_of(further))
         self._joints = JointNoise(vehicle, model, CYCLIC_LEFT)
         self.cyclic = self._joints.cyclic
         width_s, period_s = settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz
         self._inflation = correlation_inflation(width_s, period_s, kernel_of(vehicle))
+
+    def of_lines(self, dq: FloatArray) -> FloatArray:
+        """Of means over a tick of all instruments at joint rates (n, joints), (n, lines); infinite where not used."""
+        sigma, refused = np.tile(self._of_lines, (len(dq), 1)), np.zeros((len(dq), len(self._of_lines)), np.int64)
+        self._torques.state(dq, self._inflation, sigma, refused)
+        return np.where(refused != 0, np.inf, sigma)
 
     def of_joints(self, dq: FloatArray) -> FloatArray:
         """Of rates and accelerations of the joints at rates (n, joints), inflated, (n, 2, joints)."""

@@ -126,7 +126,7 @@ class FreeBound(Bound):
         """Of the readings, (n - 2, lines), and functions of the joints' cyclic errors, (n, 3, m)."""
         q, dq, _ = moved
         joints = self._predictor.joint_noise(q, self._noise.of_joints(dq), self._before.state)
-        sigma = np.hypot(self._noise.of_lines, joints)[1:-1]
+        sigma = np.hypot(self._noise.of_lines(dq), joints)[1:-1]
         return np.asarray(sigma, np.float64), self._noise.cyclic(q, dq)
 
     def _body(self, information: FloatArray) -> FloatArray:

@@ -23,7 +23,8 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         pulse = number % 2 == 0  # each device with and without
         wanted = Wanted("it", base, ("shoulder", "elbow"), imu, encoder, cell, pulse)  # type: ignore[arg-type]
         needs_cell, needs_imu = base in ("prescribed", "fixed"), base != "fixed"
-        torques = 2 if cell == "none" and needs_cell and encoder == "cia402" else 0  # of the drives, in place of a cell
+        wanted_torques = base == "free" or (cell == "none" and needs_cell)  # of the drives, in place of a cell
+        torques = 2 if encoder == "cia402" and wanted_torques else 0
         if (cell == "none" and needs_cell and not torques) or (imu == "none" and needs_imu):
             refused += 1
             with pytest.raises(config.ConfigError, match="give --"):
@@ -35,7 +36,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         build_online(vehicle)
         roles = roles_of(vehicle)
         assert [joint.joint for joint in roles.joints] == ["shoulder", "elbow"]
-        assert (len(roles.imus), len(roles.cells)) == (imu != "none", torques or cell != "none")
+        assert (len(roles.imus), len(roles.cells)) == (imu != "none", torques + (cell != "none"))
         assert (vehicle.file.estimation.imu_prior.accelerometer_bias_m_s2 > 0.0) == (base != "fixed")
         schema = schema or jsonschema.Draft202012Validator(json.loads((where / "vehicle.schema.json").read_text()))
         schema.validate(tomllib.loads(vehicle.text))
