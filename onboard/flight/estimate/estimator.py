@@ -88,7 +88,7 @@ class Estimator:
         self._temperatures = Temperatures(self._imu)
         further = self.online.further if isinstance(self.online, ExiddmIdentifier | TableRun) else ()
         self._further = channels_of(roles, further)
-        self._torques = TorqueLines.of(roles, self.model, self.online.row_names if further else ())
+        self._torques = TorqueLines.of(roles, self.model, self.online.row_names)
         self._witness: RateWitness | None = None
         try:
             if len(roles.imus) > 1 and roles.imus[1].channels not in self._further:
@@ -190,7 +190,7 @@ class Estimator:
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
             measured, sigma, of_rows = self._means(at_ns)
-            self._torques.state(dq, self.inflation, sigma, of_rows)
+            self._torques.state(dq, sigma, of_rows, self.inflation)
             thrust = self._signals.means(self._thrusters, self._timebase, at_ns, self._period_ns)
             refused |= thrust.refused
             joints[:, thrust.refused != 0] = np.nan  # nothing is predicted without
@@ -296,17 +296,14 @@ class Estimator:
                 cell = self._signals.at(self._cells[row].channel, self._timebase, at_ns, 1)
                 measured[:, column], rate[:, column] = cell.derivatives[0][:, 0], cell.derivatives[1][:, 0]
                 sigma[:, column] = cell.sigma[0][:, 0]
-                if isinstance(keys, TorqueKeys):  # friction that no column holds is more than the samples' noise
-                    sigma[:, column] = keys.sigma_N_m
-                    joint = [one.name for one in self.model.joints].index(keys.joint)
-                    still = np.abs(dq[:, joint]) < keys.still_rad_s
-                    if friction is not None:
-                        still |= np.isnan(friction[:, self._turning[keys.joint]]).any(axis=1)
-                    refused[:, column] |= reasons(still, GateReason.STILL)
+                if isinstance(keys, TorqueKeys) and friction is not None:
+                    unknown = np.isnan(friction[:, self._turning[keys.joint]]).any(axis=1)
+                    refused[:, column] |= reasons(unknown, GateReason.STILL)
                 refused[:, column] |= cell.refused
             else:  # a base wrench that is zero, good to what is left of it when the motion is known
                 force = row.startswith("base_force")
                 sigma[:, column] = settings.base_force_sigma_N if force else settings.base_moment_sigma_N_m
+        self._torques.state(dq, sigma, refused)
         return measured, rate, sigma * self.inflation, refused
 
     def _gates(self, at_ns: NDArray[np.int64], joints: FloatArray, specific_force: FloatArray) -> NDArray[np.int64]:

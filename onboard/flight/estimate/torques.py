@@ -1,4 +1,4 @@
-"""Joint torques as instruments of a free base's ExIDDM: what vehicle.toml states of them, and their ticks."""
+"""Joint torques: what vehicle.toml states of them, as instruments of a free base's ExIDDM; their ticks, and in rows."""
 
 from typing import NamedTuple
 
@@ -59,14 +59,14 @@ class TorqueLines(NamedTuple):
         keys = {cell.name: cell.keys for cell in roles.cells if isinstance(cell.keys, TorqueKeys)}
         return cls([(at, joints.index(keys[row].joint), keys[row]) for at, row in enumerate(rows) if row in keys])
 
-    def state(self, dq: FloatArray, inflation: float, sigma: FloatArray, refused: NDArray[np.int64]) -> None:
-        """Put in the sigmas that are stated, and refuse joints that are still.
+    def state(self, dq: FloatArray, sigma: FloatArray, refused: NDArray[np.int64], inflation: float = 1.0) -> None:
+        """Put in the sigmas that are stated, more than the samples' noise by friction, and refuse joints that are still.
 
         Args:
             dq: joint rates, (n, joints).
-            inflation: of sigmas, for the correlation of neighbouring ticks.
             sigma: of all lines, (n, lines), changed.
             refused: reasons, (n, lines), changed.
+            inflation: of sigmas, for the correlation of neighbouring ticks.
         """
         for line, joint, keys in self.of_each:
             sigma[:, line] = keys.sigma_N_m * inflation

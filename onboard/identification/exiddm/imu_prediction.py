@@ -259,11 +259,8 @@ class ImuPredictor:
             force = twist[..., :3] + cross(twist[..., 3:], imu.p_BoSo_B)
             effect[:, :, 0, own.start : own.start + 3] = twist[..., 3:] @ imu.R_BS
             effect[:, :, 1, own.start + 3 : own.stop] = force @ imu.R_BS
-        for (cell, cut), own in zip(self._cells, self.lines[len(self._imus) :], strict=True):
+        for (_, cut), own in zip(self._cells, self.lines[len(self._imus) :], strict=True):
             effect[:, :, 1, own.start] = cut.of_joint_accelerations(bodies, S, twist)
-            if cell.friction is not None:
-                _, viscous, rotor = self._layout.whole(state)[self._layout[cell.name]][4:]
-                effect[:, cell.friction.joint, :, own.start] += viscous, rotor
         return effect
 
     def predict(

@@ -163,7 +163,7 @@ class Noise:
     def of_lines(self, dq: FloatArray) -> FloatArray:
         """Of means over a tick of all instruments at joint rates (n, joints), (n, lines); infinite where not used."""
         sigma, refused = np.tile(self._of_lines, (len(dq), 1)), np.zeros((len(dq), len(self._of_lines)), np.int64)
-        self._torques.state(dq, self._inflation, sigma, refused)
+        self._torques.state(dq, sigma, refused, self._inflation)
         return np.where(refused != 0, np.inf, sigma)
 
     def of_joints(self, dq: FloatArray) -> FloatArray:
