@@ -60,7 +60,7 @@ class TorqueLines(NamedTuple):
         return cls([(at, joints.index(keys[row].joint), keys[row]) for at, row in enumerate(rows) if row in keys])
 
     def state(self, dq: FloatArray, sigma: FloatArray, refused: NDArray[np.int64], inflation: float = 1.0) -> None:
-        """Put in the sigmas that are stated, more than the samples' noise by friction, and refuse joints that are still.
+        """Put in the stated sigmas, which friction makes more than the samples' noise; refuse joints that are still.
 
         Args:
             dq: joint rates, (n, joints).

@@ -6,7 +6,7 @@ axis. A clock without marks wanders, so a delay may be a random walk as well.
 
 The torque of a joint is a cell whose cut is that joint. Measured on the motor's side of its gear it has friction and
 the rotor's inertia in it: ``u + Fc sign(dq) + Fv dq + Ia ddq`` in place of u (Limparis 2.112). What the joints' noise
-does to these three is left out: it is less than a hundredth of the stated sigma of a torque.
+does to these three is left out: it is a few hundredths of a torque's stated sigma at most.
 """
 
 from typing import NamedTuple
