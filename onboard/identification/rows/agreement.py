@@ -5,9 +5,10 @@ Per instrument, at the estimate of all rows:
 - *Gain*: a jump of the instrument's scale, or an error that begins in the measured motion, is a step of the ratio of
   readings to those predicted. It is estimated together with a constant error of the gain and all parameters, which
   take up part of it, for each time at which it could be. The likeliest is tested by Student's t, corrected for the
-  number of places tried, with the variance that the blocks' scores show and at least that of the stated noise. A block
-  that carries much of the step is given its leverage: one block of noise at an end is no step. Rows that read nothing,
-  those of a wrench known to be zero, have no gain.
+  number of places tried, with the variance that the blocks' scores show and at least that of the stated noise, and of
+  what is left over besides the step: a few blocks at an end, alike by chance in what vibration leaves, are no step. A
+  block that carries much of the step is given its leverage: one block of noise at an end is none. Rows that read
+  nothing, those of a wrench known to be zero, have no gain.
 - *Misfit*: residual relative to the noise, as the estimate makes it of the noise of the motion, and to the signal.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
@@ -93,7 +94,8 @@ def instrument_fits(
             worst = max(worst, (float(unexplained), float(left.sum() / expected)))
             if readings.any():
                 scores = (noise - N)[:, :-2] @ v
-                steps += _steps(blocks.times_s(held, number), rows_of[held, own], scores, body, every)
+                residual = float(left.sum()), correlation / rows
+                steps += _steps(blocks.times_s(held, number), rows_of[held, own], scores, body, every, residual)
         rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
@@ -109,7 +111,14 @@ def _sums(N: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(np.einsum("i,bij,j->b", v, N[:, :n, :n], v), 0.0))
 
 
-def _steps(times_s: FloatArray, H: FloatArray, scores: FloatArray, body: FloatArray, every: FloatArray) -> list[Step]:
+def _steps(
+    times_s: FloatArray,
+    H: FloatArray,
+    scores: FloatArray,
+    body: FloatArray,
+    every: FloatArray,
+    residual: tuple[float, float],
+) -> list[Step]:
     """The likeliest step of an instrument's gain; none where its blocks are too few to be cut.
 
     Readings after a cut k are predicted as ``(1 + g + G) Y body``, those before as ``(1 + G) Y body``. All parameters
@@ -127,6 +136,7 @@ def _steps(times_s: FloatArray, H: FloatArray, scores: FloatArray, body: FloatAr
         scores: derivative of each block's log likelihood at the estimate, (b, p).
         body: the estimate's parameters of bodies, (p,).
         every: information of all rows and the prior, (p, p).
+        residual: residual sum of these rows, and what makes it one of their stated noise.
     """
     n = len(H)
     if n < 2 * _FEWEST or not body.any():
@@ -151,7 +161,8 @@ def _steps(times_s: FloatArray, H: FloatArray, scores: FloatArray, body: FloatAr
     left = np.einsum("bp,bp->b", c, scores) - shares * size
     shares /= information[k]
     around = float(np.sum((left / (1.0 - np.minimum(shares, _MOST_SHARE))) ** 2))
-    spread = np.sqrt(max(around, information[k])) / information[k]
+    unexplained = max(1.0, (residual[0] - moved[k] * size) * residual[1])
+    spread = np.sqrt(max(around, unexplained * information[k])) / information[k]
     chance = min(1.0, 2.0 * float(stdtr(n - 2, -abs(size) / spread)) * (len(after) - 1))
     return [Step(float(times_s[after[k]]), size, chance)]
 
