@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from hil_sim.bench import LATITUDE_deg, open_bench
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
-from hil_sim.scenario.load import Scenario, load
+from hil_sim.scenario.load import Scenario
 from onboard import config
 from onboard.estimation.calibration.bifilar import Suspension
 from onboard.flight import bench, hil
@@ -70,7 +71,7 @@ def bifilar(seed: int, directory: Path) -> dict[str, Any]:
     """Errors of the six elements against their sigmas, and relative to half the trace and to the moment."""
     vehicle, log = vehicle_with(*SLOWER), directory / "swings.mcap"
     settings = {"spacing_m": 0.40, "length_m": 1.80}
-    truth = record("bifilar", vehicle, load("dymaflex"), seed, "imu_base", settings, log)
+    truth = record("bifilar", vehicle, scenario_of("dymaflex"), seed, "imu_base", settings, log)
     hung = Suspension(round(truth["weighed_kg"], 3), 0.40, 1.80, 0.005, 1e-4, 3e-4, PLACE.gravity_m_s2)
     read = readings(LogReader(log), vehicle, "imu_base", calibrated=True)
     found, _ = calibrate_bifilar(read, vehicle, "imu_base", hung, (), PLACE.sigma_m_s2 / PLACE.gravity_m_s2)
@@ -85,7 +86,7 @@ def bifilar(seed: int, directory: Path) -> dict[str, Any]:
 
 def imu(seed: int, directory: Path) -> dict[str, Any]:
     """The payload's mass with the datasheet's part as it comes, and calibrated."""
-    scenario = load("dymaflex", {"sensor": {"imu": DATASHEET}})
+    scenario = scenario_of("dymaflex", {"sensor": {"imu_base": DATASHEET, "imu_2": DATASHEET}})
     before, log = vehicle_with(*UNCALIBRATED), directory / "table.mcap"
     truth = record("imu", before, scenario, seed, "imu_base", {}, log)
     found, _ = calibrate_imu(readings(LogReader(log), before, "imu_base"), before, "imu_base", ImuOptions(PLACE))
@@ -117,7 +118,7 @@ def cells(seed: int, directory: Path) -> dict[str, Any]:
     vehicle, log = vehicle_with(), directory / "cell.mcap"
     masses = (0.0, 0.5, 1.0, 2.0)
     settings = {"masses_kg": masses, "sigma_kg": 1e-4, "arm_m": None}
-    truth = record("load-cell", vehicle, load("dymaflex"), seed, "load_cell", settings, log)
+    truth = record("load-cell", vehicle, scenario_of("dymaflex"), seed, "load_cell", settings, log)
     read = readings(LogReader(log), vehicle, "load_cell")
     found = calibrate_load_cell(read, vehicle, "load_cell", Masses(masses, 1e-4, PLACE)).found
     gain, offset = found[0], found[1]

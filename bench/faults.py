@@ -33,9 +33,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.faults import FaultError, FaultKind
 from hil_sim.mission import open_in_process
-from hil_sim.scenario.load import load
 from onboard import config
 from onboard.flight import hil
 from onboard.flight.acquire.acquisition import Acquisition
@@ -61,7 +61,7 @@ _ROCKET = [
     {"phase": 4, **_SWEEP},
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
-_SWING = {"action": "swing", "ramp_s": 1.0, "swing_deg": 10.0, "tones": 3, "band_Hz": [0.1, 0.6]}
+_SWING = {"action": "swing", "ramp_s": 1.0, "swing": 0.137, "tones": 3, "band_Hz": [0.1, 0.6]}
 _FREE_FLYER = [
     {"phase": 0, "action": "hold", "duration_s": 3.0},
     {"phase": 1, "duration_s": 4.0, **_SWING},
@@ -98,7 +98,7 @@ _VALUES: dict[FaultKind, tuple[float, float] | list[float]] = {  # two: between 
 @cache
 def vocabulary(mission: str) -> dict[str, tuple[FaultKind, ...]]:
     """Kinds of faults by device and bus of a mission."""
-    with open_in_process(load(mission, MISSIONS[mission]), 1)[0] as world:
+    with open_in_process(scenario_of(mission, MISSIONS[mission]), 1)[0] as world:
         return world.possible_faults()
 
 
@@ -158,7 +158,7 @@ def flown(seed: int, name: str, faults: list[Fault], without_estimator: bool) ->
     vehicle = config.load(config.packaged(name))
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "flight.mcap"
-        world, urls = open_in_process(load(name, {**MISSIONS[name], "fault": faults}), seed)
+        world, urls = open_in_process(scenario_of(name, {**MISSIONS[name], "fault": faults}), seed)
         with world:
             if without_estimator:
                 done = _fly_drivers(vehicle, world, urls, path)

@@ -14,16 +14,18 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.buses.in_process import in_process
 from hil_sim.devices import registry
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import Mission
-from hil_sim.plants import bench, free_flyer_plant
-from hil_sim.plants.body import Body
+from hil_sim.plants import bench
+from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
-from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
-from hil_sim.scenario.load import Scenario, ScenarioError, load
+from hil_sim.scenario.load import Scenario, ScenarioError
 from hil_sim.scenario.sensor_tables import ForceCellTable
+from hil_sim.scenario.vehicle_tables import Step, VehicleScenario
 
 KINDS = ("imu", "load-cell", "encoder", "bifilar", "balance")
 LATITUDE_deg = bench.LATITUDE_deg
+_STILL = Step(phase=0, action="hold", duration_s=0.1)
 SPACING_SIGMA_m, LENGTH_SIGMA_m = 1e-4, 3e-4  # of strings that were measured with a rule
 
 
@@ -60,21 +62,19 @@ class Bench(Mission):
                 given.pop("spacing_m") + SPACING_SIGMA_m * rng.standard_normal(),
                 given.pop("length_m") + LENGTH_SIGMA_m * rng.standard_normal(),
             )
-            signals, turn = bench.bifilar(rng, self._body(), strings, **given), self._mounting
+            standing = self._standing()
+            signals, turn = bench.bifilar(rng, standing.base, strings, **given), standing.turn
         else:
-            signals, turn = bench.balance(rng, self._body(), **given), self._mounting
+            standing = self._standing()
+            signals, turn = bench.balance(rng, standing.base, **given), standing.turn
         return bench.BenchPlant(signals, axis, turn)
 
-    def _free_flyer(self) -> FreeFlyerScenario:
-        if not isinstance(self.scenario, FreeFlyerScenario):
+    def _standing(self) -> VehiclePlant:
+        """The vehicle that flies with this seed, as it is built: it is not flown."""
+        if not isinstance(self.scenario, VehicleScenario) or self.scenario.vehicle.base != "free":
             raise ScenarioError(f"{self.scenario.scenario.name} has no free base that could be swung or weighed")
-        return self.scenario
-
-    def _body(self) -> Body:
-        return free_flyer_plant.as_built(self._free_flyer(), self._rng("free_flyer"))[0]
-
-    def _mounting(self, at: str) -> FloatArray:
-        return free_flyer_plant.mounting(self._free_flyer(), at)
+        still = {"sequence": (_STILL,), "capture": None, "ejection": None, "burn": (), "parabolas": None}
+        return VehiclePlant(self.scenario.model_copy(update=still), self._rng("vehicle"))
 
 
 def _cell_axis(scenario: Scenario) -> FloatArray:
@@ -89,7 +89,7 @@ def open_bench(
 
     Args:
         kind: one of :data:`KINDS`.
-        scenario: a packaged scenario's name, a path to a TOML file, or a scenario.
+        scenario: a mission by name, a path to a TOML file, or a scenario.
         seed: of everything random.
         devices: that are there, by name; what sends SYNC on their CAN bus is too.
         settings: arguments of the bench, by name.
@@ -100,7 +100,7 @@ def open_bench(
     Raises:
         ScenarioError: the scenario cannot be used.
     """
-    whole = load(scenario) if isinstance(scenario, str) else scenario
+    whole = scenario_of(scenario) if isinstance(scenario, str) else scenario
     buses = {table.model_dump().get("bus") for name, table in whole.device.items() if name in devices}
     kept = {n: table for n, table in whole.device.items() if n in devices or _sends_sync(table.model_dump(), buses)}
     ticking = {clock for name, one in registry.read(kept).items() for clock in one.clocks(name)}

@@ -11,7 +11,6 @@ from hil_sim.arm_rig import ArmRig, Motor
 from hil_sim.faults import Fault
 from hil_sim.mission import Mission
 from hil_sim.plants.driven_vehicle import DrivenVehicle
-from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.load import Scenario
 from hil_sim.scenario.tables import ScenarioError
@@ -59,7 +58,7 @@ class DrivenWorld(ArmRig):
         noise_rad: float = 0.0,
     ) -> None:
         plant = Mission(scenario, seed).plant
-        if not isinstance(plant, VehiclePlant | FreeFlyerPlant):
+        if not isinstance(plant, VehiclePlant):
             raise ScenarioError(
                 f"{scenario.scenario.name} has no arm that drives move; give a vehicle.toml that has one"
             )

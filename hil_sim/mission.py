@@ -18,12 +18,10 @@ from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.faults import Fault, FaultError, FaultKind, FaultPlan
-from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
 from hil_sim.plants.planned import Planned, planned
 from hil_sim.plants.rocket_arm import RocketArmPlant as RocketPlant
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
-from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
 from hil_sim.scenario.load import Scenario, ScenarioError
 from hil_sim.scenario.rocket_tables import RocketScenario
 from hil_sim.scenario.vehicle_tables import VehicleScenario
@@ -93,8 +91,6 @@ class Mission:
         match self.scenario:
             case RocketScenario():
                 return RocketPlant(self.scenario, self._rng("rocket"))
-            case FreeFlyerScenario():
-                return FreeFlyerPlant(self.scenario, self._rng("free_flyer"))
             case VehicleScenario():
                 return VehiclePlant(self.scenario, self._rng("vehicle"))
         raise TypeError(f"there is no plant for a {type(self.scenario).__name__}")

@@ -5,6 +5,7 @@ twins, the same on columns of the recording. A *model error* is a vehicle or sen
 what every seed draws (masses, centres, lengths, zeros, misalignment, bias).
 """
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,10 @@ _SLOW, _FAST = (
     _SWEEP | {"phase": 3, "stroke_s": 1.0, "strokes": 3},
     _SWEEP | {"phase": 4, "stroke_s": 0.6, "strokes": 4},
 )
+
+
+def _each(name: str, of: Iterable[object], tables: dict[str, Any]) -> dict[str, Any]:
+    return {name.format(one): tables for one in of}
 
 
 def _hold(duration_s: float, phase: int = 0) -> dict[str, Any]:
@@ -30,8 +35,8 @@ _SWING = {"action": "swing", "ramp_s": 2.0, "tones": 3}
 CAPTURE_MISSION = {
     "sequence": [
         _hold(3.0),
-        _SWING | {"phase": 1, "duration_s": 10.0, "swing_deg": 10.0, "band_Hz": [0.1, 0.4]},
-        _SWING | {"phase": 2, "duration_s": 16.0, "swing_deg": 20.0, "band_Hz": [0.1, 0.6]},
+        _SWING | {"phase": 1, "duration_s": 10.0, "swing": 0.137, "band_Hz": [0.1, 0.4]},
+        _SWING | {"phase": 2, "duration_s": 16.0, "swing": 0.274, "band_Hz": [0.1, 0.6]},
         _hold(1.0, 9),
     ],
     "capture": {"earliest_s": 7.0, "latest_s": 9.0},
@@ -91,7 +96,8 @@ _SHARE = {  # of the flights; a free-flyer's costs four times a rocket's
     "planar": 0.08,
 }
 _SCALES = [-2.0, -1.0, -0.5, -0.3, -0.1, 0.05, 0.1, 0.3]
-_WARM = {"sensor": {"imu": {"temperature_rise_K": 15.0, "temperature_time_s": 10.0}}}
+_WARM = {"temperature_rise_K": 15.0, "temperature_time_s": 10.0}
+_IMUS = ("base", "2")
 _DATASHEET = {"scale_sigma": 0.015, "cross_axis_sigma": 0.01}
 MODEL_ERRORS: dict[str, dict[str, dict[str, Any]]] = {
     "rocket": {
@@ -108,14 +114,14 @@ MODEL_ERRORS: dict[str, dict[str, dict[str, Any]]] = {
         "arm 6 % heavier": {"body": {"arm": {"as_built_factor": 1.06}}},
         "zero 3 mrad off": {"sensor": {"encoder": {"zero_sigma_mrad": 3.0}}},
         "IMU turned by 1.5 deg": {"sensor": {"imu": {"mounting_sigma_deg": 1.5}}},
-        "IMU warms by 15 K": _WARM,
+        "IMU warms by 15 K": {"sensor": {"imu": _WARM}},
     },
     "dymaflex": {
-        "links 3 %, 2 mm": {"as_built": {"link": {"mass_relative": 0.03, "centre_mm": 2.0}}},
-        "zeros 3 mrad off": {"sensor": {"encoder": {"zero_sigma_mrad": 3.0}}},
-        "IMU turned by 0.5 deg": {"sensor": {"imu": {"mounting_sigma_deg": 0.5}}},
-        "IMU warms by 15 K": _WARM,
-        "IMU of the datasheet": {"sensor": {"imu": {"accel_g": _DATASHEET, "gyro_deg_s": _DATASHEET}}},
+        "links 3 %, 2 mm": {"as_built": _each("link_{}", range(1, 6), {"mass_relative": 0.03, "centre_mm": 2.0})},
+        "zeros 3 mrad off": {"sensor": _each("joint_{}", range(1, 6), {"zero_sigma_mrad": 3.0})},
+        "IMU turned by 0.5 deg": {"sensor": _each("imu_{}", _IMUS, {"mounting_sigma_deg": 0.5})},
+        "IMU warms by 15 K": {"sensor": _each("imu_{}", _IMUS, _WARM)},
+        "IMU of the datasheet": {"sensor": _each("imu_{}", _IMUS, {"accel_g": _DATASHEET, "gyro_deg_s": _DATASHEET})},
     },
     "workshop": {"zeros 3 mrad off": {"zero_rad": 0.003}, "gripper 3 % off": {"gripper": 0.03}},
     "planar": {"zeros 3 mrad off": {"zero_rad": 0.003}, "links 3 %": {"link": 0.03}},

@@ -6,8 +6,8 @@ from typing import Any
 
 from bench.honest_flights import recorded
 from bench.honest_flights.drawn import CAPTURE_MISSION, MISSION, ROCKETS, Drawn, draw
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
-from hil_sim.scenario.load import load
 from onboard import config
 from onboard.flight import hil
 from onboard.offline.campaign.results import FlightResult, of_mission
@@ -24,7 +24,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
 def _simulated(drawn: Drawn) -> FlightResult:
     """Through drivers, clocks and estimator, in virtual time."""
     mission: dict[str, Any] = {"sequence": MISSION} if drawn.vehicle in ROCKETS else CAPTURE_MISSION
-    scenario = load(drawn.vehicle, {**mission, "fault": drawn.faults, **drawn.overrides})
+    scenario = scenario_of(drawn.vehicle, {**mission, "fault": drawn.faults, **drawn.overrides})
     with tempfile.TemporaryDirectory() as directory:
         world, urls = open_in_process(scenario, drawn.seed)
         with world:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from bench.identification import free_flyer as case
 from bench.identification.recursive import ticks_of
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants import free_flyer
-from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
-from hil_sim.scenario.load import load
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
@@ -98,28 +98,29 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
 def flown(box: free_flyer.Body, lies: Lies, seed: int, stated: Mapping[str, Any] | None = None) -> Covered:
     """One flight through the estimator of the vehicle file, with what is stated over it."""
     rng = np.random.default_rng([seed, 0xC0])
-    scenario = load("dymaflex")
-    assert isinstance(scenario, FreeFlyerScenario)
-    built = scenario.as_built
+    scenario = scenario_of("dymaflex")
+    assert isinstance(scenario, VehicleScenario)
+    base_built, link_built = scenario.as_built["base"], scenario.as_built["link_1"]
     base, *arm = (
         case.as_built(
             body, (scale * own.mass_relative, 1e-3 * scale * own.centre_mm, scale * own.inertia_relative), rng
         )
         for body, own, scale in [
-            (free_flyer.BASE, built.base, 1.0),
-            *((link, built.link, lies.links) for link in free_flyer.ARM),
+            (free_flyer.BASE, base_built, 1.0),
+            *((link, link_built, lies.links) for link in free_flyer.ARM),
         ]
     )
-    offsets_m = 1e-3 * lies.places * built.joint_place_mm * rng.standard_normal((free_flyer.JOINTS, 3))
+    offsets_m = 1e-3 * lies.places * link_built.place_mm * rng.standard_normal((free_flyer.JOINTS, 3))
     world = free_flyer.world(box, base, arm, STEP_s, offsets_m, lies.slosh)
     motion = free_flyer.JointMotion.draw(rng, lies.swing_rad)
     truth = free_flyer.fly(world, motion, rng.uniform(-0.05, 0.05, 3), DURATION_s)
     zeros = 1e-3 * lies.zeros * rng.standard_normal(free_flyer.JOINTS)
-    off_m = 1e-3 * built.imu_place_mm * rng.standard_normal(3)
+    imu_m = 1e-3 * scenario.as_built["imu_base"].place_mm
+    off_m = imu_m * rng.standard_normal(3)
     spoilt = _spoilt(truth, lies, rng)
     signals, cyclic = _sensed(spoilt, zeros, off_m, rng)
     online, _ = build_exiddm(_vehicle(stated))
-    off_m = 1e-3 * built.imu_place_mm * rng.standard_normal(3)
+    off_m = imu_m * rng.standard_normal(3)
     ticks = _with_joint_noise(ticks_of(signals)._replace(cyclic=cyclic))
     ticks = _with_further(ticks, _second(truth, spoilt, off_m, rng), _wrist(truth, rng))
     for first in range(0, len(ticks.time_s), BATCH_TICKS):

@@ -21,6 +21,7 @@ from hil_sim.scenario.sheets import Sheets, sheet
 from hil_sim.scenario.tables import Scenario, ScenarioError
 
 Table = dict[str, Any]
+Over = str | Path | Mapping[str, Any]  # the path of a scenario file, or its tables
 
 _REST_S, _REACH_S, _MOVE_S, _END_S = 4.0, 12.0, 24.0, 1.0
 _BURNS = 0.15, 0.6  # of the mission: when each thruster is on for a second
@@ -29,20 +30,24 @@ _WIRING = ("canopen_sync", "sync_pulse")  # together the sync box
 _OURS = ("pps", "pulse_generator")  # of the flight computer itself
 
 
-def scenario_of(name: str | Path, over: str | Path | None = None, campaign: str | None = None) -> Scenario:
+def scenario_of(name: str | Path, over: Over | None = None, campaign: str | None = None) -> Scenario:
     """The scenario of a packaged mission or test bed by name, of a scenario file, or of a vehicle file's rehearsal.
 
     Args:
         name: of a packaged scenario or a test bed, or the path of a scenario or of a vehicle.toml.
-        over: path of a scenario file whose tables lie over it.
+        over: path of a scenario file whose tables lie over it, or these tables.
         campaign: of the test bed, by name.
 
     Raises:
         ScenarioError: a campaign that the bed has not; see :func:`rehearsal` and :func:`hil_sim.scenario.load.load`.
     """
     days = None if campaign is None else bed.campaign(str(name), campaign)
-    if str(name).endswith(".toml") and "urdf" in _read(Path(name)).get("vehicle", {}):
+    file = _read(Path(name)) if str(name).endswith(".toml") else {}
+    if "urdf" in file.get("vehicle", {}):
         return rehearsal(name, over)
+    below = bed.find(str(file.get("scenario", {}).get("based_on")))
+    if below is not None:
+        return rehearsal(below.vehicle, name, over)
     flown = bed.find(str(name))
     if flown is not None:
         return rehearsal(flown.vehicle, flown.scenario, days, over)
@@ -52,16 +57,16 @@ def scenario_of(name: str | Path, over: str | Path | None = None, campaign: str 
             f"nothing simulates {str(name)!r}: by name fly {flies}; others by the path of their vehicle.toml, if their "
             "devices are on buses and not columns of a recording"
         )
-    own = {} if over is None else _read(Path(over))
+    own = {} if over is None else _tables_of(over)
     return load(name, {key: value for key, value in own.items() if key != "scenario"})
 
 
-def rehearsal(vehicle: str | Path, *overs: str | Path | None) -> Scenario:
+def rehearsal(vehicle: str | Path, *overs: Over | None) -> Scenario:
     """The scenario that rehearses a vehicle.
 
     Args:
         vehicle: path of its vehicle.toml.
-        overs: paths of scenario files whose tables lie over the defaults, each over those before it.
+        overs: paths of scenario files whose tables lie over the defaults, each over those before it, or such tables.
 
     Raises:
         ScenarioError: a file that cannot be read, a device without emulator, a key that is unknown or out of range.
@@ -82,21 +87,31 @@ def rehearsal(vehicle: str | Path, *overs: str | Path | None) -> Scenario:
         "description": f"the rehearsal of {vehicle}",
         "plant": "vehicle",
     }
-    files = [Path(over) for over in overs if over is not None]
-    for file_over in files:
-        table = _laid_over(table, file_over)
+    for over in overs:
+        if over is not None:
+            table = _laid_over(table, over)
     _drop_empty(table)
-    return parse(table, " with ".join([f"rehearsal of {vehicle}", *map(str, files)]))
+    files = [str(over) for over in overs if isinstance(over, str | Path)]
+    return parse(table, " with ".join([f"rehearsal of {vehicle}", *files]))
 
 
-def _laid_over(table: Table, over: Path) -> Table:
-    """A scenario file's tables over those so far."""
-    own = _read(over)
+def _tables_of(over: Over) -> Table:
+    return dict(over) if isinstance(over, Mapping) else _read(Path(over))
+
+
+def _laid_over(table: Table, over: Over) -> Table:
+    """A scenario file's tables over those so far, and below them those of the test bed that it is based on."""
+    own = _tables_of(over)
     if "vehicle" in own:
         raise ScenarioError(f"{over}: [vehicle] is the vehicle file's; take it out of the scenario")
-    header = {key: value for key, value in own.pop("scenario", {}).items() if key in ("name", "description")}
+    header = own.pop("scenario", {})
+    below = bed.find(str(header.get("based_on")))
+    if below is not None:
+        table = _laid_over(table, below.scenario)
+    header = {key: value for key, value in header.items() if key in ("name", "description")}
     table = merged(table, {**own, "scenario": header})
-    _find_csv(table, over)
+    if not isinstance(over, Mapping):
+        _find_csv(table, Path(over))
     if "sequence" in own and "capture" not in own:
         _fit_capture(table)
     return table

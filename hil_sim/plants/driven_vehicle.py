@@ -17,8 +17,8 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body
+from hil_sim.plants.pucks import Puck, drag_wrench
 from hil_sim.plants.servo_axis import STEP_S, Controller
-from hil_sim.plants.vehicle_flight import Puck, drag_wrench
 from hil_sim.scenario.vehicle_tables import JointFriction
 
 _KEPT: Final = 512  # steps that can be asked for

@@ -1,7 +1,7 @@
 """Motion of a vehicle's joints: holds and multi-tone swings inside the drawing's limits, or a recorded one.
 
-Besides, strokes at constant speed, and segments that the flight computer asks for. The tones are those of
-``arm_swings``; every joint has a swing of its own size.
+Besides, strokes at constant speed, and segments that the flight computer asks for. Every joint has a swing of its own
+size.
 """
 
 import zipfile
@@ -13,14 +13,31 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.arm_swings import Swinging, envelope
 from hil_sim.plants.motion import PhaseSpan, Program
 from hil_sim.plants.urdf_drawing import DrawnJoint
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import Step, VehicleScenario
+from hil_sim.scenario.vehicle_tables import Motion, Step, VehicleScenario
 
 _FREE_RAD, _FREE_M = 1.0, 0.2  # way to the end of a joint that has none, or one far away
 _MARGIN = 0.9  # of the way to an end, and of the largest speed, that is used at most
+
+
+class Swinging(NamedTuple):
+    """One swing: its span, its ramp, and its tones, (joints, tones) each."""
+
+    start_s: float
+    end_s: float
+    ramp_s: float
+    amplitude_rad: FloatArray
+    rate_rad_s: FloatArray
+    phase_rad: FloatArray
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Sum of the tones without the envelope at times (n,), and its derivatives; (n, joints) each."""
+        w = self.rate_rad_s
+        turn = (time_s[:, None, None] - self.start_s) * w + self.phase_rad  # (n, joints, tones)
+        sine, cosine = self.amplitude_rad * np.sin(turn), self.amplitude_rad * w * np.cos(turn)
+        return sine.sum(axis=2), cosine.sum(axis=2), -(sine * w * w).sum(axis=2)
 
 
 class Sweeping(NamedTuple):
@@ -62,6 +79,15 @@ def _ramp(s: FloatArray, order: int) -> FloatArray:
     return s**3 * (10.0 + s * (-15.0 + 6.0 * s)) if order == 1 else 30.0 * (s * (1.0 - s)) ** 2
 
 
+def envelope(time_s: FloatArray, swing: Swinging) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """From 0 to 1 and back by quintics of zero end rates and accelerations; value, rate, acceleration, (n,) each."""
+    rising = time_s - swing.start_s < swing.end_s - time_s
+    side = np.where(rising, 1.0, -1.0) / swing.ramp_s
+    s = np.clip(np.minimum(time_s - swing.start_s, swing.end_s - time_s) / swing.ramp_s, 0.0, 1.0)
+    value = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
+    return value, side * 30.0 * (s * (1.0 - s)) ** 2, side**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+
+
 class JointSwings(Program):
     """Joint motion of a vehicle's sequence.
 
@@ -79,10 +105,8 @@ class JointSwings(Program):
         unknown = sorted(scenario.motion.posture.keys() - set(names))
         if unknown:
             raise ScenarioError(f"motion.posture names {', '.join(unknown)}; the joints are {', '.join(names)}")
-        drawn = scenario.motion.spread * rng.uniform(-1.0, 1.0, len(joints))
-        self.posture = np.array(
-            [_posture(joint, scenario.motion.posture, share) for joint, share in zip(joints, drawn, strict=True)]
-        )
+        drawn = rng.uniform(-1.0, 1.0, len(joints))
+        self.posture = np.array([_posture(joint, scenario.motion, by) for joint, by in zip(joints, drawn, strict=True)])
         spinning = wheels(scenario)
         room = np.array([_room(joint, at) for joint, at in zip(joints, self.posture, strict=True)])
         room[[joint.name in spinning for joint in joints]] = 0.0
@@ -168,14 +192,16 @@ def wheels(scenario: VehicleScenario) -> frozenset[str]:
     return frozenset(str(table["at"]) for table in tables if table.get("measures") in sensors)
 
 
-def _posture(joint: DrawnJoint, told: dict[str, float], drawn: float) -> float:
-    if joint.name in told:
-        if not joint.low <= told[joint.name] <= joint.high:
+def _posture(joint: DrawnJoint, motion: Motion, drawn: float) -> float:
+    """``drawn``: from -1 to 1."""
+    if joint.name in motion.posture:
+        at = motion.posture[joint.name] + motion.posture_spread * drawn
+        if not joint.low <= at <= joint.high:
             raise ScenarioError(f"motion.posture.{joint.name}: it goes from {joint.low:g} to {joint.high:g}")
-        return told[joint.name]
+        return at
     middle = 0.5 * (joint.low + joint.high) if joint.bounded else 0.0
     reach = min(0.5 * (joint.high - joint.low), _FREE_M if joint.slides else 2.0 * _FREE_RAD)
-    return middle + drawn * reach
+    return middle + motion.spread * drawn * reach
 
 
 def _room(joint: DrawnJoint, posture: float) -> float:

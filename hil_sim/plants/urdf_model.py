@@ -90,6 +90,12 @@ class UrdfModel:
             body.mass, body.ipos, body.inertia, body.iquat = own.mass_kg, own.centre_of_mass_m, moments, quaternion
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
+    def move(self, off_m: Mapping[str, FloatArray]) -> None:
+        """Move links' frames off where they are drawn, in the axes of the link before."""
+        for link, by in off_m.items():
+            self.model.body(PREFIX + link).pos += by
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+
     def empty(self, link: str) -> Body:
         """Take a link's own inertia away, which is that of the payload it holds; returns it as drawn."""
         own = self._drawn[link]

@@ -16,14 +16,15 @@ import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
+from hil_sim.plants.attitude import Wheels
 from hil_sim.plants.base_sway import BasePath
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
 from hil_sim.plants.jets import Jets
+from hil_sim.plants.pucks import Puck, drag_wrench
 from hil_sim.plants.soft_parts import SoftParts, full_inertia
 from hil_sim.plants.urdf_model import Places, UrdfModel
 
-_ROUNDING_m_s = 2e-3  # of Coulomb drag
 _LATER = int(mujoco.mjtStage.mjSTAGE_VEL)  # stages of inverse dynamics that are done already
 
 
@@ -32,14 +33,6 @@ class JointMotion(Protocol):
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Angle, rate and acceleration at times (n,); (n, joints) each."""
-
-
-class Puck(NamedTuple):
-    """An air puck under the base."""
-
-    place_m: FloatArray  # (3,), base axes
-    viscous_N_s_m: float  # noqa: N815
-    coulomb_N: float  # noqa: N815
 
 
 class Rows(NamedTuple):
@@ -81,6 +74,7 @@ class VehicleFlight:
         cabin: in which it is held, let go and pushed, at half steps.
         soft: its springs; none of a prescribed base.
         jets: thrusters of a free one.
+        wheels: that hold its attitude; the others move as told.
     """
 
     def __init__(
@@ -96,6 +90,7 @@ class VehicleFlight:
         cabin: Cabin | None = None,
         soft: SoftParts | None = None,
         jets: Jets | None = None,
+        wheels: Wheels | None = None,
     ) -> None:
         self.vehicle, self._motion, self._places, self._link = vehicle, motion, places, link
         self._step_s, self._path, self._pucks = step_s, path, pucks
@@ -107,11 +102,12 @@ class VehicleFlight:
         self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._pose = self.data.qpos[: self._np].copy()
         self._velocity = np.zeros(self._nb) if velocity.size == 0 else velocity.copy()
-        self._cabin, self._jets = cabin, jets
+        self._cabin, self._jets, self._wheels = cabin, jets, wheels
+        self._spin = np.zeros(0) if wheels is None else wheels.start_rad_s
         if cabin is not None:
             self._pose, self._velocity = cabin.start()
         self.count = 0  # of the next row
-        self._soft_rates = np.zeros_like(self._soft.state)
+        self._soft_rates, self._spin_rates = np.zeros_like(self._soft.state), np.zeros_like(self._spin)
         if soft is not None:
             self._start_soft(soft)
 
@@ -182,12 +178,21 @@ class VehicleFlight:
             data.qacc[:nb], data.qacc[nb:] = acceleration, ddq
             mujoco.mj_inverse(self.model, data)
         else:
+            dq = self._turned(dq, self._spin)
             now = self._pose, self._velocity, self._soft.state
-            acceleration, self._soft_rates = self._accelerate(*now, q, dq, ddq, 2 * self.count)
+            acceleration, self._soft_rates, self._spin_rates = self._accelerate(*now, q, dq, ddq, 2 * self.count)
             data.qacc[:nb] = acceleration
             mujoco.mj_inverseSkip(self.model, data, _LATER, 0)
         out.sensors[k], out.joints[k], out.rates[k] = data.sensordata, q, dq
         out.torques[k] = data.qfrc_inverse[nb:]
+
+    def _turned(self, dq: FloatArray, spin: FloatArray) -> FloatArray:
+        """Rates of the joints, those of the wheels as the attitude control has turned them, (j,)."""
+        if self._wheels is None:
+            return dq
+        rates: FloatArray = dq.copy()
+        rates[self._wheels.places] = spin
+        return rates
 
     def _place(self, pose: FloatArray, velocity: FloatArray, q: FloatArray, dq: FloatArray) -> None:
         data = self.data
@@ -208,8 +213,8 @@ class VehicleFlight:
         dq: FloatArray,
         ddq: FloatArray,
         stage: int,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Of the base at a half step, (b,), and rates of the springs; leaves the joints' accelerations in place."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of the base at a half step, (b,), of springs and of wheels; leaves the joints' accelerations in place."""
         data, nb, cabin = self.data, self._nb, self._cabin
         bends = self._soft.joints > 0
         bend, bending = self._soft.bend(soft) if bends else (0.0, 0.0)
@@ -229,8 +234,17 @@ class VehicleFlight:
         held = nb == 0 or (cabin is not None and cabin.held(stage))
         load = self._soft.torque(soft, 0.5 * self._step_s * stage) - data.qfrc_inverse[nb:] if bends else np.zeros(0)
         M = full_inertia(self.model, data) if bends else np.zeros((0, 0))
+        spins = np.zeros(0)
         if held:
             free = np.zeros(nb)
+        elif self._wheels is not None:
+            places = nb + self._wheels.places
+            both = np.concatenate([np.arange(nb), places])
+            motors = self._wheels.torque_n_m(pose, velocity) - data.qfrc_inverse[places]
+            self._base_inertia()
+            found = np.linalg.solve(self._inertia[np.ix_(both, both)], np.concatenate([wrench, motors]))
+            free, spins = found[:nb], found[nb:]
+            data.qacc[places] = spins
         elif bends:
             free = np.linalg.solve(M, np.concatenate([wrench, load]))[:nb]
         else:
@@ -239,7 +253,7 @@ class VehicleFlight:
         more = np.linalg.solve(M[nb:, nb:], load - M[nb:, :nb] @ base) if bends else np.zeros(0)
         if bends:
             data.qacc[nb:] = ddq + more
-        return np.asarray(base, np.float64), self._soft.rates(soft, more, pull)
+        return np.asarray(base, np.float64), self._soft.rates(soft, more, pull), spins
 
     def _start_soft(self, soft: SoftParts) -> None:
         """Springs at rest, in the pose of the first row."""
@@ -294,17 +308,19 @@ class VehicleFlight:
         h, v, y = self._step_s, self._velocity, self._soft.state
         rates: list[FloatArray] = [v]
         forces = [self.data.qacc[: self._nb].copy()]  # as _show left it
-        soft = [self._soft_rates]
+        soft, spin = [self._soft_rates], [self._spin_rates]
         for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
             pose = self._moved(rates[-1], part * h)
             velocity = v + part * h * forces[-1]
-            now = pose, velocity, y + part * h * soft[-1], q[stage], dq[stage], ddq[stage], 2 * self.count + stage
-            for found, one in zip((forces, soft), self._accelerate(*now), strict=True):
+            rate = self._turned(dq[stage], self._spin + part * h * spin[-1])
+            now = pose, velocity, y + part * h * soft[-1], q[stage], rate, ddq[stage], 2 * self.count + stage
+            for found, one in zip((forces, soft, spin), self._accelerate(*now), strict=True):
                 found.append(one)
             rates.append(velocity)
         self._pose = self._moved(_mean(rates), h)
         self._velocity = v + h * _mean(forces)
         self._soft.state = y + h * _mean(soft)
+        self._spin = self._spin + h * _mean(spin)
 
     def _moved(self, velocity: FloatArray, step_s: float) -> FloatArray:
         """The base's pose after a step from where it stands."""
@@ -373,19 +389,3 @@ class VehicleFlight:
 def _mean(rates: Sequence[FloatArray]) -> FloatArray:
     """Of the four stages of a Runge-Kutta step."""
     return np.asarray((rates[0] + 2.0 * rates[1] + 2.0 * rates[2] + rates[3]) / 6.0, np.float64)
-
-
-def drag_wrench(pucks: Sequence[Puck], yaw: float, velocity: FloatArray) -> FloatArray:
-    """Generalised force of all pucks on x, y and yaw of the table, (3,); ``velocity`` of these, (3,)."""
-    vx, vy, w = velocity.tolist()
-    c, s = math.cos(yaw), math.sin(yaw)
-    force_x = force_y = moment = 0.0
-    for puck in pucks:
-        px, py = float(puck.place_m[0]), float(puck.place_m[1])
-        x, y = c * px - s * py, s * px + c * py
-        slip_x, slip_y = vx - w * y, vy + w * x
-        share = puck.viscous_N_s_m + puck.coulomb_N / math.hypot(slip_x, slip_y, _ROUNDING_m_s)
-        force_x -= share * slip_x
-        force_y -= share * slip_y
-        moment -= share * (x * slip_y - y * slip_x)
-    return np.array([force_x, force_y, moment])

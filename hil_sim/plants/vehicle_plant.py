@@ -2,37 +2,49 @@
 
 The whole mission is computed when the plant is created, at steps of a few ms; where the flight computer asks for some
 of the motion, it is computed as time advances. The sensors' finer grid is interpolated by splines, separately between
-captures and releases; a jolt is in one row of that grid, as its mean. Rows are released in chunks as time advances, so
-no sensor reads future rows.
+captures and releases, of a long mission as time advances; a jolt is in one row of that grid, as its mean. Rows are
+released in chunks as time advances, so no sensor reads future rows.
 """
 
 import copy
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from hil_sim.arrays import FloatArray
-from hil_sim.plants import urdf_drawing, world
+from hil_sim.arrays import FloatArray, Track
+from hil_sim.plants import draws, urdf_drawing, world
+from hil_sim.plants.attitude import holding
 from hil_sim.plants.base_sway import sway
-from hil_sim.plants.body import Body, built
+from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin, Release
 from hil_sim.plants.driven_vehicle import Drivable, drawn_drives
 from hil_sim.plants.jets import Jets
 from hil_sim.plants.joint_swings import JointSwings, wheels
+from hil_sim.plants.pucks import pucks
 from hil_sim.plants.soft_parts import springs
-from hil_sim.plants.urdf_model import Places, UrdfModel, rotation
-from hil_sim.plants.vehicle_flight import Jolt, Puck, Released, Rows, VehicleFlight
+from hil_sim.plants.urdf_model import Places, UrdfModel
+from hil_sim.plants.vehicle_flight import Jolt, Released, Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.scenario.vehicle_tables import LetGo, PayloadTable, Tolerance, VehicleScenario
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
-_DRAWS = 1000  # of a part until it is one that can exist
 _SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
+_AT_ONCE_S, _BLOCK = 120.0, 100  # interpolated when the plant is created; chunks at a time afterwards
 _AROUND = 8  # rows to either side with which a part of a spline is as the whole one, to 3e-5 of its bend
+
+
+class _Part(NamedTuple):
+    """What flies unchanged, between captures and releases."""
+
+    first: int  # row
+    rows: int
+    offset: int  # of the first in the splines, coarse rows
+    splines: tuple[CubicSpline, ...]  # of each of ``Rows``, by coarse row
+    jolt: Jolt | None  # in its first row
 
 
 class VehiclePlant(world.Plant):
@@ -40,10 +52,12 @@ class VehiclePlant(world.Plant):
 
     Args:
         scenario: the mission.
-        rng: draws bodies, payload, release, motion, drives, table and capture, in this order.
+        rng: draws bodies, payload, release, motion, drives, table and capture, in this order; a stream of its own the
+            places of frames.
 
     Attributes:
         bodies: every link that has a mass, as built.
+        off_m: how far frames are from where they are drawn, in the axes of the link before.
         payload: what is held, or caught; None where nothing is.
         events_s: capture and ejection, by name.
         cabin: in which the vehicle is let go and caught; None where there is none.
@@ -71,20 +85,25 @@ class VehiclePlant(world.Plant):
             if said.payload_link not in self.drawing.links:
                 raise ScenarioError(f"{said.label} has no link {said.payload_link!r}, which is the payload_link")
             drawn = self._model.empty(said.payload_link)
-        self.bodies = _as_built(scenario, self._model.drawn, self._rotors, rng)
+        self.bodies = draws.as_built(scenario, self._model.drawn, self._rotors, rng)
         self._model.build(self.bodies)
-        self.payload = None if scenario.payload is None else _payload(scenario.payload, drawn, rng)
-        self._velocity = _let_go(scenario.release, said.base, rng)
+        self.off_m = draws.off_the_drawing(scenario, self.drawing.links, rng.spawn(1)[0])
+        self._model.move(self.off_m)
+        self.payload = None if scenario.payload is None else draws.payload(scenario.payload, drawn, rng)
+        self._velocity = draws.let_go(scenario.release, said.base, rng)
         self.program: JointSwings = JointSwings(scenario, self.joints, rng)
         self.drives = drawn_drives(scenario.friction, self.efforts_n_m, self.bodies, rng)
-        self._pucks = _pucks(scenario, self._model, rng)
+        self._pucks = pucks(scenario, self._model, rng)
         self.step_s, self.chunk, self.count = 1e-6 * physics.step_us, physics.chunk_steps, 0
         self.rows = self.chunk * (int(self.program.duration_s / (self.chunk * self.step_s)) + 2)
         self.events_s: dict[str, float] = {}
         self._live: list[tuple[FloatArray, Callable[[slice], FloatArray]]] = []
+        self._parts: list[_Part] = []  # not interpolated to their end
+        self._filled = 0  # rows interpolated
         self._start(rng)
         if not self.program.waits:
             self._compute(self.rows)
+            self._make(round(_AT_ONCE_S / self.step_s))
 
     def _start(self, rng: np.random.Generator) -> None:
         """The flight at its first row, and what will happen in it."""
@@ -103,11 +122,13 @@ class VehiclePlant(world.Plant):
         self._model.build(lightened)
         given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
         self.jets = Jets(scenario, self._model, self.bodies)
-        self._flight = VehicleFlight(*given, self.cabin, self.soft, self.jets)
+        wheeled = holding(scenario, self._model, self._model.joints)
+        self._flight = VehicleFlight(*given, self.cabin, self.soft, self.jets, wheeled)
         self._coming = deque(self._events(rng, self._coarse_s, self._steps))
         self._caught = next((moves for name, _, moves in self._coming if name == "capture"), None)
         joints = len(self.joints)
-        self.rows_true = Rows(*(np.zeros((self.rows, n)) for n in (self._model.model.nsensordata, *[joints] * 3)))
+        self._tracks = [Track(self.rows, n) for n in (self._model.model.nsensordata, *[joints] * 3)]
+        self.rows_true = Rows(*(track.values for track in self._tracks))
         self._window: Rows | None = (
             None  # coarse rows from ``_window_at`` on, of which those before ``_done`` are refined
         )
@@ -136,19 +157,38 @@ class VehiclePlant(world.Plant):
                 self.events_s[name] = first * self._coarse_s
 
     def _refine(self, window: Rows, until: int) -> None:
-        """Fine rows up to a coarse one; what jumped before the first is in that."""
+        """Splines up to a coarse row; what jumped before the first is in that."""
         every, first = self._scenario.physics.integration_steps, self._done * self._scenario.physics.integration_steps
-        count = min(every * until, self.rows) - first
-        at = (self._done - self._window_at) + np.arange(max(count, 0)) / every
-        for out, values in zip(self.rows_true, window, strict=True):
-            out[first : first + len(at)] = CubicSpline(np.arange(len(values)), values)(at)
-        if self._jolt is not None:
-            self.rows_true.sensors[first] += self._jolt.sensors / self.step_s
-            self.rows_true.torques[first] += self._jolt.torques / self.step_s
-            self._jolt = None
-        self._done = until
+        count = max(min(every * until, self.rows) - first, 0)
+        splines = tuple(CubicSpline(np.arange(len(values)), values) for values in window)
+        self._parts.append(_Part(first, count, self._done - self._window_at, splines, self._jolt))
+        self._jolt, self._done = None, until
+        if self.program.waits:
+            self._make(first + count)
+
+    def _make(self, until: int) -> None:
+        """Fine rows up to ``until``, as far as there are splines, and what is derived from them."""
+        every, begun = self._scenario.physics.integration_steps, self._filled
+        self._filled = min(until, every * self._done, self.rows)
+        for part in self._parts:
+            first, last = max(begun, part.first), min(self._filled, part.first + part.rows)
+            if first >= last:
+                continue
+            at = part.offset + np.arange(first - part.first, last - part.first) / every
+            for out, spline in zip(self.rows_true, part.splines, strict=True):
+                out[first:last] = spline(at)
+            if part.jolt is not None and first == part.first:
+                self.rows_true.sensors[first] += part.jolt.sensors / self.step_s
+                self.rows_true.torques[first] += part.jolt.torques / self.step_s
+        self._parts = [part for part in self._parts if part.first + part.rows > self._filled]
         for out, made in self._live:
-            out[first : first + len(at)] = made(slice(first, first + len(at)))
+            out[begun : self._filled] = made(slice(begun, self._filled))
+
+    def forget(self, before: int) -> None:
+        """See ``world.Plant``."""
+        self.forgotten = max(self.forgotten, before)
+        for track in self._tracks:
+            track.forget(before)
 
     def ask(self, name: str) -> bool:
         """Play a segment of ``motion.segments`` as soon as what is computed allows; False where it cannot be."""
@@ -205,12 +245,12 @@ class VehiclePlant(world.Plant):
 
     def _made(self, of: Callable[[slice], FloatArray]) -> FloatArray:
         """A signal (n,) made of others: of those rows that there are, and of each that comes."""
-        done = slice(0, min(self._done * self._scenario.physics.integration_steps, self.rows))
-        out = np.zeros(self.rows)
+        track, done = Track(self.rows), slice(0, self._filled)
         if done.stop:
-            out[done] = of(done)
-        self._live.append((out, of))
-        return out
+            track.values[done] = of(done)
+        self._tracks.append(track)
+        self._live.append((track.values, of))
+        return track.values
 
     def wheel_rate_rad_s(self, at: str) -> FloatArray:
         """See ``world.Plant``."""
@@ -221,6 +261,18 @@ class VehiclePlant(world.Plant):
         if at not in self.jets.frames:
             return super().thrust_n(at)
         return self.jets.force_n(at, self.step_s * np.arange(self.rows, dtype=np.float64))
+
+    @property
+    def base(self) -> Body:
+        """The base's own body, as built."""
+        return self.bodies[self._scenario.vehicle.base_link]
+
+    def turn(self, at: str) -> FloatArray:
+        """Rotation from the axes of a link or joint to the base's, joints at zero, (3, 3)."""
+        data = mujoco.MjData(self._model.model)
+        mujoco.mj_kinematics(self._model.model, data)
+        link, base = (self._model.body(name) for name in (self.drawing.link_at(at), self.drawing.root))
+        return np.asarray(data.xmat[base].reshape(3, 3).T @ data.xmat[link].reshape(3, 3))
 
     @property
     def efforts_n_m(self) -> dict[str, float]:
@@ -259,6 +311,7 @@ class VehiclePlant(world.Plant):
             "quantities": quantities,
             "payload_link": self._scenario.vehicle.payload_link,
             "links": {link: _told(body) for link, body in self.bodies.items()},
+            "places_m": self.off_m,
             "drives": {name: drive._asdict() for name, drive in self.drives.items()},
             "pucks": {name: puck._asdict() for name, puck in zip(self._scenario.table.pucks, self._pucks, strict=True)},
             "gravity_m_s2": self._gravity,
@@ -280,6 +333,8 @@ class VehiclePlant(world.Plant):
     def _run_chunk(self) -> None:
         self.count += self.chunk
         self._compute(min(self.count, self.rows))
+        if self._filled < min(self.count, self.rows):
+            self._make(self.count + _BLOCK * self.chunk)
 
 
 def _flown(run: Release) -> dict[str, Any]:
@@ -318,75 +373,3 @@ def _places(scenario: VehicleScenario, drawing: urdf_drawing.Drawing) -> Places:
             elif sensor is not None and sensor.quantity in ("joint_moment", "force"):
                 cells[drawing.link_at(str(part.get("at")))] = None
     return Places(tuple(imus), tuple(cells))
-
-
-def _as_built(
-    scenario: VehicleScenario, drawn: dict[str, Body], rotors: Collection[str], rng: np.random.Generator
-) -> dict[str, Body]:
-    """Every link within its tolerance of the drawing; drawn again until it is a body that can exist.
-
-    Rotors of wheels are balanced bodies of revolution: all of their inertia has one factor.
-    """
-    unknown = sorted(scenario.as_built.keys() - drawn.keys() - {"default"})
-    if unknown:
-        raise ScenarioError(f"as_built names {', '.join(unknown)}; links with a mass are {', '.join(drawn)}")
-    usual = scenario.as_built.get("default", Tolerance())
-    found: dict[str, Body] = {}
-    for link, body in drawn.items():
-        sigma = scenario.as_built.get(link, usual)
-        if link in rotors:
-            mass, inertia = 1.0 + np.array([sigma.mass_relative, sigma.inertia_relative]) * rng.standard_normal(2)
-            found[link] = Body(mass * body.mass_kg, body.centre_of_mass_m, inertia * body.inertia_kg_m2)
-            continue
-        for _ in range(_DRAWS):
-            one = built(body, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
-            if one.is_possible:
-                break
-        else:
-            raise ScenarioError(f"as_built.{link}: hardly any body lies within it; make it smaller")
-        found[link] = one
-    return found
-
-
-def _payload(table: PayloadTable, drawn: Body | None, rng: np.random.Generator) -> Body:
-    """A solid box in the frame of its link; whatever is not told is drawn.
-
-    Where its link has an inertia in the URDF and the table gives no shape, it has that shape at another density.
-    """
-    low, high = np.log(table.mass_kg)
-    mass = float(np.exp(rng.uniform(low, high)))
-    shape = rng.uniform(0.7, 1.4, 3)
-    size = (mass / table.density_kg_m3) ** (1.0 / 3.0) * shape / np.cbrt(shape.prod())
-    aside, turn = rng.uniform(-0.3, 0.3, 3), rng.uniform(-np.pi, np.pi, 3)
-    if drawn is not None and drawn.mass_kg > 0.0 and table.size_mm is None and table.centre_of_mass_mm is None:
-        return Body(mass, drawn.centre_of_mass_m, drawn.inertia_kg_m2 * mass / drawn.mass_kg)
-    if table.size_mm is not None:
-        size = 1e-3 * np.asarray(table.size_mm)
-    centre = aside * size + [0.0, 0.0, 0.5 * size[2]]
-    if table.centre_of_mass_mm is not None:
-        centre = 1e-3 * np.asarray(table.centre_of_mass_mm)
-    if table.roll_pitch_yaw_deg is not None:
-        turn = np.deg2rad(table.roll_pitch_yaw_deg)
-    return Body.box(mass, size.tolist(), centre.tolist()).turned(rotation(turn))
-
-
-def _let_go(table: LetGo, base: str, rng: np.random.Generator) -> FloatArray:
-    """Velocity of the base at the start, MuJoCo's numbers."""
-    rate = table.rate_rad_s * rng.uniform(-1.0, 1.0, 3) + np.asarray(table.spin_rad_s)
-    velocity = table.velocity_m_s * rng.uniform(-1.0, 1.0, 3)
-    return {"free": np.concatenate([velocity, rate]), "planar": np.array([*velocity[:2], rate[2]])}.get(
-        base, np.zeros(0)
-    )
-
-
-def _pucks(scenario: VehicleScenario, model: UrdfModel, rng: np.random.Generator) -> list[Puck]:
-    """Every puck of the table, its drag drawn."""
-    found = []
-    for frame in scenario.table.pucks:
-        link = model.model.body(model.body(frame))
-        if int(link.parentid[0]) != model.body(scenario.vehicle.base_link):
-            raise ScenarioError(f"table.pucks: {frame!r} is not fixed to {scenario.vehicle.base_link!r}; make it so")
-        share = rng.uniform(0.0, 1.0, 2)
-        drag = share * [scenario.table.viscous_N_s_m, scenario.table.coulomb_N]
-        found.append(Puck(np.array(link.pos), *drag.tolist()))
-    return found

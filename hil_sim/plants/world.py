@@ -76,13 +76,11 @@ class Plant(ABC):
 
     def wheel_rate_rad_s(self, at: str) -> FloatArray:
         """Speed of a reaction wheel against the base, (n,)."""
-        raise ScenarioError(f"there is no reaction wheel {at!r} in this plant: free_flyer has them, by [wheel.NAME]")
+        raise ScenarioError(f"there is no reaction wheel {at!r} in this plant; take its device out")
 
     def thrust_n(self, at: str) -> FloatArray:
         """Force of a thruster, (n,)."""
-        raise ScenarioError(
-            f'there is no thruster {at!r} in this plant: free_flyer has them, [[pulse]] thruster = "{at}"'
-        )
+        raise ScenarioError(f"there is no thruster {at!r} in this plant; take its device out")
 
     @abstractmethod
     def truth(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Reads scenario TOML into frozen objects; units are in the keys, unknown keys are refused.
 
-The schema: ``tables`` has the common tables, ``rocket_tables`` and ``free_flyer_tables`` those of the plants,
+The schema: ``tables`` has the common tables, ``rocket_tables`` and ``vehicle_tables`` those of the plants,
 ``sensor_tables`` and ``bus_tables`` the rest; the keys of a device are read by its emulator where a mission is made.
 The TOML file gives the source of each number beside it. A scenario
 may be ``based_on`` another: its tables override those of the other, but the wiring (``bus``, ``device``, ``clock``) is
@@ -16,7 +16,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hil_sim.scenario.free_flyer_tables import FreeFlyerScenario
 from hil_sim.scenario.rocket_tables import RocketScenario
 from hil_sim.scenario.tables import Scenario, ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
@@ -24,7 +23,6 @@ from hil_sim.scenario.vehicle_tables import VehicleScenario
 __all__ = ["Scenario", "ScenarioError", "load", "merged", "names", "parse"]
 
 _WIRING = {"bus", "device", "clock"}
-_SCHEMAS: dict[str, type[Scenario]] = {"free_flyer": FreeFlyerScenario, "vehicle": VehicleScenario}
 
 
 def names() -> tuple[str, ...]:
@@ -87,7 +85,7 @@ def _schema(table: Mapping[str, Any]) -> type[Scenario]:
     """Schema of the plant that the header names; an unknown name is reported by the header's own schema."""
     header = table.get("scenario")
     plant = header.get("plant") if isinstance(header, Mapping) else None
-    return _SCHEMAS.get(str(plant), RocketScenario)
+    return VehicleScenario if plant == "vehicle" else RocketScenario
 
 
 def merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

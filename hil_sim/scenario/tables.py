@@ -18,7 +18,7 @@ class ScenarioHeader(Table):
     name: str
     description: str
     based_on: str | None = None
-    plant: Literal["rocket_arm", "free_flyer", "vehicle"] = "rocket_arm"
+    plant: Literal["rocket_arm", "vehicle"] = "rocket_arm"
 
 
 class Scenario(Table):

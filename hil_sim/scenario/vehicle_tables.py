@@ -40,11 +40,15 @@ class WorldPhysics(Table):
 
 
 class Tolerance(Table):
-    """``[as_built.LINK]``, ``[as_built.default]``: standard deviations about the drawing; inertia of half its trace."""
+    """``[as_built.LINK]``, ``[as_built.default]``: standard deviations about the drawing; inertia of half its trace.
+
+    ``place_mm``: of the link's frame in the link before it, each coordinate; of an IMU's frame too.
+    """
 
     mass_relative: NonNegative = 0.01
     centre_mm: NonNegative = 1.0
     inertia_relative: NonNegative = 0.01
+    place_mm: NonNegative = 0.0
 
 
 class LetGo(Table):
@@ -134,12 +138,15 @@ class Step(Table):
 class Motion(Table):
     """``[motion]``: of the joints. ``posture``: by joint, rad or m; drawn near the middle of its range where not given.
 
+    ``posture_spread``: a posture that is given is drawn within +- this, rad or m.
+
     ``csv``: a file of ``time_s`` and a column for each joint, rad or m, in place of the swings of the sequence; beside
     the scenario. The first posture holds before it, the last after it. ``segments``: a file of motions that the flight
     computer may ask for; their posture is the arm's.
     """
 
     posture: dict[str, float] = Field(default_factory=dict)
+    posture_spread: NonNegative = 0.0
     spread: Fraction = 0.3
     csv: str | None = None
     segments: str | None = None
@@ -208,6 +215,18 @@ class BurnTable(Table):
     force_N: PositiveFloat | None = None
 
 
+class AttitudeTable(Table):
+    """``[attitude]``: the wheels hold the base's attitude by a spring and a damper, ``torque_N_m`` each at most.
+
+    They are those joints whose speed alone is measured. ``start_rad_s``: of each at the start.
+    """
+
+    spring_N_m_rad: NonNegative
+    damper_N_m_s: NonNegative
+    torque_N_m: PositiveFloat
+    start_rad_s: float = 0.0
+
+
 class TableTop(Table):
     """``[table]`` of a planar base: sigmas of its tilt; drag of a puck is drawn between none and these."""
 
@@ -236,6 +255,7 @@ class VehicleScenario(Scenario):
     slosh: SloshTable | None = None
     parabolas: Parabolas | None = None
     burn: tuple[BurnTable, ...] = ()
+    attitude: AttitudeTable | None = None
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
 
     @model_validator(mode="before")
@@ -259,6 +279,8 @@ class VehicleScenario(Scenario):
             raise ValueError("payload: the vehicle file names no payload_link to hold it; name one, or leave it out")
         if self.burn and (self.vehicle.base != "free" or self.parabolas is not None):
             raise ValueError('burn: thrusters push a base = "free" that is not let go by hand')
+        if self.attitude is not None and (self.vehicle.base != "free" or self.parabolas or self.flexibility):
+            raise ValueError('attitude: wheels hold a base = "free", with stiff joints, that is not let go by hand')
         if self.payload is None and (self.capture is not None or self.ejection is not None):
             raise ValueError("capture and ejection need a [payload]")
         if any(step.action == "asked" for step in self.sequence) != (self.motion.segments is not None):

@@ -4,8 +4,9 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
-from hil_sim.scenario.load import Scenario, load
+from hil_sim.scenario.load import Scenario
 from onboard import config
 from onboard.flight import hil
 from onboard.offline.views import mission_table as table
@@ -51,8 +52,8 @@ class Result(NamedTuple):
 def fly(
     path: Path, seed: int = 3, scenario: Scenario | None = None, vehicle: str = "rocksat", **overrides: Any
 ) -> Result:
-    """Fly a packaged vehicle in its scenario; ``overrides`` change tables of the scenario."""
-    world, urls = open_in_process(scenario or load(vehicle, overrides or None), seed)
+    """Fly a packaged vehicle's mission; ``overrides`` change tables of its scenario."""
+    world, urls = open_in_process(scenario or scenario_of(vehicle, overrides or None), seed)
     with world:
         flown = hil.fly_simulated(config.load(config.packaged(vehicle)), world, urls, path)
     return Result(path, flown, table.result(flown))

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
-from hil_sim.scenario.load import load
 from onboard import config
 from onboard.flight import hil
 from onboard.offline.estimate_again.replay import replay
@@ -20,7 +20,7 @@ SWING = {
     "action": "swing",
     "duration_s": 11.0,
     "ramp_s": 1.5,
-    "swing_deg": 20.0,
+    "swing": 0.274,
     "tones": 3,
     "band_Hz": [0.1, 0.6],
 }
@@ -75,7 +75,7 @@ def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(flown: Result, 
     text, count = re.subn(r"(?m)^smoothing_ms = 250\b", kernel, packaged.read_text(encoding="utf-8"))
     text, lags = re.subn(r"(?m)^lag_ms = 200\b", "lag_ms = 600", text)
     assert count == lags == 1
-    world, urls = open_in_process(load("dymaflex", SHORT), SEED)
+    world, urls = open_in_process(scenario_of("dymaflex", SHORT), SEED)
     with world:
         smoothed = hil.fly_simulated(config.parse(text, packaged), world, urls, path)
     again = Result(path, smoothed, table.result(smoothed))
@@ -118,10 +118,7 @@ def test_the_second_imu_is_recorded_and_the_first_one_has_the_marks(flown: Resul
 @pytest.mark.timeout(120)
 def test_it_flies_in_real_time_too(tmp_path: Path) -> None:
     """The devices in a process of their own at the full rate, the flight app in its own processes."""
-    tables = {
-        "scenario": {"name": "short", "description": "", "based_on": "dymaflex"},
-        "capture": SHORT["capture"],
-    }
+    tables = {"scenario": {"based_on": "dymaflex"}, "capture": SHORT["capture"]}
     sequence = ", ".join(map(inline, SHORT["sequence"]))
     scenario = tmp_path / "short.toml"
     scenario.write_text("".join(f"{k} = {inline(v)}\n" for k, v in tables.items()) + f"sequence = [{sequence}]\n")

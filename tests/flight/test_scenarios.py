@@ -41,7 +41,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def test_every_packaged_scenario_is_flown_by_a_test() -> None:
-    assert set(names()) == {"rocksat", "rocksat_serial", "rocksat_mixed", "dymaflex", "dymaflex_wheels"}
+    assert set(names()) == {"rocksat", "rocksat_serial", "rocksat_mixed"}
 
 
 def test_every_sample_of_every_channel_is_accounted_for(flown: Result) -> None:

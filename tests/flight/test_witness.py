@@ -44,7 +44,7 @@ SEQUENCE = [
         "action": "swing",
         "duration_s": 24.0,
         "ramp_s": 1.5,
-        "swing_deg": 20.0,
+        "swing": 0.274,
         "tones": 3,
         "band_Hz": [0.1, 0.6],
     },
@@ -55,7 +55,7 @@ SEQUENCE = [
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
     path = tmp_path_factory.mktemp("witness") / "flight.mcap"
-    return fly(path, 11, vehicle="dymaflex", sequence=SEQUENCE, capture={"earliest_s": 4.0, "latest_s": 5.0})
+    return fly(path, 12, vehicle="dymaflex", sequence=SEQUENCE, capture={"earliest_s": 4.0, "latest_s": 5.0})
 
 
 def told(log: Path, channel: str, spoil: Callable[[Rows], None]) -> tuple[list[str], np.void]:

@@ -5,9 +5,10 @@ import pytest
 
 from hil_sim import arrays, mission
 from hil_sim.arrays import Deviates, Track
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import Mission
+from hil_sim.plants import vehicle_plant
 from hil_sim.plants.world import ForgottenError
-from hil_sim.scenario.load import load
 
 HELD = {"phase": 0, "action": "hold", "duration_s": 1.5}
 SHORT = {"sequence": [HELD], "capture": {"earliest_s": 0.4, "latest_s": 0.6}}
@@ -58,15 +59,20 @@ def read(scenario, seed: int, until_s: float) -> list[np.ndarray]:
 
 @pytest.mark.usefixtures("small")
 def test_what_is_kept_changes_nothing_that_is_read(monkeypatch) -> None:
-    forgetful = read(load("dymaflex", SHORT), 3, 1.4)
+    whole = {name: getattr(vehicle_plant, name) for name in ("_AT_ONCE_S", "_BLOCK")}
+    monkeypatch.setattr(vehicle_plant, "_AT_ONCE_S", 0.1)  # as of a long mission
+    monkeypatch.setattr(vehicle_plant, "_BLOCK", 3)
+    forgetful = read(scenario_of("dymaflex", SHORT), 3, 1.4)
     monkeypatch.setattr(mission, "_KEPT_S", 60.0)
-    np.testing.assert_array_equal(forgetful, read(load("dymaflex", SHORT), 3, 1.4))
+    for name, value in whole.items():
+        monkeypatch.setattr(vehicle_plant, name, value)
+    np.testing.assert_array_equal(forgetful, read(scenario_of("dymaflex", SHORT), 3, 1.4))
 
 
 @pytest.mark.usefixtures("small")
 def test_a_time_that_is_not_kept_is_an_error_and_a_delayed_input_keeps_more() -> None:
     for fault, kept in ((), False), (({"kind": "delayed", "device": "joint_1", "start_s": 0.1, "value": 1.0},), True):
-        flying = Mission(load("dymaflex", SHORT | {"fault": fault}), 3)
+        flying = Mission(scenario_of("dymaflex", SHORT | {"fault": fault}), 3)
         flying.now_ns = flying.start_ns + 1_200_000_000
         flying.plant.advance(1.2)
         flying._forget()

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 import onboard
-from hil_sim.plants import free_flyer
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants import free_flyer, urdf_drawing
 from hil_sim.plants.actuators import Actuators, Hold, Pulse, Wheel
-from hil_sim.plants.free_flyer_plant import FreeFlyerPlant
-from hil_sim.scenario.load import ScenarioError, load
+from hil_sim.plants.attitude import Wheels
+from hil_sim.plants.urdf_model import Places, UrdfModel
+from hil_sim.plants.vehicle_flight import VehicleFlight
+from hil_sim.plants.vehicle_plant import VehiclePlant
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import AttitudeTable
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
@@ -27,6 +32,7 @@ STEP_s, EVERY = 2e-3, 5
 SHORT = {
     "sequence": [{"phase": 0, "action": "hold", "duration_s": 0.3}],
     "capture": {"earliest_s": 0.1, "latest_s": 0.1},
+    "burn": [],
 }
 
 
@@ -90,19 +96,50 @@ def test_the_estimators_model_predicts_the_base_with_its_wheels_and_only_so(whee
     assert off < a_hundredth_of_the_gyros_noise if wheels else off > 1e3 * a_hundredth_of_the_gyros_noise
 
 
-def test_wheels_as_built_and_what_has_none():
-    plant = FreeFlyerPlant(load("dymaflex_wheels", SHORT), np.random.default_rng(3))
-    drawn = np.array([plant.truth()[f"axial_kg_m2_{name}"] for name in ("wheel_x", "wheel_y", "wheel_z")])
+class WithWheels:
+    """The arm's motion, and none of the wheels."""
+
+    def __init__(self, motion):
+        self.motion = motion
+
+    def at(self, time_s):
+        return tuple(np.hstack([of_arm, np.zeros((len(time_s), 3))]) for of_arm in self.motion.at(time_s))
+
+
+def test_the_world_of_the_urdf_turns_its_wheels_as_the_one_written_by_hand():
+    motion, flight = flown(Actuators(WHEELS, HOLD), 2.0)
+    places = Places(("imu_base",), ())
+    model = UrdfModel(urdf_drawing.read(URDF.read_text(), URDF.name), "free", (0.0, 0.0, 0.0), places)
+    assert model.joints[5:] == ("wheel_x", "wheel_y", "wheel_z")
+    law = AttitudeTable(
+        spring_N_m_rad=HOLD.spring_n_m_rad,
+        damper_N_m_s=HOLD.damper_n_m_s,
+        torque_N_m=HOLD.torque_n_m,
+        start_rad_s=100.0,
+    )
+    wheels = Wheels(np.arange(5, 8), np.eye(3), law)
+    velocity = np.array([0.0, 0.0, 0.0, *RATE])
+    ours = VehicleFlight(model, WithWheels(motion), places, None, STEP_s, velocity, wheels=wheels)
+    rows, theirs = ours.advance(round(2.0 / STEP_s)), flight.history
+    assert np.ptp(theirs.wheel_rad_s) > 5.0
+    np.testing.assert_allclose(rows.rates[:, 5:], theirs.wheel_rad_s, rtol=0, atol=1e-4)
+    of_imu = [rows.sensors[:, model.sensor(kind, "imu_base")] for kind in ("gyro", "accelerometer")]
+    for mine, other in zip(of_imu, (theirs.rate_rad_s, theirs.specific_force_m_s2), strict=True):
+        np.testing.assert_allclose(mine, other, rtol=0, atol=2e-6 * np.abs(other).max())
+
+
+def test_wheels_as_built_and_what_they_cannot_be():
+    plant = VehiclePlant(scenario_of("dymaflex_wheels", SHORT), np.random.default_rng(3))
+    drawn = np.array([np.diag(plant.bodies[f"rotor_{x}"].inertia_kg_m2)[k] for k, x in enumerate("xyz")])
     assert 0.0 < np.abs(drawn / 0.0025 - 1.0).max() < 5 * 0.004
     plant.advance(0.2)
     np.testing.assert_allclose(plant.wheel_rate_rad_s("wheel_y")[: plant.count], 100.0, atol=5.0)
-    with pytest.raises(ScenarioError, match="no reaction wheel 'wheel_w'"):
+    with pytest.raises(ScenarioError, match="no moving joint 'wheel_w'"):
         plant.wheel_rate_rad_s("wheel_w")
-    with pytest.raises(ScenarioError, match="drives move no vehicle"):
-        plant.driven()
     with pytest.raises(ScenarioError, match="no thruster 'jet_3'"):
         plant.thrust_n("jet_3")
-    bare = FreeFlyerPlant(load("dymaflex", SHORT), np.random.default_rng(3))
-    np.testing.assert_array_equal(bare.joint_offsets_m, plant.joint_offsets_m)  # wheels change no other draw
-    with pytest.raises(ScenarioError, match="no reaction wheel"):
-        bare.wheel_rate_rad_s("wheel_y")
+    told = {"phase": 1, "action": "sweep", "duration_s": 1.0, "rates": {"wheel_x": 10.0}}
+    with pytest.raises(ScenarioError, match=r"wheel_x, which \[attitude\] turns"):
+        VehiclePlant(scenario_of("dymaflex_wheels", SHORT | {"sequence": [told]}), np.random.default_rng(3))
+    with pytest.raises(ScenarioError, match="with stiff joints"):
+        scenario_of("dymaflex_wheels", SHORT | {"flexibility": {}})

@@ -1,0 +1,84 @@
+"""What of a vehicle a seed draws: bodies and places as they were built, the payload, the motion at the start."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from hil_sim.arrays import FloatArray
+from hil_sim.plants.body import Body, built
+from hil_sim.plants.urdf_model import rotation
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import LetGo, PayloadTable, Tolerance, VehicleScenario
+
+_DRAWS = 1000  # of a part until it is one that can exist
+
+
+def as_built(
+    scenario: VehicleScenario, drawn: dict[str, Body], rotors: Collection[str], rng: np.random.Generator
+) -> dict[str, Body]:
+    """Every link within its tolerance of the drawing; drawn again until it is a body that can exist.
+
+    Rotors of wheels are balanced bodies of revolution: all of their inertia has one factor.
+    """
+    placed = {name for name, table in scenario.as_built.items() if table.place_mm}
+    unknown = sorted(scenario.as_built.keys() - drawn.keys() - placed - {"default"})
+    if unknown:
+        raise ScenarioError(f"as_built names {', '.join(unknown)}; links with a mass are {', '.join(drawn)}")
+    usual = scenario.as_built.get("default", Tolerance())
+    found: dict[str, Body] = {}
+    for link, body in drawn.items():
+        sigma = scenario.as_built.get(link, usual)
+        if link in rotors:
+            mass, inertia = 1.0 + np.array([sigma.mass_relative, sigma.inertia_relative]) * rng.standard_normal(2)
+            found[link] = Body(mass * body.mass_kg, body.centre_of_mass_m, inertia * body.inertia_kg_m2)
+            continue
+        for _ in range(_DRAWS):
+            one = built(body, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
+            if one.is_possible:
+                break
+        else:
+            raise ScenarioError(f"as_built.{link}: hardly any body lies within it; make it smaller")
+        found[link] = one
+    return found
+
+
+def off_the_drawing(
+    scenario: VehicleScenario, links: Collection[str], rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """Places of frames off their drawing, (3,) each."""
+    sigma_m = {link: 1e-3 * table.place_mm for link, table in scenario.as_built.items() if table.place_mm}
+    fixed = sorted(sigma_m.keys() - (set(links) - {scenario.vehicle.base_link}))
+    if fixed:
+        raise ScenarioError(f"as_built: {', '.join(fixed)}: place_mm is of a link that hangs on another; take it out")
+    return {link: sigma_m[link] * rng.standard_normal(3) for link in links if link in sigma_m}
+
+
+def payload(table: PayloadTable, drawn: Body | None, rng: np.random.Generator) -> Body:
+    """A solid box in the frame of its link; whatever is not told is drawn.
+
+    Where its link has an inertia in the URDF and the table gives no shape, it has that shape at another density.
+    """
+    low, high = np.log(table.mass_kg)
+    mass = float(np.exp(rng.uniform(low, high)))
+    shape = rng.uniform(0.7, 1.4, 3)
+    size = (mass / table.density_kg_m3) ** (1.0 / 3.0) * shape / np.cbrt(shape.prod())
+    aside, turn = rng.uniform(-0.3, 0.3, 3), rng.uniform(-np.pi, np.pi, 3)
+    if drawn is not None and drawn.mass_kg > 0.0 and table.size_mm is None and table.centre_of_mass_mm is None:
+        return Body(mass, drawn.centre_of_mass_m, drawn.inertia_kg_m2 * mass / drawn.mass_kg)
+    if table.size_mm is not None:
+        size = 1e-3 * np.asarray(table.size_mm)
+    centre = aside * size + [0.0, 0.0, 0.5 * size[2]]
+    if table.centre_of_mass_mm is not None:
+        centre = 1e-3 * np.asarray(table.centre_of_mass_mm)
+    if table.roll_pitch_yaw_deg is not None:
+        turn = np.deg2rad(table.roll_pitch_yaw_deg)
+    return Body.box(mass, size.tolist(), centre.tolist()).turned(rotation(turn))
+
+
+def let_go(table: LetGo, base: str, rng: np.random.Generator) -> FloatArray:
+    """Velocity of the base at the start, MuJoCo's numbers."""
+    rate = table.rate_rad_s * rng.uniform(-1.0, 1.0, 3) + np.asarray(table.spin_rad_s)
+    velocity = table.velocity_m_s * rng.uniform(-1.0, 1.0, 3)
+    return {"free": np.concatenate([velocity, rate]), "planar": np.array([*velocity[:2], rate[2]])}.get(
+        base, np.zeros(0)
+    )
