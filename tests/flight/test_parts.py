@@ -92,7 +92,7 @@ def test_one_false_reading_does_not_let_the_payload_go() -> None:
 
 
 def test_zero_is_the_mean_at_rest_and_waits_for_enough_of_it() -> None:
-    zeroing = Zeroing(config.Zero(phases=[0], ticks=4))
+    zeroing = Zeroing(config.Zero(phases=[0], ticks=4), moving=[3])
     offset = np.array([0.3, -0.2, 0.5])
     force = offset + np.array([[0.01], [-0.01], [9.0], [0.02], [-0.02], [1.0], [1.0]])
     usable = np.array([True, True, False, True, True, True, True])
@@ -100,11 +100,16 @@ def test_zero_is_the_mean_at_rest_and_waits_for_enough_of_it() -> None:
     assert np.isnan(first).all()
     pushed = zeroing.apply(force[5:6], np.array([1]), usable[5:6])  # a push after too short a rest: wait for more
     assert np.isnan(pushed).all()
+    assert np.isnan(zeroing.apply(force[5:6], np.array([3]), usable[5:6])).all()
+    (warned,), again = zeroing.news(1, "imu"), zeroing.news(2, "imu")
+    assert warned.rows["text"][0].endswith(b": 2 of 4 ticks at rest in phases 0")
+    assert again == []
     rest = zeroing.apply(force[2:5], np.array([0, 0, 0]), usable[2:5])
     assert np.isnan(rest).all()
     swept = zeroing.apply(force[6:], np.array([3]), usable[6:])
     assert swept == pytest.approx(np.ones((1, 3)))
-    assert zeroing.ticks == 4
+    assert (zeroing.ticks, zeroing.lost) == (4, 1)
+    assert [one.rows["code"][0] for one in zeroing.news(3, "imu") + zeroing.news(4, "imu")] == [b"zeroed"]
     assert zeroing.offset_m_s2 == pytest.approx(offset)
 
 

@@ -73,7 +73,8 @@ class Estimator:
         fitted = METHODS[settings.method].tick_means and vehicle.file.planar is None
         self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted)
         self._phases = PhaseTrack(settings.phases)
-        self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz)
+        moving = settings.phases.identify if settings.phases else ()
+        self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz, moving)
         self._slow_force = np.zeros(3)
         self._period_ns = round(1e9 / settings.row_rate_hz)
         self._lag_ns = round(settings.lag_ms * 1e6)
@@ -253,13 +254,9 @@ class Estimator:
             return _Base(motion, motion.specific_force_m_s2, (still, still, still), np.zeros(n, np.int64)), made
         imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
         values, rates = imu.derivatives
-        known = self._zeroing.offset_m_s2 is not None
         rest = self._phases.at(at_ns), imu.refused == 0, self._temperatures.at(at_ns)
         specific_force = self._zeroing.apply(values[:, 3:], *rest)
-        if not known and self._zeroing.offset_m_s2 is not None:
-            offset = " ".join(f"{value:+.4f}" for value in self._zeroing.offset_m_s2)
-            text = f"accelerometer offset {offset} m/s^2, from {self._zeroing.ticks} ticks at rest"
-            made.append(event(now_ns, Severity.INFO, "zeroed", self._imu.channels[0], text))
+        made += self._zeroing.news(now_ns, self._imu.channels[0])
         motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
         sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
         return _Base(motion, specific_force, sigma, imu.refused), made
@@ -357,7 +354,8 @@ class Estimator:
         online, findings = self.online, self.online.findings()
         if self._witness is not None and self._witness.contradiction:
             findings = findings._replace(against=(*findings.against, self._witness.contradiction))
-        state, answers, said = self._answers.rows(now_ns, vehicle_ns, online.estimate(), findings, online.triangle())
+        estimate = self._zeroing.noted(online.estimate(), 1e-9 * self._period_ns)
+        state, answers, said = self._answers.rows(now_ns, vehicle_ns, estimate, findings, online.triangle())
         return [self._numbered("estimate", state), self._numbered("quantity", answers), *said]
 
     def _numbered(self, channel: str, rows: Rows) -> Batch:

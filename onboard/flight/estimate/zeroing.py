@@ -10,15 +10,16 @@ fitted to all ticks at rest so far; its slope has a prior of zero with ``drift_s
 not explain is left out: in thin air the rocket is slowed down even where the arm rests.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.records import Rows, SampleStatus
+from drivers.records import Batch, Rows, SampleStatus, Severity, event
 from onboard import config
 from onboard.devices.roles import ImuRole
 from onboard.estimation.arrays import FloatArray
+from onboard.identification.quantities import Estimate
 
 _EXPLAINED = 4.0  # sigmas
 _STEPS = 64  # temperatures kept: of some seconds
@@ -66,16 +67,20 @@ class Zeroing:
     Args:
         settings: phases and the prior of the drift; the offset is zero where not given.
         together: neighbouring ticks that say the same: the smoothing kernel's width in ticks.
+        moving: phases whose ticks make rows.
 
     Attributes:
         offset_m_s2: (3,) offset at the last tick; None while unknown, when the base's motion is unknown too.
         ticks: number of ticks averaged.
+        lost: number of ticks of motion without an offset, which make no rows.
     """
 
-    def __init__(self, settings: config.Zero | None, together: float = 1.0) -> None:
+    def __init__(self, settings: config.Zero | None, together: float = 1.0, moving: Collection[int] = ()) -> None:
         self._settings = settings
         self._together = together
-        self.ticks = 0
+        self._moving = moving
+        self.ticks = self.lost = 0
+        self._told = self._warned = False  # by events
         self._sums = np.zeros((2, 4))  # of 1 and T times [1, 3 components]; T T beside
         self._temperature_square, self._force_square = 0.0, np.zeros(3)
         self.offset_m_s2: FloatArray | None = np.zeros(3) if settings is None else None
@@ -106,10 +111,36 @@ class Zeroing:
                     self._add(force, kelvin)
             elif self.offset_m_s2 is None and self.ticks >= self._settings.ticks:
                 self.offset_m_s2 = self._line(kelvin)[0]
+            self.lost += self.offset_m_s2 is None and code in self._moving
             if self.offset_m_s2 is not None:
                 self.offset_m_s2 = self._line(kelvin)[0]
                 out[tick] = force - self.offset_m_s2
         return out
+
+    def news(self, now_ns: int, channel: str) -> list[Batch]:
+        """An event once when motion begins without an offset, and once when it is known."""
+        if self._settings is None or self._told:
+            return []
+        if self.offset_m_s2 is not None:
+            self._told = True
+            offset = " ".join(f"{value:+.4f}" for value in self.offset_m_s2)
+            text = f"accelerometer offset {offset} m/s^2, from {self.ticks} ticks at rest"
+            return [event(now_ns, Severity.INFO, "zeroed", channel, text)]
+        if not self.lost or self._warned:
+            return []
+        self._warned = True
+        phases = ", ".join(str(phase) for phase in self._settings.phases)
+        missing = f"{self.ticks} of {self._settings.ticks} ticks at rest in phases {phases}"
+        text = f"no rows until the accelerometer's zero is known: {missing}"
+        return [event(now_ns, Severity.WARNING, "not_zeroed", channel, text)]
+
+    def noted(self, estimate: Estimate, period_s: float) -> Estimate:
+        """An estimate that says what motion was lost, where quantities are not determined."""
+        if not self.lost:
+            return estimate
+        why = f"; no rows of {period_s * self.lost:.1f} s of motion before the accelerometer's zero was known"
+        told = (one if one.supported else one._replace(note=one.note + why) for one in estimate.quantities)
+        return estimate._replace(quantities=tuple(told))
 
     def _add(self, force: FloatArray, kelvin: float) -> None:
         self._sums += np.outer([1.0, kelvin], [1.0, *force])
