@@ -113,7 +113,7 @@ def _map_figure(found: Mechanics) -> Figure | None:
         return None
     drawn, axes = subplots(1, 2, 3.2)
     first, second = np.rad2deg(found.map.first), np.rad2deg(found.map.second)
-    titles = "determinant of J*, m$^2$", "tip from the centre of mass, m"
+    titles = "determinant of J*, m²", "tip from the centre of mass, m"
     for ax, values, title in zip(axes, (found.map.measure, found.map.distance), titles, strict=True):
         drawn.colorbar(ax.pcolormesh(second, first, values, shading="nearest", rasterized=True), ax=ax)
         if found.map.measure.min() < 0.0 < found.map.measure.max():

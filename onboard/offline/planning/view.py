@@ -11,6 +11,7 @@ from rich.text import Text
 from onboard.config.segments import Library
 from onboard.offline.foresee.plan import Expected, Foreseen
 from onboard.offline.planning.planning import PlannedMotion
+from onboard.offline.report.figures import legend
 from onboard.offline.report.theme import CYCLE, figures, subplots
 from onboard.offline.views import foreseen
 
@@ -66,8 +67,8 @@ def figure(made: PlannedMotion, path: Path) -> None:
         for k, name in enumerate(made.joints):
             angles.plot(made.time_s[inside], made.q[inside, k], label=name, color=CYCLE[k % len(CYCLE)])
         angles.axvspan(made.start_s, made.end_s, alpha=0.06, color=CYCLE[0], lw=0)
-        angles.set_title("joints, rad or m; shaded: the planned motion")
-        angles.legend(loc="upper left", ncols=5)
+        angles.set_title("joints, rad or m; shaded: planned")
+        legend(angles)
         time_s = made.start_s + made.along_s
         for k, name in enumerate(made.names):
             share = 100.0 * made.along_sigma[:, k] / made.scales[k]
