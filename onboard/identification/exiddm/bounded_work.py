@@ -13,6 +13,8 @@ from collections import deque
 import numpy as np
 
 from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.trials import Trial
+from onboard.identification.exiddm.window import WindowSolve
 
 BATCH_TICKS = 10
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
@@ -29,11 +31,13 @@ class BoundedWork(ABC):
     def __init__(self, call_ticks: int) -> None:
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
         self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
+        self._asked: tuple[Ticks, Trial] | None = None  # to be solved next
+        self._solve: WindowSolve | None = None  # under way
 
     @property
-    @abstractmethod
     def solving(self) -> bool:
         """A window's solve is under way; ticks wait for it."""
+        return self._solve is not None or self._asked is not None
 
     @abstractmethod
     def _announced(self, held: bool, time_s: float) -> None:
@@ -44,8 +48,24 @@ class BoundedWork(ABC):
         """Take ticks from the inbox, up to the next piece of work, and do or begin it."""
 
     @abstractmethod
+    def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
+        """The solve of a window that was asked for."""
+
+    @abstractmethod
+    def _end_of(self, solve: WindowSolve) -> None:
+        """Take in the result of a window."""
+
     def _go_on(self) -> None:
-        """Do a piece of the solve under way."""
+        """Begin to solve the window that is asked for, or do one prediction of it."""
+        if self._solve is None:
+            assert self._asked is not None
+            asked, self._asked = self._asked, None
+            self._solve = self._posed(*asked)
+        else:
+            self._due -= self._solve.advance()
+        if self._solve.over:
+            solve, self._solve = self._solve, None
+            self._end_of(solve)
 
     def update(self, ticks: Ticks) -> None:
         """Takes ticks, in so many calls as they make that do not come late, and does the work."""

@@ -29,7 +29,7 @@ from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredi
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
-from onboard.identification.exiddm.snapshots import TIERS, Snapshots
+from onboard.identification.exiddm.snapshots import Before, Known, Snapshots
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
@@ -75,7 +75,7 @@ class RecursiveExiddm(BoundedWork):
         payload_sigma: FloatArray,
         held: bool,
         false_alarms_per_hour: float = 0.1,
-        known: tuple[FloatArray, FloatArray] | None = None,
+        known: Known | None = None,
         call_ticks: int = BATCH_TICKS,
     ) -> None:
         super().__init__(call_ticks)
@@ -85,19 +85,17 @@ class RecursiveExiddm(BoundedWork):
         self._before: bool | None = held
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
-        self._solve: WindowSolve | None = None  # under way
         self._left: FloatArray | None = None  # by the last one
-        self._asked: tuple[Ticks, Trial] | None = None  # solve it next
         self._none = self._pending = predictor.no_ticks
         self.state: FloatArray | None = None
         self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
         self.exchanged, self.undecided, self.misfit = False, "", InnovationMisfit()
-        self.ticks_used, self.glitches, self._moving = 0, 0, 0  # moving: batches since the arm rested
+        self.ticks_used = self.glitches = 0
         self.changes: list[Change] = []
         self.lines, self.unexplained = InnovationLines(predictor.period_s), Unexplained(predictor.period_s)
         self.fusion = Fusion(predictor.instruments, predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
-        self._snapshots, self._innovations = Snapshots(), Innovations(predictor, self.fusion)
+        self._snapshots, self._innovations = Snapshots(predictor.period_s), Innovations(predictor, self.fusion)
         mean, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
         if known is not None:
@@ -121,25 +119,13 @@ class RecursiveExiddm(BoundedWork):
         """What is held was not found by a second or two alone, in which a swing of the vehicle's own looks like it."""
         return not self._hypotheses or self.ticks_used * self.predictor.period_s > SOLVED_AT_s[1]
 
-    @property
-    def solving(self) -> bool:
-        """A window's solve is under way; ticks wait for it."""
-        return self._solve is not None or self._asked is not None
-
-    def _go_on(self) -> None:
-        """Begin to solve the window that is asked for, or do one prediction of it."""
-        if self._solve is None:
-            assert self._asked is not None
-            (ticks, trial), self._asked = self._asked, None
-            seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
-            imu = next(k for k in self.fusion.imus if k not in trial.without)
-            given = seen, self._innovations.freed(self._prior, trial.freed), trial.hypotheses, self._start, imu
-            self._solve = WindowSolve(self.predictor, self.payload_sigma, *given)
-        else:
-            self._due -= self._solve.advance()
-        if self._solve.over:
-            solve, self._solve = self._solve, None
-            self._end_of(solve)
+    def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
+        seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
+        imu = next(k for k in self.fusion.imus if k not in trial.without)
+        prior, start = self._innovations.freed(self._prior, trial.freed), self._start
+        if self._stepped is not None and self._earlier is not None and self.state is not None:
+            prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
+        return WindowSolve(self.predictor, self.payload_sigma, seen, prior, trial.hypotheses, start, imu)
 
     def _announced(self, held: bool, time_s: float) -> None:
         if held != self.held:
@@ -179,6 +165,7 @@ class RecursiveExiddm(BoundedWork):
         self._window = self._pending = self._none
         self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
         self._stepped: Ticks | None = None  # ticks of the window and of the steps since
+        self._earlier: Before | None = None  # motion before the change, while it is not known what was held
         self._accused: Accusation | None = None  # the window is solved without it
         self._detector.forget()
         self.misfit.forget()
@@ -221,6 +208,12 @@ class RecursiveExiddm(BoundedWork):
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
         found, self._left = solve.found, solve.left
+        if self._stepped is not None and self._earlier is not None:
+            if found is not None and found.hypothesis is Hypothesis.NOTHING:
+                self._prior = self._earlier.known
+            self._earlier = None
+            self._ask_again(self._stepped)
+            return
         if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
             self.unexplained.count += found is None
             if found is not None:
@@ -300,12 +293,18 @@ class RecursiveExiddm(BoundedWork):
             self.unexplained.settle()
             self._stepped = ticks if hypothesis is Hypothesis.NEW and self._grown == 1.0 else None
 
+    def _ask_again(self, stepped: Ticks) -> None:
+        """Ask for the window and the steps since; first, where it is not known what was held, for the motion before."""
+        if self._earlier is None:
+            self._asked, self._stepped = (stepped, Trial((Hypothesis.NEW,))), None
+        else:
+            self._asked = self._earlier.ticks, Trial((Hypothesis.SAME, Hypothesis.NOTHING))
+
     # ------------------------------------------------------------------ a batch, as a step
 
     def _step(self) -> None:
         assert self.state is not None
         ticks, self._due = self._pending, self._due - STEP_WORK
-        self._moving = 0 if ticks.rest else self._moving + 1
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic, ticks.thrust)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
@@ -342,9 +341,10 @@ class RecursiveExiddm(BoundedWork):
         if self._stepped is not None:
             self._stepped = self._stepped.and_then(ticks.part(slice(2, None)))
             if len(self._stepped.time_s) >= round(SOLVED_AGAIN_AT_s / self.predictor.period_s):
-                self._asked, self._stepped = (self._stepped, Trial((Hypothesis.NEW,))), None
+                self._ask_again(self._stepped)
                 return
         self._snapshots.append(self.state, self.covariance)
+        self._snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
             self._compare(innovation, used)
 
@@ -377,21 +377,22 @@ class RecursiveExiddm(BoundedWork):
         self._claim.held = None
         self._before, self._suspected = bool(self.held), Change("change", now_s, now_s - back_s, score)
         self.changes.append(self._suspected)
-        at_rest = 0 if self.held or self._moving > TIERS[-1][0] else self._moving  # caught then, it was in all since
-        self._reopen(after_a_change(bool(self.held)), max(batches, at_rest) + 1)
+        back, earlier = (batches, None) if self.held else self._snapshots.since_rest(batches)
+        self._reopen(after_a_change(bool(self.held)), back + 1)
+        self._earlier = earlier
 
     def _bridge(self, after: Ticks) -> None:
         """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
         gap_s = float(after.time_s[0] - self._pending.time_s[0])
-        rates = np.linalg.norm(self._pending.measured[:, self.predictor.lines[self.fusion.reference]][:, :3], axis=1)
-        rates = rates[np.isfinite(rates)]
+        fastest = self._pending.fastest(self.predictor.lines[self.fusion.reference])
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, *self._prior)
-        elif gap_s > _LONGEST_HOLE_s or rates.size == 0:
+        elif gap_s > _LONGEST_HOLE_s or fastest is None:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
             both = self._pending.part(slice(0, 1)).and_then(after)
             self.state, F, of_a_turn = self.predictor.bridge(both.q, both.dq, both.ddq, self.state, both.cyclic)
             self.covariance = F @ self.covariance @ F.T
-            self.covariance[RATE, RATE] += (rates.max() * gap_s) ** 2 * of_a_turn
-            self._stepped, self._pending = None, self._none
+            self.covariance[RATE, RATE] += (fastest * gap_s) ** 2 * of_a_turn
+            self._stepped, self._earlier, self._pending = None, None, self._none
+            self._snapshots.moves(None)

@@ -1,6 +1,10 @@
-"""States that a filter was in, to go back to one.
+"""States that a filter was in, to go back to one, and the motion of the empty arm before a change.
 
 They are most of a checkpoint: covariances are kept as triangles, and of older states only some.
+
+A payload that is caught at rest shows when the arm moves, perhaps slowly. What was learned of the instruments and the
+arm since then is wrong if the arm was not empty, so it is given up at the change. Once the payload is known, the last
+seconds before the change tell: where they are not explained with the payload held and are without, the arm was empty.
 """
 
 from collections.abc import Sequence
@@ -10,8 +14,45 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, first_rate
+from onboard.identification.exiddm.ticks import Ticks
 
+_EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
 TIERS = ((8, 1), (28, 4), (80, 16))  # of the so many newest batches one in so many is kept
+
+
+Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
+
+
+class Before(NamedTuple):
+    """The motion before a change, and what was known at its end if nothing was held."""
+
+    ticks: Ticks
+    known: Known
+
+    def if_held(
+        self, known: Known, now: Known, predictor: ImuPredictor, seen: Ticks, imu: int
+    ) -> tuple[Known, FloatArray | None]:
+        """What is known if the payload was held already, and a state to begin with; None where none can be told.
+
+        Args:
+            known: at rest; that stays, and the payload is as it is now.
+            now: state and covariance with the payload.
+            predictor: of the instruments.
+            seen: the ticks, with the readings to be used.
+            imu: that gives the first rate.
+        """
+        mean, covariance = (part.copy() for part in known)
+        mean[PAYLOAD], covariance[PAYLOAD], covariance[:, PAYLOAD] = now[0][PAYLOAD], 0.0, 0.0
+        covariance[PAYLOAD, PAYLOAD] = now[1][PAYLOAD, PAYLOAD]
+        start = self.known[0].copy()
+        start[PAYLOAD] = now[0][PAYLOAD]
+        try:
+            start[RATE] = first_rate(predictor, seen, start, imu)
+        except np.linalg.LinAlgError:  # a prediction that is not finite
+            return (mean, covariance), None
+        return (mean, covariance), start
 
 
 class _Kept(NamedTuple):
@@ -21,15 +62,19 @@ class _Kept(NamedTuple):
 
 
 class Snapshots:
-    """The newest states.
+    """The newest states, and the newest ticks of the empty arm since it rested.
 
     Args:
+        period_s: of the ticks.
         tiers: batches that can be gone back to, to itself or one shortly before it, and of how many one is kept.
     """
 
-    def __init__(self, tiers: Sequence[tuple[int, int]] = TIERS) -> None:
+    def __init__(self, period_s: float, tiers: Sequence[tuple[int, int]] = TIERS) -> None:
         self._tiers, self._newest = tuple(tiers), -1
         self._kept: list[_Kept] = []
+        self._fewest, self._most = (round(seconds / period_s) for seconds in _EMPTY_s)
+        self._empty: Ticks | None = None
+        self._moving = 0  # batches since the arm rested
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -37,6 +82,26 @@ class Snapshots:
     def clear(self) -> None:
         """Forget all."""
         self._kept.clear()
+        self._empty = None
+
+    def moves(self, ticks: Ticks | None) -> None:
+        """Keep the ticks of a batch, the first two of which were in the one before; None: the arm rests."""
+        self._moving = 0 if ticks is None else self._moving + 1
+        if ticks is None or self._empty is None:
+            self._empty = ticks
+        else:
+            self._empty = self._empty.and_then(ticks.part(slice(2, None))).part(slice(-self._most, None))
+
+    def since_rest(self, batches: int) -> tuple[int, Before | None]:
+        """Where to go back to at a change that began so many batches ago, and the motion before it, if that counts.
+
+        What was caught at rest was held in all batches since. A longer motion than is kept would have shown it.
+        """
+        if self._moving >= self._tiers[-1][0] or self._moving < batches:
+            return batches, None
+        ticks = None if self._empty is None else self._empty.part(slice(None, -(batches + 1) * BATCH_TICKS))
+        known = ticks is not None and len(ticks.time_s) >= self._fewest
+        return self._moving + 1, Before(ticks, self.back(batches + 1)) if known and ticks is not None else None
 
     def append(self, state: FloatArray, covariance: FloatArray) -> None:
         """Keep a state, (p,), and its covariance, (p, p)."""

@@ -1,14 +1,17 @@
 """Captures, releases, pushes and exchanges, found tick by tick or told: what happened is named, the rest is kept."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.snapshots import Before
 from onboard.identification.quantities import Findings
 from tests.dynamics.free_flyer_twin import BOX
-from tests.identification.exiddm.recorded_flights import CAPTURE_s, RELEASE_s, online, recorded, ticks_of
+from tests.identification.exiddm.recorded_flights import PRIOR, CAPTURE_s, RELEASE_s, online, recorded, ticks_of
 
 
 def test_capture_and_ejection_are_found_and_only_the_payload_forgotten(mission):
@@ -150,3 +153,58 @@ def test_a_capture_that_is_told_and_was_none_is_rejected_when_the_payload_comes(
     assert recursive.changes[1].time_s < 5.0
     assert not recursive.exchanged
     assert recursive.estimate().body.mass_kg == pytest.approx(BOX.mass_kg, rel=0.05)
+
+
+LINKS = "base", *(f"link_{k}" for k in range(1, 6))  # as drawn within their sigmas
+
+
+def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(BOX, 4.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    signals = recorded(free_flyer.fly_with_capture(flight, capture, 13.5), rng)
+    ticks = ticks_of(signals)
+    told, found = (online(signals, held=False, imu_prior=PRIOR, links=LINKS) for _ in range(2))
+    caught = int(np.searchsorted(ticks.time_s, 4.0))
+    told.update(ticks.part(slice(0, caught)))
+    told.told(True, 4.0)
+    told.update(ticks.part(slice(caught, None)))
+    found.update(ticks)
+    for recursive in (told, found):
+        recursive.finish()
+    sigmas = [np.sqrt(np.diag(recursive.estimate().covariance))[:4] for recursive in (told, found)]
+    np.testing.assert_allclose(*sigmas, rtol=0.05)
+
+
+def test_a_payload_caught_at_rest_and_noticed_late_leaves_nothing_of_the_motion_before(monkeypatch):
+    rng, light = np.random.default_rng(11), BOX.grown(0.2)
+    flight = free_flyer.FreeFlight(_Later(free_flyer.JointMotion.draw(rng)), rng.uniform(-0.01, 0.01, 3))
+    caught = free_flyer.Capture(light, 2.0, np.zeros(3), np.zeros(3))
+    signals = recorded(free_flyer.fly_with_capture(flight, caught, 16.0), rng)
+    recursive, ticks = online(signals, held=False, imu_prior=PRIOR, links=LINKS), ticks_of(signals)
+    looked_back = []
+    monkeypatch.setattr(
+        Before, "if_held", lambda *given, of=Before.if_held: looked_back.append(given) or of(*given), raising=True
+    )
+    recursive.update(ticks)
+    recursive.finish()
+    assert recursive.changes[0].time_s > 6.0  # more than three seconds after the arm began to move
+    [(before, at_rest, *_)] = looked_back
+    assert recursive._prior is at_rest
+    assert (at_rest[0] != before.known[0]).any()
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - 0.2) < 2.0 * np.sqrt(found.covariance[0, 0]) < 0.1
+
+
+class _Later(NamedTuple):
+    """A motion that begins after 3 s, and is whole 8 s later."""
+
+    motion: free_flyer.JointMotion
+
+    def at(self, time_s):
+        x = np.clip((time_s - 3.0) / 8.0, 0.0, 1.0)[:, None]
+        share = x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * (x - x**2) ** 2 / 8.0
+        curved = (60.0 * x - 180.0 * x**2 + 120.0 * x**3) / 64.0
+        q, dq, ddq = self.motion.at(time_s)
+        away, first = q - self.motion.at(np.zeros(1))[0], self.motion.at(np.zeros(1))[0]
+        rate, bend = share[0] * dq + share[1] * away, share[0] * ddq + 2.0 * share[1] * dq + curved * away
+        return first + share[0] * away, rate, bend

@@ -10,7 +10,7 @@ def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(
     states, halves = rng.normal(size=(5, 4)), rng.normal(size=(5, 4, 4))
     covariances = halves @ halves.swapaxes(1, 2)
     covariances = 0.5 * (covariances + covariances.swapaxes(1, 2))
-    snapshots = Snapshots([(3, 1)])
+    snapshots = Snapshots(0.01, [(3, 1)])
     for state, covariance in zip(states, covariances, strict=True):
         snapshots.append(state, covariance)
     assert len(snapshots) == 3
@@ -25,7 +25,7 @@ def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(
 
 
 def test_of_older_states_some_are_kept_and_the_next_older_one_is_given():
-    snapshots = Snapshots()
+    snapshots = Snapshots(0.01)
     for number in range(300):
         snapshots.append(np.array([float(number)]), np.eye(1))
     given = [int(snapshots.back(batches)[0][0]) for batches in range(80)]
