@@ -189,6 +189,13 @@ class LoadCellRole(NamedTuple):
     channel: str
     keys: LoadCellKeys | TorqueKeys
 
+    @property
+    def titled(self) -> tuple[str, str]:
+        """Title of its readings in figures, and their unit."""
+        if isinstance(self.keys, TorqueKeys):
+            return f"joint torque: {self.channel}", "N m"
+        return f"load cell: {self.channel}", "N"
+
 
 class ThrusterRole(NamedTuple):
     """A thruster: the channel of its force, along an axis of a frame and through its origin."""

@@ -12,6 +12,7 @@ from onboard.cli import main
 from onboard.flight import hil
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm, build_online
+from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.replay import replay
@@ -97,6 +98,10 @@ def test_what_is_not_stated_is_asked_for(vehicle: config.Vehicle, changes: dict[
         del tree["estimation"]["prior"]["absolute"]
     with pytest.raises(config.ConfigError, match=said):
         build_online(config.parse_tree(tree, vehicle.path, config.Origin("test")))
+
+
+def test_a_torque_is_drawn_as_one(vehicle: config.Vehicle) -> None:
+    assert roles_of(vehicle).cells[0].titled == ("joint torque: joint_1_torque", "N m")
 
 
 def test_a_torque_without_friction_has_none(vehicle: config.Vehicle) -> None:

@@ -183,7 +183,7 @@ def _joint_and_cell_channels(flight: FlightData) -> list[tuple[str, str, str, fl
     for joint in flight.roles.joints:
         shown = ("rad/s", 1.0) if joint.is_rate else ("deg", np.degrees(1.0))
         found.append((joint.channel, f"{joint.joint}: {joint.channel}", *shown))
-    found += [(cell.channel, f"load cell: {cell.channel}", "N", 1.0) for cell in flight.roles.cells]
+    found += [(cell.channel, *cell.titled, 1.0) for cell in flight.roles.cells]
     return [one for one in found if one[0] in flight.traces]
 
 

@@ -41,7 +41,7 @@ def sample_times(flight: FlightData, draw: Gallery) -> str:
 def spectra(flight: FlightData) -> Figure | None:
     """Amplitude spectral density of every IMU (gyro, accelerometer) and load cell."""
     panels: list[tuple[str, str, FloatArray, FloatArray, Sequence[str]]] = []
-    cells = {cell.channel for cell in flight.roles.cells} if flight.roles else set()
+    cells = {cell.channel: cell.titled for cell in flight.roles.cells} if flight.roles else {}
     rates = {channel.name: channel.rate_hz for channel in flight.info.channels}
     for name, spectrum in flight.spectra.items():
         rate_hz = rates.get(name)
@@ -53,7 +53,8 @@ def spectra(flight: FlightData) -> Figure | None:
             panels.append((f"{name}: angular rate", "deg/s/√Hz", frequency, gyro, "xyz"))
             panels.append((f"{name}: specific force", "m/s²/√Hz", frequency, density[:, 3:], "xyz"))
         elif name in cells:
-            panels.append((f"load cell: {name}", "N/√Hz", frequency, density, (name,)))
+            title, unit = cells[name]
+            panels.append((title, f"{unit}/√Hz", frequency, density, (name,)))
     if not panels:
         return None
     figure, every = subplots(-(-len(panels) // 2), 2)
