@@ -1,8 +1,9 @@
 """Spoilt copies of DYMAFLEX flights: is an answer ever confident while the truth is far outside?
 
 Run ``python -m bench.spoilt_flights LOG ...`` with logs of ``heft hil dymaflex --log LOG`` beside which their truth is
-(LOG.truth.json); ``--vehicle dymaflex_wheels`` for logs of that mission, whose wheels are spoilt too. Each log is
-spoilt in one or two streams, or cut, and identified, from its onboard answer.
+(LOG.truth.json); ``--vehicle dymaflex_wheels`` for logs of that mission, whose wheels are spoilt too; for logs of a
+rehearsed vehicle ``--vehicle VEHICLE/vehicle.toml`` (an arm with a load cell: ``--only "cell x" --from 0.6 --alone``).
+Each log is spoilt in one or two streams, or cut, and identified, from its onboard answer.
 A copy is *wrong* where the truth of a quantity lies beyond its 99.9 % interval. Exit code 1: good and wrong.
 
 ``--on-board`` runs the onboard estimator on each copy instead. Wrong is a supported quantity at any time of the flight,
@@ -32,6 +33,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.verdict import LEVELS
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify
+from onboard.offline.views.own_mission import is_own, true_values
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
@@ -111,7 +113,7 @@ def spoils() -> dict[str, Spoil]:
         made[f"{words} stuck from mid-flight"] = partial(_stuck, channel, 0.5)
         for field in _FIELDS.get(channel, ("value_raw",)):
             made[f"{words} {field} clipped at 50 %"] = partial(_clipped, channel, field, 0.5)
-    for factor in (0.0, 0.5, 0.95, 1.05, -1.0):  # dead at 0
+    for factor in (0.0, 0.5, 0.9, 0.95, 1.05, -1.0):  # dead at 0
         made[f"cell x {factor:g}"] = partial(_scaled, _CELL, "value_raw", factor, None)
     made["cell + 2 N"] = partial(_shifted, _CELL, "value_raw", 2.0)
     made["cell + 2 N from mid-flight"] = partial(_late_part, 0.5, made["cell + 2 N"])
@@ -272,7 +274,7 @@ def main() -> int:
     for path in arguments.logs:
         log = LogReader(path)
         known = json.loads(Path(f"{path}.truth.json").read_text())
-        truth = known["quantities"]
+        truth = true_values(vehicle, known) if is_own(known) else known["quantities"]
         channels = [*vehicle.channels, *(() if arguments.alone or arguments.on_board else _ANSWERS)]
         for name, spoil in ways:
             if arguments.only not in name:

@@ -41,6 +41,7 @@ class PlanarDrag(NamedTuple):
     place: FloatArray  # (k, 2) base axes, m
     viscous: FloatArray  # (k,) Fv, N s/m
     coulomb: FloatArray  # (k,) Fc, N
+    rounding_m_s: float = ROUNDING_m_s
 
 
 class PlanarPrediction(NamedTuple):
@@ -136,10 +137,10 @@ def _accelerations(
     v, w = state[:, :2], state[:, 2]
     m, pucks = len(state), len(drag.viscous)
     force, slope, pull = np.zeros((m, 3)), np.zeros((m, 3, 4)), np.zeros((m, 3, 2 * pucks))
-    for index, ((px, py), viscous, coulomb) in enumerate(zip(*drag, strict=True)):
+    for index, ((px, py), viscous, coulomb) in enumerate(zip(*drag[:3], strict=True)):
         J = np.array([[1.0, 0.0, -py], [0.0, 1.0, px]])
         u = v + w[:, None] * J[:, 2]
-        size = np.sqrt((u * u).sum(axis=1) + ROUNDING_m_s**2)[:, None]
+        size = np.sqrt((u * u).sum(axis=1) + drag.rounding_m_s**2)[:, None]
         pull[:, :, 2 * index], pull[:, :, 2 * index + 1] = -u @ J, -(u / size) @ J
         force += pull[:, :, 2 * index] * viscous + pull[:, :, 2 * index + 1] * coulomb
         stiff = -(viscous + coulomb / size)[:, :, None] * np.eye(2)
@@ -188,14 +189,14 @@ def _integrate(
     Python floats, which are faster than arrays of four.
     """
     grid = np.concatenate([inverse.reshape(-1, 9), k.reshape(-1, 9)], axis=1).tolist()
-    pucks = [(*place, fv, fc) for place, fv, fc in zip(*(part.tolist() for part in drag), strict=True)]
-    tilt_x, tilt_y = tilt.tolist()
+    pucks = [(*place, fv, fc) for place, fv, fc in zip(*(part.tolist() for part in drag[:3]), strict=True)]
+    (tilt_x, tilt_y), rounding = tilt.tolist(), drag.rounding_m_s**2
 
     def rate(at: tuple[float, ...], vx: float, vy: float, w: float, yaw: float) -> tuple[float, float, float, float]:
         pull_x = pull_y = turn = 0.0
         for px, py, viscous, coulomb in pucks:
             ux, uy = vx - w * py, vy + w * px
-            share = viscous + coulomb / sqrt(ux * ux + uy * uy + ROUNDING_m_s**2)
+            share = viscous + coulomb / sqrt(ux * ux + uy * uy + rounding)
             pull_x -= share * ux
             pull_y -= share * uy
             turn -= share * (px * uy - py * ux)

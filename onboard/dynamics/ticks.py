@@ -22,6 +22,15 @@ class FlightSignals(NamedTuple):
     specific_force_sigma: FloatArray  # (3,)
     samples: int  # in each tick's mean
 
+    def coarser(self, ticks: int) -> "FlightSignals":
+        """Means of so many ticks, joints at their middle; NaN where one of them is. A rest at the end is cut off."""
+        n, early, late = len(self.q) // ticks, (ticks - 1) // 2, ticks // 2
+        blocks = [x[: n * ticks].reshape(n, ticks, -1) for x in self[1:6]]
+        q, dq, ddq = (0.5 * (x[:, early] + x[:, late]) for x in blocks[:3])
+        rate, force = (x.mean(axis=1) for x in blocks[3:])
+        noise = self.rate_sigma / np.sqrt(ticks), self.specific_force_sigma / np.sqrt(ticks)
+        return FlightSignals(self.period_s * ticks, q, dq, ddq, rate, force, *noise, self.samples * ticks)
+
 
 def tick_signals(
     time_s: FloatArray,

@@ -111,6 +111,11 @@ class Descent:
         self.iteration, self._damping, self._promised = 0, damping, np.inf
 
     @property
+    def squares(self) -> float:
+        """The least sum of squares so far."""
+        return self._now.squares if self.found is None else self.found.residual_sum
+
+    @property
     def prospect(self) -> float:
         """The sum of squares that it would reach if each iteration left lowered it as the next one is to.
 

@@ -13,8 +13,9 @@ Known limit: the joints' noise is not modelled; behind a 100:1 gear it is 1/300 
 """
 
 from collections.abc import Mapping
+from copy import copy
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -123,13 +124,10 @@ class Exiddm:
         link_covariance: Mapping[str, FloatArray],
         imu_prior: ImuPrior = CERTAIN,
     ) -> None:
-        signals = base.signals
-        self._base, self._imu_frame, self._payload_sigma = base, imu_frame, payload_sigma
+        self._imu_frame, self._payload_sigma = imu_frame, payload_sigma
         self._links = UncertainLinks(base.vehicle, link_covariance)
         self._R_BS, self._p_BoSo_B = base.vehicle.pose_in_base(imu_frame)
-        self._measured = np.concatenate([signals.rate, signals.specific_force], axis=1)  # (n, 6)
-        self._valid: BoolArray = np.isfinite(self._measured).all(axis=1)
-        self._sigma = np.concatenate([signals.rate_sigma, signals.specific_force_sigma])
+        self._take(base)
         if np.count_nonzero(self._valid) < len(self._valid) // 2:
             raise SignalError("more than half of the flight has no IMU; cut it to where it has")
         widths = [np.sqrt(np.diag(block)) for block in self._links.covariances]
@@ -149,6 +147,18 @@ class Exiddm:
         self.prior_information = np.diag(np.nan_to_num(1.0 / layout.sigma**2))
         for block, covariance in zip(at.reshape(-1, 10), self._links.covariances, strict=True):
             self.prior_information[np.ix_(block, block)] = np.linalg.inv(covariance)
+
+    def _take(self, base: BaseModel) -> None:
+        signals, self._base = base.signals, base
+        self._measured = np.concatenate([signals.rate, signals.specific_force], axis=1)  # (n, 6)
+        self._valid: BoolArray = np.isfinite(self._measured).all(axis=1)
+        self._sigma = np.concatenate([signals.rate_sigma, signals.specific_force_sigma])
+
+    def of(self, base: BaseModel) -> Self:
+        """The same unknowns and priors of another run of the vehicle, or of another model of it."""
+        other = copy(self)
+        other._take(base)
+        return other
 
     def start(self, body: RigidBody) -> FloatArray:
         """Initial parameters: this payload, the state it implies at the first ticks, all else nominal, (p,)."""

@@ -8,13 +8,15 @@ Known limit: an accelerometer does not sense gravity along the table; the tilt i
 and weakly.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from copy import copy
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.air_bearing import PlanarColumns, PlanarDrag, planar_columns, predict_planar
+from onboard.dynamics.air_bearing import PlanarColumns, PlanarDrag, ROUNDING_m_s, planar_columns, predict_planar
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.inertia import RigidBody
@@ -23,8 +25,8 @@ from onboard.dynamics.payload import possible_body
 from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import Fit, fit
+from onboard.estimation.errors import ConvergenceError, EstimationError
+from onboard.estimation.maximum_likelihood import Descent, Normal, fit
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
 from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
@@ -32,12 +34,15 @@ from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, Block, Geom
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.regressor.free_rows import measured_base
 
-_EARLY_s = 4.0  # first part of a run, used to compare initial guesses
-_PATIENT = 200  # iterations over all ticks: velocity and Coulomb drag form a curved valley
-_STEPS, _ROUGHLY, _FAIRLY, _CLOSELY = 100, 100.0, 1.0, 1e-2  # of a fit in stages: iterations, tolerances of the sum
+_EARLY_s = 4.0
+_PATIENT, _STEPS = 200, 40  # iterations at the end, of a step of a search: velocity and drag form a curved valley
+_ROUGHLY, _FAIRLY, _CLOSELY = 100.0, 3.0, 1e-2  # tolerances of the sum, by stage
+_SEARCH_PERIOD_s = 0.02  # between ticks
+_ROUNDINGS_m_s = ((0.1, 0.03, 0.01, 0.003), (0.01, 0.003), (0.003,))  # of Coulomb drag, by stage, of each search
+_FINISHED = 2  # results of searches, the likeliest
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
-_DRAGS = (0.002, 0.01, 0.04)  # of their prior sigmas
+_DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
 WORST_MISFIT = 1.3  # whitened residual sum by its degrees of freedom
 MOST_PUSHING = 3.5  # sigmas of a drag below zero
 MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is told and nothing can be
@@ -82,6 +87,7 @@ class AirBearingBase:
         prior: AirBearingPrior,
         offsets: FloatArray | None = None,
     ) -> None:
+        self.rounding_m_s = ROUNDING_m_s
         if vehicle.spec.base is not BaseKind.PLANAR:
             raise SignalError(f"the base is {vehicle.spec.base.value}; this is for a planar one")
         self.vehicle, self.signals, self.prior = vehicle, checked(signals), prior
@@ -96,18 +102,29 @@ class AirBearingBase:
         }
         self.of_a_run: tuple[str, ...] = ("tilt",)  # along the base's axes at the first tick
         early = min(len(signals.q), round(_EARLY_s / signals.period_s))
-        self.schedule = Schedule(early, 3.0, 1e-2, _PATIENT)
+        self.schedule = Schedule(early, 3.0, _CLOSELY, _PATIENT)
 
     def predict(
         self, start: FloatArray, chi: FloatArray, others: Mapping[str, FloatArray], links: tuple[int, ...], ticks: int
     ) -> BasePrediction:
         """See :func:`onboard.dynamics.air_bearing.predict_planar`."""
-        drag = PlanarDrag(self._pucks, *others["drag"].reshape(-1, 2).T)
+        viscous, coulomb = others["drag"].reshape(-1, 2).T
+        drag = PlanarDrag(self._pucks, viscous, coulomb, self.rounding_m_s)
         columns = self._columns._replace(T=self._columns.T[: 2 * ticks - 1])
         return predict_planar(columns, start, chi, drag, others["tilt"], links).base
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:
         """None: the gyro gives no velocity."""
+
+    def coarser(self, ticks: int) -> "AirBearingBase":
+        """The same run by means of so many ticks."""
+        return AirBearingBase(self.vehicle, self.signals.coarser(ticks), self.prior)
+
+    def rounded(self, rounding_m_s: float) -> "AirBearingBase":
+        """The same run if Coulomb drag were rounded to zero below this slip."""
+        other = copy(self)
+        other.rounding_m_s = rounding_m_s
+        return other
 
     def with_errors(self, errors: FloatArray) -> "AirBearingBase":
         """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`."""
@@ -135,74 +152,105 @@ class AirBearingBase:
 class TableExiddm(Exiddm):
     """The ExIDDM of a run on the table.
 
-    Initial velocity, tilt and Coulomb drag have many minima between them, and a run that begins at rest shows nothing
-    of the payload in its first seconds. Where the fit of growing parts fails, all ticks are fitted with the drag held
-    at some values, at first with the payload held too, then with nothing held; the likeliest result is kept.
+    Velocity at the start, tilt and Coulomb drag have many minima between them, since Coulomb drag turns about where a
+    puck hardly slips; a run that begins at rest shows nothing of the payload in its first seconds. Where the fit of
+    growing parts fails, or the pucks together would push, minima are searched for at coarser ticks and in few steps.
+    A search begins with one of two drags, which is held until there is a payload, and with Coulomb drag rounded below
+    some slip, where it is nearly linear, then less and less (a continuation). All ticks are fitted from the likeliest
+    two, and the likeliest of all results is kept.
     """
 
     _base: AirBearingBase
 
     def fit(self) -> PayloadFit:
         """See :meth:`Exiddm.fit`."""
+        if np.ptp(self._base.signals.q, axis=0).max(initial=0.0) < _STILL:
+            raise ConvergenceError("no joint moves: these data do not determine a payload")
+        found, failure = list[PayloadFit](), list[EstimationError | SignalError]()
         try:
-            return super().fit()
-        except (ConvergenceError, SignalError) as error:
-            if np.ptp(self._base.signals.q, axis=0).max(initial=0.0) < _STILL:
-                raise ConvergenceError("no joint moves: these data do not determine a payload") from error
-            return self._in_stages()
+            found.append(super().fit())
+        except (EstimationError, SignalError) as error:
+            failure.append(error)
+        if not found or self._pushes(found[0].fit.x):
+            for x in self._searched():
+                try:
+                    one = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
+                    found.append(self.found(one))
+                except (EstimationError, SignalError) as error:
+                    failure.append(error)
+        if not found:
+            raise failure[0]
+        return min(found, key=lambda one: one.fit.residual_sum)
 
     def with_errors(self, errors: FloatArray) -> "TableExiddm":
         """The same if the joints had these errors, as :meth:`AirBearingBase.with_errors` takes them."""
-        other = copy(self)
-        other._base = self._base.with_errors(errors)
-        return other
+        return self.of(self._base.with_errors(errors))
 
     @property
     def joints(self) -> Block:
         """The errors of the joints and what is stated of them, (6 x joints,)."""
         return self._base.prior.geometry.blocks(self._base.vehicle)["joints"]
 
-    def _in_stages(self) -> PayloadFit:
-        payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")
-        body, best = None, None
+    def _pushes(self, x: FloatArray) -> bool:
+        """Whether all pucks together would push, by their viscous or by their Coulomb drag."""
+        return bool((x[self.layout.estimated("drag")].reshape(-1, 2).sum(axis=0) < 0.0).any())
+
+    def _searched(self) -> list[FloatArray]:
+        """Parameters to begin with, (p,) each, the likeliest first."""
+        base, mass = self._base, self.layout.estimated("payload")[0]
+        coarse = self.of(base.coarser(max(1, round(_SEARCH_PERIOD_s / base.signals.period_s))))
         for guess in _BODIES:
-            x = self.start(guess)
-            try:
-                body = self._held(self._held(x, np.concatenate([payload, drag]), _ROUGHLY).x, drag, _ROUGHLY).x
-            except ConvergenceError:
-                continue
-            if body[payload[0]] > 0.0:
-                break
-        if body is None:
-            raise ConvergenceError("no guess leads anywhere; check frames, signs and units of joints and IMU")
-        for share in _DRAGS:
-            x = body.copy()
-            x[drag] = share * self.layout.sigma[drag]
-            try:
-                tried = self._held(self._held(x, drag, _ROUGHLY).x, drag[:0], _FAIRLY)
-            except ConvergenceError:
-                continue
-            if best is None or tried.residual_sum < best.residual_sum:
-                best = tried
-        if best is None:
-            raise ConvergenceError("the motion determines neither payload nor drag; move more, or let go faster")
-        return self.found(self._held(best.x, drag[:0], _CLOSELY))
+            found = list[Searched]()
+            for roundings_m_s, drags in product(_ROUNDINGS_m_s, _DRAGS):
+                with suppress(EstimationError):
+                    found.append(coarse._continued(guess, roundings_m_s, drags))
+            found = [one for one in found if one.x[mass] > 0.0]
+            if found:
+                return [one.x for one in sorted(found, key=lambda one: one.squares)[:_FINISHED]]
+        return []
 
-    def _held(self, x: FloatArray, held: IndexArray, tolerance: float) -> Fit:
-        """Fit of all ticks with some unknowns kept as they are."""
+    def _continued(self, guess: RigidBody, roundings_m_s: Sequence[float], drags: tuple[float, float]) -> "Searched":
+        """From a payload and drags that are held at first, Coulomb drag rounded less and less."""
+        payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")
+        n, both, none = len(self._valid), np.concatenate([payload, drag]), drag[:0]
+        x = self.start(guess)
+        x[drag] = self._drag(*drags)
+        rounded = self.of(self._base.rounded(roundings_m_s[0]))
+        for held, ticks in ((both, n // 3), (drag, n // 3), (drag, 2 * n // 3), (drag, n)):
+            x = rounded._held(x, held, _ROUGHLY, ticks).x
+        for rounding_m_s in roundings_m_s:
+            x = self.of(self._base.rounded(rounding_m_s))._held(x, none, _FAIRLY).x
+        return self._held(x, none, _FAIRLY)
+
+    def _drag(self, viscous_1_s: float, coulomb_m_s2: float) -> FloatArray:
+        """Fv and Fc of each puck that slow the bare vehicle down so, (2 x pucks,)."""
+        pucks = len(self._base.prior.pucks)
+        mass_kg = self._base.vehicle.chi[::10].sum()
+        return np.tile([viscous_1_s * mass_kg / pucks, coulomb_m_s2 * mass_kg / pucks], pucks)
+
+    def _held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int | None = None) -> "Searched":
+        """The best in a few steps, for the first ticks or all, with some unknowns kept as they are."""
         free = np.setdiff1d(np.arange(x.size), held)
-        tried = x.copy()
-
-        def residuals(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-            tried[free] = z
-            r, J = self.residuals(tried)
-            return r, J[:, free]
-
-        prior = self.prior_information[np.ix_(free, free)]
-        done = fit(residuals, x[free], np.zeros(free.size), prior, _STEPS, tolerance)
+        tried, prior = x.copy(), self.prior_information[np.ix_(free, free)]
+        descent = Descent(x[free], np.zeros(free.size), prior, _STEPS, tolerance)
+        for _ in range(_STEPS):
+            tried[free] = descent.at
+            with np.errstate(over="ignore", invalid="ignore"):
+                r, J = self.residuals(tried, ticks)
+                predicted = Normal.of(r, J[:, free])
+            descent.take(predicted)
+            if descent.found is not None:
+                break
         whole = x.copy()
-        whole[free] = done.x
-        return done._replace(x=whole)
+        whole[free] = descent.best if descent.found is None else descent.found.x
+        return Searched(whole, descent.squares)
+
+
+class Searched(NamedTuple):
+    """What a search came to."""
+
+    x: FloatArray  # (p,)
+    squares: float  # sum of its whitened residuals
 
 
 def air_bearing_exiddm(

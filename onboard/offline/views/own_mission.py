@@ -41,6 +41,18 @@ def is_own(truth: Truth) -> bool:
     return "links" in truth
 
 
+def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
+    """What a vehicle's answers should have been, by name, SI."""
+    true = {**truth["quantities"]}
+    for frame, puck in truth["pucks"].items():
+        true |= {f"Fv_{frame}": puck["viscous_N_s_m"], f"Fc_{frame}": puck["coulomb_N"]}
+    if vehicle.file.free_body:  # its base parameters say the same
+        true |= _of_free_body(build_model(vehicle), truth)
+    elif vehicle.file.estimation.method != "exiddm":
+        true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
+    return true
+
+
 def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) -> dict[str, list[Row]]:
     """Rows of the result table by section, as a ``published.toml`` has them, with their true values.
 
@@ -49,13 +61,7 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
         answers: the last QUANTITY of each name.
         truth: of the world.
     """
-    true = {**truth["quantities"]}
-    for frame, puck in truth["pucks"].items():
-        true |= {f"Fv_{frame}": puck["viscous_N_s_m"], f"Fc_{frame}": puck["coulomb_N"]}
-    if vehicle.file.free_body:  # its base parameters say the same
-        true |= _of_free_body(build_model(vehicle), truth)
-    elif vehicle.file.estimation.method != "exiddm":
-        true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
+    true = true_values(vehicle, truth)
     found: dict[str, list[Row]] = {section: [] for section in (*_SECTIONS.values(), "parameter")}
     for name, answer in answers.items():
         value = true.get(name, np.nan)
