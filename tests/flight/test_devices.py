@@ -34,7 +34,7 @@ def flight(tmp_path_factory):
 
 def test_the_mixed_vehicle_has_every_kind_that_has_a_bus():
     kinds = {kind for kind, model in DEVICES_BY_KIND.items() if issubclass(model, BusDevice)}
-    kinds -= {"reaction_wheel", "thruster"}  # they need a free base: tests/flight/test_wheels.py, test_thrusters.py
+    kinds -= {"reaction_wheel", "thruster"}  # they need a free base: tests/flight/test_wheels_and_thrusters.py
     assert {line.split('"')[1] for line in DEVICES.splitlines() if line.startswith("kind =")} == kinds
 
 

@@ -1,4 +1,4 @@
-"""Thrusters push the free-flyer while it identifies what it caught: from bus bytes to the answer."""
+"""Wheels hold the free-flyer's attitude and thrusters push it while it identifies what it caught: from bus bytes on."""
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from tests.flight.test_dymaflex import SHORT
 
 JETS = {"jet_1": ([0.0, 0.3, 0.0], [0.2, 0.0, 0.05]), "jet_2": ([-0.25, 0.0, 0.0], [0.0, -0.15, 0.0])}
 WHEN_s = {"jet_1": (2.0, 0.7), "jet_2": (8.0, 1.0)}
+WHEELS = ("wheel_x", "wheel_y", "wheel_z")
 RISE_s = 0.02  # half of it before a burn, half after
 BURNS = [
     {"frame": name, "at_s": WHEN_s[name][0], "duration_s": WHEN_s[name][1], "force_N": float(np.linalg.norm(force))}
@@ -20,12 +21,22 @@ BURNS = [
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    path = tmp_path_factory.mktemp("thrusters") / "flight.mcap"
+    path = tmp_path_factory.mktemp("actuators") / "flight.mcap"
     return fly(path, 21011, vehicle="dymaflex_wheels", burn=BURNS, **SHORT)
 
 
-def test_every_sample_is_accounted_for_and_the_jets_push(flown: Result) -> None:
+def test_every_sample_is_accounted_for_and_the_wheels_turn(flown: Result) -> None:
     assert flown.table["accounted"], flown.table["channels"]
+    assert set(flown.table["channels"]) == set(config.load(config.packaged("dymaflex_wheels")).channels)
+    for name in WHEELS:
+        rows = flown.log.read(name)
+        assert len(rows) == pytest.approx(500 * flown.flown.truth["duration_s"], rel=0.02)
+        speed = rows["value_raw"] * rows["scale"]
+        assert np.ptp(speed) > 5.0
+        assert set(rows["unit"]) == {b"rad/s"}
+
+
+def test_the_jets_push_for_as_long_as_told(flown: Result) -> None:
     for name, (force, _) in JETS.items():
         rows = flown.log.read(name)
         on_s = 0.002 * np.count_nonzero(rows["value_raw"])
@@ -46,6 +57,13 @@ def test_the_answer_holds_the_truth_and_nothing_else_was_noticed(flown: Result) 
 def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
     found = replay(flown.path)
     assert found.identical, found.summary
+
+
+def test_a_wheel_is_a_rotor_with_scale_and_delay_of_its_device() -> None:
+    predictor = build_exiddm(config.load(config.packaged("dymaflex_wheels")))[0].exiddm.predictor
+    own = {name: sigma for name, sigma in zip(predictor.names, predictor.sigma, strict=True) if "wheel" in name}
+    expected = {f"{kind}_{wheel}": sigma for wheel in WHEELS for kind, sigma in (("scale", 5e-3), ("delay", 2e-4))}
+    assert own == pytest.approx(expected)
 
 
 def test_a_thruster_has_the_scale_of_its_device_and_the_wrench_of_its_frame() -> None:
