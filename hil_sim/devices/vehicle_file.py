@@ -24,6 +24,7 @@ Table = dict[str, Any]
 Over = str | Path | Mapping[str, Any]  # the path of a scenario file, or its tables
 
 _REST_S, _REACH_S, _MOVE_S, _END_S = 4.0, 12.0, 24.0, 1.0
+_PLACE_M = 5e-4  # of joints and IMUs of which the file says nothing, each coordinate
 _BURNS = 0.15, 0.6  # of the mission: when each thruster is on for a second
 _GRAVITY = [0.0, 0.0, -9.80665]
 _WIRING = ("canopen_sync", "sync_pulse")  # together the sync box
@@ -128,6 +129,7 @@ def _tables(file: Table, said: Table, drawing: Drawing) -> Table:
         phases.get("channel"),
         estimation.get("imu_prior", estimation.get("doubt", {})),
         {name: joint.effort for name, joint in drawing.joints.items()},
+        estimation.get("prior", {}).get("joint", {}),
     )
     out: Table = {"sensor": {}, "clock": {}, "bus": {}, "device": {}}
     for name, device in devices.items():
@@ -135,6 +137,8 @@ def _tables(file: Table, said: Table, drawing: Drawing) -> Table:
             _add_device(out, name, device, sheets)
     _add_wiring(out, file, devices)
     out["as_built"] = _as_built(estimation, drawing)
+    if estimation.get("method") == "exiddm":
+        _displace(out["as_built"], estimation, drawing, [one["frame"] for one in devices.values() if _is_imu(one)])
     out["as_built"].pop(str(said.get("payload_link")), None)  # it is drawn as the payload
     out["physics"] = {"gravity_m_s2": said.get("gravity_m_s2", _GRAVITY) if _stands(said) else [0.0, 0.0, 0.0]}
     drag = estimation.get("gates", {}).get("specific_force_m_s2")
@@ -228,6 +232,21 @@ def _as_built(estimation: Table, drawing: Drawing) -> Table:
     if estimation.get("method") == "exiddm":  # links that it does not name are certain to it
         found.setdefault("default", {"mass_relative": 0.0, "centre_mm": 0.0, "inertia_relative": 0.0})
     return found
+
+
+def _is_imu(device: Table) -> bool:
+    return "frame" in device and "gyro_noise_rad_s" in device
+
+
+def _displace(found: Table, estimation: Table, drawing: Drawing, imus: list[str]) -> None:
+    """How far joints and IMUs are from where they are drawn, by what the file states or by :data:`_PLACE_M`."""
+    stated = estimation.get("prior", {}).get("joint", {})
+    places = {joint.child: stated.get(name, {}).get("position_m", _PLACE_M) for name, joint in drawing.joints.items()}
+    places |= dict.fromkeys(imus, estimation.get("imu_prior", {}).get("position_m", _PLACE_M))
+    for frame, sigma_m in places.items():
+        link = drawing.link_at(frame)
+        if link != drawing.root:
+            found[link] = (found.get(link) or found["default"]) | {"place_mm": 1e3 * sigma_m}
 
 
 def _add_mission(out: Table, said: Table, estimation: Table, drawing: Drawing) -> None:

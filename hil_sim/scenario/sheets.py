@@ -11,6 +11,7 @@ from hil_sim.scenario.tables import ScenarioError
 
 _G = 9.80665  # m/s^2, exact by definition
 _DEG = math.pi / 180.0
+ZERO_RAD = 1e-3  # of an encoder of which the file says nothing
 
 
 class Sheets(NamedTuple):
@@ -21,12 +22,14 @@ class Sheets(NamedTuple):
         phase_channel: that tells the phases; None without.
         imu_prior: what calibration leaves of the base IMU, as the file states it; empty where it states nothing.
         efforts: largest torque of each joint, N m, by the URDF.
+        joint_prior: errors of the joints' encoders as the file states them, by joint.
     """
 
     pulse: bool
     phase_channel: str | None
     imu_prior: Mapping[str, float]
     efforts: Mapping[str, float]
+    joint_prior: Mapping[str, Mapping[str, float]]
 
     def imu(self, kind: str, said: Mapping[str, Any]) -> dict[str, Any]:
         """An IMU: as it comes, or with what the file says that a calibration has left."""
@@ -44,14 +47,15 @@ class Sheets(NamedTuple):
             table["mounting_sigma_deg"] = min(turns) / _DEG
         return table
 
-    @staticmethod
-    def encoder(name: str, said: Mapping[str, Any]) -> dict[str, Any]:
-        """An encoder: counts, gear and cyclic errors of the file, whose rms they are; phases are drawn."""
+    def encoder(self, name: str, said: Mapping[str, Any]) -> dict[str, Any]:
+        """An encoder: zero, counts, gear and cyclic errors of the file, whose rms they are; phases are drawn."""
         counts = said["counts_per_revolution"]
         if counts <= 0:
             raise ScenarioError(f"device.{name}: {counts} counts a revolution; rehearse it with the count's size")
+        zero_rad = self.joint_prior.get(said["joint"], {}).get("zero_rad", said.get("zero_sigma_rad", ZERO_RAD))
         return {
             "quantity": "joint_angle",
+            "zero_sigma_mrad": 1e3 * zero_rad,
             "counts_per_revolution": counts,
             "gear_ratio": abs(said.get("gear_ratio", 1.0)),
             "eccentricity_urad": 1e6 * math.sqrt(2.0) * said.get("eccentricity_rad", 0.0),

@@ -266,3 +266,16 @@ def test_a_payload_that_the_urdf_draws_is_let_go_with_all_its_mass(tmp_path):
     assert "tip_mass" not in truth["links"]
     assert truth["ejection_s"] > 0.0
     assert plant._model.model.body("l.tip_mass").mass[0] == 0.0
+
+
+def test_joints_imus_and_zeros_are_off_the_drawing_as_stated_or_by_a_default(tmp_path):
+    joint_1 = "joint_1 = { position_m = 5e-4, zero_rad = 1e-3, scale = 2e-4, delay_s = 2e-4 }"
+    joint_2 = joint_1.replace("joint_1", "joint_2")
+    path = copied(tmp_path, **{joint_1: "joint_1 = { position_m = 7e-4, zero_rad = 2e-3 }", joint_2: ""})
+    scenario = rehearsal(path)
+    places = {name: table.place_mm for name, table in scenario.as_built.items() if table.place_mm}
+    links = {f"link_{n}": 0.5 for n in range(2, 6)}
+    assert places == pytest.approx({"link_1": 0.7, **links, "imu_base": 3.0, "imu_2": 3.0})
+    assert scenario.as_built["link_1"].mass_relative == 0.03  # as the file states of the link
+    assert [scenario.sensor[f"joint_{n}"].zero_sigma_mrad for n in (1, 2, 3)] == [2.0, 1.0, 1.0]
+    assert all(not table.place_mm for table in rehearsal(copied(tmp_path / "fixed", "fixed_arm")).as_built.values())
