@@ -15,6 +15,7 @@ from typing import NamedTuple
 import tomli_w
 
 import hil_sim.scenario
+from hil_sim.scenario import bed
 from onboard import config
 from onboard.flight.store import manifest
 
@@ -105,15 +106,16 @@ def longer(vehicle: str, seconds: float, place: Path) -> Path:
     A free-flyer's whole flight is integrated before it begins, at 2.5 times real time; from :data:`LONG_S` on it is
     integrated in steps of 20 ms in place of 4 ms (its tones are of 0.6 Hz at most), ten times as fast.
     """
-    path = Path(hil_sim.scenario.__file__).parent / "packaged" / f"{vehicle}.toml"
-    packaged = tomllib.loads(path.read_text(encoding="utf-8"))
-    sequence = packaged["sequence"]
+    flown = bed.find(vehicle)
+    packaged = Path(hil_sim.scenario.__file__).parent / "packaged" / f"{vehicle}.toml"
+    path = packaged if flown is None else flown.scenario
+    sequence = tomllib.loads(path.read_text(encoding="utf-8"))["sequence"]
     longest = max(sequence, key=lambda step: float(step.get("duration_s", 0.0)))
     others_s = sum(step.get("duration_s", 0.0) for step in sequence if step is not longest)
     longest["duration_s"] = max(10.0, seconds - others_s)
     over = place / "longer.toml"
     content = {"sequence": sequence}
-    if seconds > LONG_S and packaged["scenario"]["plant"] == "free_flyer":
+    if seconds > LONG_S and flown is not None:
         content["physics"] = {"integration_steps": LONG_STEPS}
     over.write_text(tomli_w.dumps(content), encoding="utf-8")
     return over
