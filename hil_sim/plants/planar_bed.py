@@ -4,7 +4,6 @@ MuJoCo integrates the whole vehicle (RK4); its control callback gives the joint 
 and applies each puck's drag at its place: a viscous part and a Coulomb part (rounded within 2 mm/s).
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,9 +25,9 @@ from hil_sim.plants.free_flyer import (
     body_xml,
 )
 from hil_sim.plants.motion import STANDARD_GRAVITY
+from hil_sim.plants.pucks import Puck, drag_wrench
 
 PUCKS_m = ((0.200, 0.0), (-0.100, 0.173), (-0.100, -0.173))  # of the carriage, base axes
-_ROUNDING_m_s = 2e-3
 _STIFFNESS, _DAMPING = 400.0, 40.0  # 1/s^2, 1/s: corrects integration error
 
 
@@ -69,21 +68,6 @@ def world(
     )
 
 
-def drag_force(drags: Sequence[Drag], yaw: float, velocity: FloatArray) -> FloatArray:
-    """Generalised force of all pucks on x, y and yaw of the table, (3,); ``velocity`` of these, (3,)."""
-    vx, vy, w = velocity.tolist()
-    c, s = math.cos(yaw), math.sin(yaw)
-    force_x = force_y = moment = 0.0
-    for drag, (px, py) in zip(drags, PUCKS_m, strict=True):
-        x, y = c * px - s * py, s * px + c * py
-        slip_x, slip_y = vx - w * y, vy + w * x
-        share = drag.viscous_N_s_m + drag.coulomb_N / math.hypot(slip_x, slip_y, _ROUNDING_m_s)
-        force_x -= share * slip_x
-        force_y -= share * slip_y
-        moment -= share * (x * slip_y - y * slip_x)
-    return np.array([force_x, force_y, moment])
-
-
 def fly(
     model: mujoco.MjModel,
     motion: Motion,
@@ -105,12 +89,14 @@ def fly(
     q, dq, ddq = motion.at(half_s * np.arange(2 * samples + 1))  # the stages of RK4 lie on half steps
     data.qpos[3:], data.qvel[3:], data.qvel[:3] = q[0], dq[0], velocity
     M = np.zeros((model.nv, model.nv))
+    each = zip(PUCKS_m, drags, strict=True)
+    pucks = [Puck(np.array([*place, 0.0]), drag.viscous_N_s_m, drag.coulomb_N) for place, drag in each]
 
     def torque(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         stage = round(data.time / half_s)
         joints = ddq[stage] + _STIFFNESS * (q[stage] - data.qpos[3:]) + _DAMPING * (dq[stage] - data.qvel[3:])
         mujoco.mj_fullM(model, data, M)
-        drag = drag_force(drags, data.qpos[2], data.qvel[:3])
+        drag = drag_wrench(pucks, float(data.qpos[2]), data.qvel[:3])
         base = np.linalg.solve(M[:3, :3], drag - data.qfrc_bias[:3] - M[:3, 3:] @ joints)
         data.qfrc_applied[:3] = drag
         data.qfrc_applied[3:] = data.qfrc_bias[3:] + M[3:, :3] @ base + M[3:, 3:] @ joints

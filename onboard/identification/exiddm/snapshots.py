@@ -62,7 +62,7 @@ class _Kept(NamedTuple):
 
 
 class Snapshots:
-    """The newest states, and the newest ticks of the empty arm since it rested.
+    """The newest states, and the newest ticks since the arm rested.
 
     Args:
         period_s: of the ticks.
@@ -73,7 +73,7 @@ class Snapshots:
         self._tiers, self._newest = tuple(tiers), -1
         self._kept: list[_Kept] = []
         self._fewest, self._most = (round(seconds / period_s) for seconds in _EMPTY_s)
-        self._empty: Ticks | None = None
+        self._moved: Ticks | None = None
         self._moving = 0  # batches since the arm rested
 
     def __len__(self) -> int:
@@ -82,15 +82,15 @@ class Snapshots:
     def clear(self) -> None:
         """Forget all."""
         self._kept.clear()
-        self._empty = None
+        self._moved = None
 
     def moves(self, ticks: Ticks | None) -> None:
         """Keep the ticks of a batch, the first two of which were in the one before; None: the arm rests."""
         self._moving = 0 if ticks is None else self._moving + 1
-        if ticks is None or self._empty is None:
-            self._empty = ticks
+        if ticks is None or self._moved is None:
+            self._moved = ticks
         else:
-            self._empty = self._empty.and_then(ticks.part(slice(2, None))).part(slice(-self._most, None))
+            self._moved = self._moved.and_then(ticks.part(slice(2, None))).part(slice(-self._most, None))
 
     def since_rest(self, batches: int) -> tuple[int, Before | None]:
         """Where to go back to at a change that began so many batches ago, and the motion before it, if that counts.
@@ -99,7 +99,7 @@ class Snapshots:
         """
         if self._moving >= self._tiers[-1][0] or self._moving < batches:
             return batches, None
-        ticks = None if self._empty is None else self._empty.part(slice(None, -(batches + 1) * BATCH_TICKS))
+        ticks = None if self._moved is None else self._moved.part(slice(None, -(batches + 1) * BATCH_TICKS))
         known = ticks is not None and len(ticks.time_s) >= self._fewest
         return self._moving + 1, Before(ticks, self.back(batches + 1)) if known and ticks is not None else None
 
