@@ -56,6 +56,19 @@ SCALAR = np.dtype(
     align=True,
 )
 
+POSE = np.dtype(  # of a frame M of the vehicle in the tracker's frame L; numbers as they were sent
+    [
+        *_HEAD,
+        ("tick", "<u8"),  # us of the tracker's clock
+        ("position_m", "<f4", (3,)),  # of M's origin in L
+        ("quaternion", "<f4", (4,)),  # w, x, y, z: v_L = q v_M q*
+        ("covariance", "<f4", (21,)),  # the tracker's own, m^2, m rad, rad^2: upper triangle by rows; NaN: not told
+        ("link_sequence", "u1"),  # the message's own number
+        ("status", "u1"),  # SampleStatus
+    ],
+    align=True,
+)
+
 CAN_SYNC = np.dtype([*_HEAD, ("tick", "<u8"), ("sync_counter", "u1")], align=True)
 
 CAN_FRAME = np.dtype(  # sent by us; `host_ns`: when it was handed to the port

@@ -21,15 +21,26 @@ from hil_sim.scenario.sensor_tables import (
     LoadCellTable,
     MotorTorqueTable,
     PhaseTable,
+    PoseTable,
     SensorTable,
     ThrustTable,
     WheelRateTable,
 )
 from hil_sim.sensing.analog import ChipClock
 from hil_sim.sensing.controller_sensors import MotorTorqueSensor, PhaseSensor, TachoSensor, ThrustSensor, of_actuator
+from hil_sim.sensing.pose_sensor import PoseSensor
 from hil_sim.sensing.sensors import EncoderSensor, ImuSensor, LoadCellSensor
 
-Sensor = ImuSensor | EncoderSensor | LoadCellSensor | MotorTorqueSensor | PhaseSensor | TachoSensor | ThrustSensor
+Sensor = (
+    ImuSensor
+    | EncoderSensor
+    | LoadCellSensor
+    | MotorTorqueSensor
+    | PhaseSensor
+    | PoseSensor
+    | TachoSensor
+    | ThrustSensor
+)
 Kind = TypeVar("Kind")
 
 
@@ -66,8 +77,8 @@ def sensor(plant: Plant, table: SensorTable, rng: np.random.Generator, at: str) 
             return MotorTorqueSensor(plant, table, rng, at)
         case WheelRateTable() | ThrustTable():
             return of_actuator(plant, table, rng, at)
-        case PhaseTable():
-            return PhaseSensor(plant)
+        case PoseTable() | PhaseTable():
+            return PoseSensor(plant, table, rng, at) if isinstance(table, PoseTable) else PhaseSensor(plant)
 
 
 class Twins:

@@ -18,8 +18,10 @@ _SENSED = {
     "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER,
     "force": mujoco.mjtSensor.mjSENS_FORCE,
     "torque": mujoco.mjtSensor.mjSENS_TORQUE,
+    "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
+    "attitude": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
 }
-Sensed = Literal["gyro", "accelerometer", "force", "torque"]
+Sensed = Literal["gyro", "accelerometer", "force", "torque", "position", "attitude"]
 
 
 class Places(NamedTuple):
@@ -27,6 +29,7 @@ class Places(NamedTuple):
 
     imus: tuple[str, ...]
     cells: tuple[str, ...]
+    tracked: tuple[str, ...] = ()
 
 
 class UrdfModel:
@@ -124,9 +127,10 @@ class UrdfModel:
         return found
 
     def sensor(self, kind: Sensed, link: str) -> slice:
-        """Where a sensor's three numbers stand."""
-        first = int(self.model.sensor(f"{kind} {link}").adr[0])
-        return slice(first, first + 3)
+        """Where a sensor's numbers stand: three, of an attitude four."""
+        sensor = self.model.sensor(f"{kind} {link}")
+        first = int(sensor.adr[0])
+        return slice(first, first + int(sensor.dim[0]))
 
 
 def _let_go(root: mujoco.MjsBody, base: str) -> None:
@@ -150,10 +154,11 @@ def _instrument(spec: mujoco.MjSpec, places: Places) -> None:
                     objname=f"at {link}",
                 )
 
-    for link in dict.fromkeys((*places.imus, *places.cells)):
+    for link in dict.fromkeys((*places.imus, *places.cells, *places.tracked)):
         spec.body(PREFIX + link).add_site(name=f"at {link}")
     add(("gyro", "accelerometer"), places.imus)
     add(("force", "torque"), places.cells)
+    add(("position", "attitude"), places.tracked)
 
 
 def _together(one: Body, other: Body) -> Body:

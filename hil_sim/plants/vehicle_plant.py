@@ -243,9 +243,10 @@ class VehiclePlant(world.Plant):
 
         return self._made(made)
 
-    def _made(self, of: Callable[[slice], FloatArray]) -> FloatArray:
-        """A signal (n,) made of others: of those rows that there are, and of each that comes."""
-        track, done = Track(self.rows), slice(0, self._filled)
+    def _made(self, of: Callable[[slice], FloatArray], columns: int | None = None) -> FloatArray:
+        """A signal (n,) or (n, columns) made of others: of those rows that there are, and of each that comes."""
+        track = Track(self.rows) if columns is None else Track(self.rows, columns)
+        done = slice(0, self._filled)
         if done.stop:
             track.values[done] = of(done)
         self._tracks.append(track)
@@ -261,6 +262,14 @@ class VehiclePlant(world.Plant):
         if at not in self.jets.frames:
             return super().thrust_n(at)
         return self.jets.force_n(at, self.step_s * np.arange(self.rows, dtype=np.float64))
+
+    def pose(self, at: str) -> FloatArray:
+        """See ``world.Plant``; a cabin is taken for inertial, so nothing is tracked in one."""
+        if self.cabin is not None:
+            return super().pose(at)
+        link, sensors = self.drawing.link_at(at), self.rows_true.sensors
+        where, how = (self._model.sensor(kind, link) for kind in ("position", "attitude"))
+        return self._made(lambda rows: np.hstack([sensors[rows, where], sensors[rows, how]]), 7)
 
     @property
     def base(self) -> Body:
@@ -364,6 +373,7 @@ def _places(scenario: VehicleScenario, drawing: urdf_drawing.Drawing) -> Places:
     """Links at which the devices measure motion or loads."""
     imus: dict[str, None] = {}
     cells: dict[str, None] = {}
+    tracked: dict[str, None] = {}
     for device in scenario.device.values():
         table = device.model_dump()
         for part in (table, *table.get("channel", ())):
@@ -372,4 +382,6 @@ def _places(scenario: VehicleScenario, drawing: urdf_drawing.Drawing) -> Places:
                 imus[drawing.link_at(str(part.get("at")))] = None
             elif sensor is not None and sensor.quantity in ("joint_moment", "force"):
                 cells[drawing.link_at(str(part.get("at")))] = None
-    return Places(tuple(imus), tuple(cells))
+            elif sensor is not None and sensor.quantity == "pose":
+                tracked[drawing.link_at(str(part.get("at")))] = None
+    return Places(tuple(imus), tuple(cells), tuple(tracked))

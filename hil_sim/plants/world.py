@@ -82,6 +82,10 @@ class Plant(ABC):
         """Force of a thruster, (n,)."""
         raise ScenarioError(f"there is no thruster {at!r} in this plant; take its device out")
 
+    def pose(self, at: str) -> FloatArray:
+        """Position, m, and attitude, a quaternion (w, x, y, z), of a frame in inertial axes, (n, 7)."""
+        raise ScenarioError(f"nothing tracks {at!r} in this plant; take its device out")
+
     @abstractmethod
     def truth(self) -> dict[str, Any]:
         """True values for comparison with estimates: scalars, text, lists and arrays, SI units."""

@@ -13,7 +13,7 @@ Vector = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 MeasuredQuantity = Literal[
-    "inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase", "wheel_rate", "thrust"
+    "inertial", "joint_angle", "joint_moment", "force", "servo_torque", "phase", "wheel_rate", "thrust", "pose"
 ]
 
 
@@ -138,6 +138,20 @@ class ThrustTable(Table):
     step_N: PositiveFloat
 
 
+class PoseTable(Table):
+    """Position and attitude of a frame in a laboratory's motion capture, which has a scale error.
+
+    ``place_sigma_mm``, ``mounting_sigma_deg``: of the markers' frame from where it is drawn. Noise is that of one pose.
+    """
+
+    quantity: Literal["pose"]
+    position_noise_mm: NonNegative
+    attitude_noise_deg: NonNegative
+    scale_sigma: NonNegative
+    place_sigma_mm: NonNegative
+    mounting_sigma_deg: NonNegative
+
+
 class PhaseTable(Table):
     """The code of the sequence's phase."""
 
@@ -152,6 +166,7 @@ SensorTable = Annotated[
     | MotorTorqueTable
     | WheelRateTable
     | ThrustTable
+    | PoseTable
     | PhaseTable,
     Field(discriminator="quantity"),
 ]

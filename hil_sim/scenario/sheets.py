@@ -75,6 +75,18 @@ class Sheets(NamedTuple):
         return sheet("thruster") | {"quantity": "thrust", "step_N": abs(said["scale"])} | stated
 
     @staticmethod
+    def pose(said: Mapping[str, Any]) -> dict[str, Any]:
+        """A pose tracker: noise of the file."""
+        own = {
+            "position_noise_mm": 1e3 * said["position_noise_m"],
+            "attitude_noise_deg": said["attitude_noise_rad"] / _DEG,
+        }
+        named = {"scale_sigma": ("scale_sigma", 1.0), "place_sigma_mm": ("place_sigma_m", 1e3)}
+        named["mounting_sigma_deg"] = ("misalignment_sigma_rad", 1.0 / _DEG)
+        own |= {key: unit * said[key_said] for key, (key_said, unit) in named.items() if key_said in said}
+        return sheet("pose_tracker") | {"quantity": "pose"} | own
+
+    @staticmethod
     def load_cell(said: Mapping[str, Any]) -> dict[str, Any]:
         """A load cell: capacity, lever, noise, delay and calibration of the file."""
         table = sheet("load_cell")

@@ -12,6 +12,7 @@ from drivers.dsc_load_cell import DscLoadCell, DscLoadCellConfig
 from drivers.modbus_load_cell import ModbusLoadCell, ModbusLoadCellConfig
 from drivers.nimu import Nimu, NimuConfig
 from drivers.node_frame import NodeFrame, NodeFrameConfig
+from drivers.pose_tracker import PoseTracker
 from drivers.qsb import Qsb, QsbConfig
 from tests.conftest import VirtualClock
 from tests.drivers.batches import of
@@ -19,6 +20,7 @@ from tests.drivers.modbus_model import TransmitterModel
 from tests.drivers.modbus_model import framed as modbus_framed
 from tests.drivers.nimu_model import NimuModel
 from tests.drivers.node_model import NodeModel, framed
+from tests.drivers.pose_model import message
 from tests.drivers.qsb_model import QsbModel
 from tests.drivers.serial_script import ScriptedSerial, SerialFlight
 
@@ -55,6 +57,14 @@ FRAMES = {
     "nimu": st.builds(nimu_packet, U16, st.lists(st.integers(-32768, 32767), min_size=12, max_size=12)),
     "qsb": st.builds(qsb_line, st.sampled_from("rwsex"), REGISTERS, NEAR | U32, NEAR | U32)
     | st.sampled_from([b"QSB-D  0E!\r\n", b"e0E00000005!", b"s 0E 00000001 !\r\n"]),
+    "pose": st.builds(
+        message,
+        st.binary(max_size=130),
+        st.sampled_from([138, 138, 138, 0, 2, 111, 30]),
+        U8,
+        st.sampled_from([1, 1, 2]),
+        st.sampled_from([0, 0, 0, 1, 2]),
+    ),
     "modbus": st.builds(modbus_framed, st.binary(min_size=2, max_size=21)),
     "dsc": st.sampled_from([b"?\r", b"\r", b"+00032.100\r", b"-1\r", b"+99999999.9\r"]),
 }
@@ -66,6 +76,7 @@ def devices(clock):
     return {
         "node": (lambda *a: NodeFrame("x", *a, NodeFrameConfig(("a", "b"))), lambda _: b""),
         "nimu": (lambda *a: Nimu("x", *a, NimuConfig()), lambda _: b""),
+        "pose": (lambda *a: PoseTracker("x", *a), lambda _: b""),
         "qsb": (lambda *a: Qsb("x", *a, QsbConfig()), qsb.receive),
         "modbus": (lambda *a: ModbusLoadCell("x", *a, ModbusLoadCellConfig()), cell.receive),
         "dsc": (lambda *a: DscLoadCell("x", *a, DscLoadCellConfig()), lambda _: b"+00032.100\r"),

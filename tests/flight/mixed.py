@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.records import Batch, Rows
 from hil_sim.buses.in_process import in_process
@@ -16,6 +17,7 @@ from hil_sim.devices.serial_line.dsc_load_cell import DscLoadCellTwin
 from hil_sim.devices.serial_line.modbus_load_cell import ModbusLoadCellTwin
 from hil_sim.devices.serial_line.nimu import NimuTwin
 from hil_sim.devices.serial_line.node_frame import FrameNode, NodeChannel, ValueType
+from hil_sim.devices.serial_line.pose_tracker import PoseTrackerTwin
 from hil_sim.devices.serial_line.qsb import QsbTwin
 from hil_sim.devices.serial_line.serial_wire import LineFormat
 from hil_sim.devices.sync.sync_box import SyncBox
@@ -69,6 +71,18 @@ def vehicle(directory: Path, urls: dict[str, str], text: str = DEVICES) -> confi
     return config.parse(text, directory / "vehicle.toml").with_urls(urls)
 
 
+class Cameras:
+    """A tracker's: it sees the body drift along x without turning."""
+
+    def poses(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        seen = np.zeros((len(times_s), 7))
+        seen[:, 0], seen[:, 3] = 0.1 * times_s, 1.0
+        return seen
+
+    def noisy(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        return poses
+
+
 class MixedWorld:
     """The twins on their buses, as a context; time is ``now_ns``.
 
@@ -92,6 +106,7 @@ class MixedWorld:
             "tty_cell": SerialBusTable(kind="serial"),
             "tty_grip": SerialBusTable(kind="serial"),
             "tty_node": SerialBusTable(kind="serial", baud_rate=230_400),
+            "tty_tracker": SerialBusTable(kind="serial", baud_rate=230_400),
         }
         self._ports = in_process(tables, directory, lambda: self.now_ns, name=directory.name)
         loop = directory / "loop.sock"
@@ -122,6 +137,7 @@ class MixedWorld:
         bus["tty_cell"].add(ModbusLoadCellTwin(Analog(force_n), RateClock(), START_NS))
         bus["tty_grip"].add(DscLoadCellTwin(Analog(force_n), RateClock(), START_NS))
         bus["tty_node"].add(self.node)
+        bus["tty_tracker"].add(PoseTrackerTwin(Cameras(), RateClock(), START_NS))
         for _ in range(BOOT_MS):
             self.advance(MS)
 

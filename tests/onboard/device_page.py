@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from drivers.marks import MARK
-from drivers.records import CAN_SYNC, IMU, PULSE, SCALAR
+from drivers.records import CAN_SYNC, IMU, POSE, PULSE, SCALAR
 from onboard import config
 from onboard.devices.base import BusDevice, DeviceSection
 from onboard.devices.canopen import CanopenNodeDevice
@@ -27,6 +27,7 @@ FLOWN = Path(__file__).parents[1] / "flight" / "mixed.toml", config.packaged("dy
 RECORDS: list[tuple[np.dtype[np.void], str]] = [
     (IMU, "IMU"),
     (SCALAR, "SCALAR"),
+    (POSE, "POSE"),
     (CAN_SYNC, "CAN_SYNC"),
     (PULSE, "PULSE"),
     (MARK, "MARK"),

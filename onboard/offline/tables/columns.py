@@ -202,6 +202,8 @@ def _components(name: str, shape: tuple[int, ...]) -> list[tuple[str, tuple[int,
     """Suffix of the column's name, and index in the field, of each element."""
     if shape == (3,) and _CARTESIAN & set(name.split("_")):
         return [(f"_{axis}", (n,)) for n, axis in enumerate("xyz")]
+    if shape == (4,) and name == "quaternion":
+        return [(f"_{part}", (n,)) for n, part in enumerate("wxyz")]
     return [("".join(f"_{n}" for n in index), index) for index in np.ndindex(shape)]
 
 
