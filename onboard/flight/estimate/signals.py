@@ -214,6 +214,8 @@ class SignalSmoother:
         of_change[:-1], of_change[-1] = sigma[1:], sigma[-1] * (np.pi / self.width_s)
         moved = one.timing_s * np.sqrt(np.maximum(change * change - of_change * of_change, 0.0))
         sigma = np.hypot(sigma, moved)
+        if derivatives:
+            self._ripple(group, out[1], sigma)
         found, column, cyclic = {}, 0, self._cyclic(group, window, derivatives)
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])
@@ -221,14 +223,29 @@ class SignalSmoother:
             for reason in _reasons_in(recent.wrong):
                 held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
                 refused = refused | reasons(held, reason)
-            ripple = self._signals[name].ripple if derivatives else ()
-            for periods, rms in ripple:
-                left = rms * CYCLIC_LEFT if self._cyclic_fitted else rms
-                for order in range(derivatives + 1):
-                    passed = left * self._response.gain(periods * out[1, :, part], order)
-                    sigma[order, :, part] = np.hypot(sigma[order, :, part], passed)
             found[name] = ChannelAtTicks(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused, cyclic.get(name))
         return found
+
+    def _ripple(self, group: Mapping[str, "_Recent"], rate: FloatArray, sigma: FloatArray) -> None:
+        """Add what the kernel passes of the encoders' cyclic errors to the noise.
+
+        Args:
+            group: the channels.
+            rate: of each, (n, columns) rad/s.
+            sigma: (orders, n, columns), which changes.
+        """
+        column, errors = 0, list[tuple[int, float, float]]()
+        for name, recent in group.items():
+            errors += [(column, *error) for error in self._signals[name].ripple]
+            column += recent.values.shape[1]
+        if not errors:
+            return
+        columns, periods, rms = (np.array(part) for part in zip(*errors, strict=True))
+        left = rms * CYCLIC_LEFT if self._cyclic_fitted else rms
+        for order in range(len(sigma)):
+            passed = left * self._response.gain(periods * rate[:, columns], order)
+            for k, column in enumerate(columns.tolist()):
+                sigma[order, :, column] = np.hypot(sigma[order, :, column], passed[:, k])
 
     def _cyclic(
         self, group: Mapping[str, "_Recent"], window: SmoothingWindow, derivatives: int

@@ -87,6 +87,7 @@ class ExiddmIdentifier:
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._attached: bool | None = None
         self._told = 0
+        self._found: tuple[FloatArray, FloatArray] | None = None  # see :meth:`_now`
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Takes new ticks; a change of ``attached`` announces a capture or a release of the payload.
@@ -131,6 +132,7 @@ class ExiddmIdentifier:
 
     def _count(self, glitches: int) -> None:
         """Count rows, and outliers since there were so many."""
+        self._found = None
         self.rows_used = 6 * self.exiddm.ticks_used
         self.refused[GateReason.RESIDUAL] += 6 * (self.exiddm.glitches - glitches)
 
@@ -144,7 +146,7 @@ class ExiddmIdentifier:
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
         if exiddm.holds and exiddm.state is not None and exiddm.confirmed:
-            mean, P = self._payload(exiddm.state)
+            mean, P = self._now(exiddm.state)
             sigma = np.sqrt(np.diag(P))
             try:
                 possible = possible_body(mean, P)
@@ -182,7 +184,7 @@ class ExiddmIdentifier:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
         if self.exiddm.holds and self.exiddm.state is not None and self.exiddm.confirmed:
-            mean, P = self._payload(self.exiddm.state)
+            mean, P = self._now(self.exiddm.state)
             R = cholesky(np.linalg.inv(P))
             out[:10, :10], out[:10, 10] = R, R @ mean
         return out
@@ -194,7 +196,7 @@ class ExiddmIdentifier:
         predictor, fusion, state = self.exiddm.predictor, self.exiddm.fusion, self.exiddm.state
         if state is None:
             return Findings()
-        known, names, stated = self._known(), predictor.names, predictor.stated
+        known, names, stated = self._known().tolist(), predictor.names, predictor.stated
         slow = self.exiddm.lines.slow
         each = {
             **self.exiddm.misfit.by_instrument(),
@@ -211,7 +213,7 @@ class ExiddmIdentifier:
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
-        against = too_large({names[k]: float(state[k] / stated[k]) for k in known})
+        against = too_large(dict(zip((names[k] for k in known), (state[known] / stated[known]).tolist(), strict=True)))
         return Findings((*swaying, *contradicted(self._by_the_data(state)), *against), tuple(doubts))
 
     def _known(self) -> IndexArray:
@@ -224,11 +226,18 @@ class ExiddmIdentifier:
 
     def _by_the_data(self, state: FloatArray) -> dict[str, float]:
         """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
+        names, at, sigmas = self.exiddm.predictor.names, *self._told_apart(state)
+        return dict(zip((names[k] for k in at.tolist()), sigmas.tolist(), strict=True))
+
+    def _told_apart(self, state: FloatArray) -> tuple[IndexArray, FloatArray]:
+        """Where the corrections of :meth:`_by_the_data` stand in the state, and their sizes."""
         predictor = self.exiddm.predictor
-        changing = [*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]
-        at = np.setdiff1d(self._known(), changing)
+        steady = np.ones(len(state), np.bool_)
+        steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
+        at = self._known()
+        at = at[steady[at]]
         sigmas = state[at] / told(predictor.stated[at] ** 2, np.diag(self.exiddm.covariance)[at])
-        return {predictor.names[k]: float(one) for k, one in zip(at, sigmas, strict=True)}
+        return at, sigmas
 
     def _refusal(self) -> str:
         """Why no answer is to be used, whatever the estimate; empty if nothing says so."""
@@ -254,6 +263,12 @@ class ExiddmIdentifier:
             return f"{_CONTRADICTED}: check the IMU and the joints"
         return f"{_CONTRADICTED}, and the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 
+    def _now(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """:meth:`_payload`, made once after each update: an answer and its triangle want the same."""
+        if self._found is None:
+            self._found = self._payload(state)
+        return self._found
+
     def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard parameters, (10,), and their covariance, (10, 10).
 
@@ -265,7 +280,7 @@ class ExiddmIdentifier:
         line, P = self.exiddm.lines.strongest, self.exiddm.covariance
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
         misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(_SLOW_CHANCE).values()])
-        worst = max(map(abs, self._by_the_data(state).values()), default=0.0)
+        worst = float(np.abs(self._told_apart(state)[1]).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2)
         mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]
         if (at := self._doubted()).size:

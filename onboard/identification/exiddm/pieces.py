@@ -69,14 +69,16 @@ class Pieces:
         jacobian = np.multiply(predicted.jacobian, weight[..., None], out=predicted.jacobian)  # megabytes: not copied
         piece = Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
         changing = predictor.changing
-        half = self._by_first(piece.information, changing)
-        seen = Normal(self._by_first(half.T, changing), self._by_first(piece.gradient, changing), piece.squares)
+        stays = ~np.isin(self._active, changing)
+        half = self._by_first(piece.information, changing, stays)
+        by_first = self._by_first(half.T, changing, stays), self._by_first(piece.gradient, changing, stays)
+        seen = Normal(*by_first, piece.squares)
         self.normal = self.normal.plus(seen)
         self.residual[first : self._done] = residual
         self.state, self.transition[changing] = predicted.state, predicted.transition[changing] @ self.transition
         return self._done - first
 
-    def _by_first(self, by_state: FloatArray, changing: IndexArray) -> FloatArray:
+    def _by_first(self, by_state: FloatArray, changing: IndexArray, stays: BoolArray) -> FloatArray:
         """``X T``: a derivative by the state at a piece's first tick, (..., p), by the unknowns, (..., a)."""
-        kept = np.where(np.isin(self._active, changing), 0.0, by_state[..., self._active])
+        kept = np.where(stays, by_state[..., self._active], 0.0)
         return np.asarray(kept + by_state[..., changing] @ self.transition[changing], np.float64)
