@@ -71,7 +71,7 @@ class Displaced(NamedTuple):
     """Screws of a joint's translations along its axes and of its own motion, and what they become with its seat."""
 
     screws: FloatArray  # (n, joints, 6, 12): S, X S, (X X + dX) S, four columns each
-    readings: Readings
+    functions: FloatArray  # (n, 3 x joints, f) of time that scale, delay and cyclic errors multiply, and derivatives
 
 
 class JointErrors:
@@ -100,13 +100,18 @@ class JointErrors:
         self.columns = PER_JOINT * joints + len(cyclic)
         each = np.arange(joints)
         self._of = np.concatenate([each, each, np.array(cyclic, np.intp)])  # joint of each error that is a function
-        first = PER_JOINT * each
-        self._at = np.concatenate([first + 4, first + 5, np.arange(PER_JOINT * joints, self.columns)])
-        self._still = (first[:, None] + np.arange(4)).ravel()  # of places and zeros
 
     def along(self, chain: Chain, readings: Readings) -> "ErrorsAlong":
         """The errors of one motion of the vehicle's chain, and what its encoders read."""
         return ErrorsAlong(self, chain, readings)
+
+    def functions(self, readings: Readings) -> FloatArray:
+        """The functions of time, each in the rows of its joint, (n, 3 x joints, f): values, then two derivatives."""
+        every = np.stack([readings.q, readings.dq, readings.ddq, readings.jerk], axis=1)
+        f = np.concatenate([every[:, :3], every[:, 1:], readings.cyclic], axis=2)  # (n, 3, f)
+        out = np.zeros((len(f), 3, every.shape[2], f.shape[2]))
+        out[:, :, self._of, np.arange(f.shape[2])] = f
+        return out.reshape(len(f), -1, f.shape[2])
 
     def beyond(self, bodies: Bodies) -> Sums:
         """Sums over the links beyond each joint, those beyond the frame alone."""
@@ -121,26 +126,28 @@ class JointErrors:
             H: where that of the momentum is put; None: it is not wanted.
             Y: where that of the wrench is put.
         """
-        U, readings = displaced.screws, displaced.readings
-        n = len(U)
+        U, f = displaced.screws, displaced.functions
+        joints = U.shape[1]
         sums = self.beyond(bodies)
         I = sums.inertia @ U[..., 3:]  # noqa: E741
         K = coad(sums.momentum) @ U[..., :8]
         D = sums.change @ U[..., 3:8]
         wrenches = K[..., 4:] + D[..., 1:] + I[..., 5:] + coad(sums.wrench * self._stays) @ U[..., :4]
         turn, slide = I[..., 0], K[..., 3] + 2.0 * I[..., 4] + D[..., 0]
-        every = np.stack([readings.q, readings.dq, readings.ddq, readings.jerk], axis=1)
-        f = np.concatenate([every[:, :3], every[:, 1:], readings.cyclic], axis=2)[..., None]  # (n, 3, functions, 1)
-        of = self._of
-        Y[:, :, self._still] = wrenches.transpose(0, 2, 1, 3).reshape(n, 6, -1)
-        Y[:, :, self._at] = (
-            wrenches[..., 3][:, of] * f[:, 0] + slide[:, of] * f[:, 1] + turn[:, of] * f[:, 2]
-        ).swapaxes(1, 2)
+        _put(Y, wrenches, np.concatenate([wrenches[..., 3], slide, turn], axis=1).swapaxes(1, 2) @ f)
         if H is None:
             return
         momenta = K[..., :4] + I[..., 1:5]
-        H[:, :, self._still] = momenta.transpose(0, 2, 1, 3).reshape(n, 6, -1)
-        H[:, :, self._at] = (momenta[..., 3][:, of] * f[:, 0] + turn[:, of] * f[:, 1]).swapaxes(1, 2)
+        _put(H, momenta, np.concatenate([momenta[..., 3], turn], axis=1).swapaxes(1, 2) @ f[:, : 2 * joints])
+
+
+def _put(out: FloatArray, still: FloatArray, moving: FloatArray) -> None:
+    """Columns of places and zeros, (n, joints, 6, 4), and of the functions, (n, 6, f), in the order of the errors."""
+    n, joints = still.shape[:2]
+    own, two = out[:, :, : PER_JOINT * joints].reshape(n, 6, joints, PER_JOINT), 2 * joints
+    own[..., :4] = still.transpose(0, 2, 1, 3)
+    own[..., 4:] = moving[:, :, :two].reshape(n, 6, 2, joints).swapaxes(2, 3)
+    out[:, :, PER_JOINT * joints :] = moving[:, :, two:]
 
 
 class ErrorsAlong(NamedTuple):
@@ -165,7 +172,7 @@ class ErrorsAlong(NamedTuple):
         change = seats.A + bodies.rate[:, None] + seats.V @ crm(bodies.twist).swapaxes(1, 2)
         np.matmul(X, U[..., :4], out=U[..., 4:8])
         U[..., 8:] = X @ U[..., 4:8] + crm(change) @ U[..., :4]
-        return Displaced(U, self.readings)
+        return Displaced(U, self.errors.functions(self.readings))
 
     def into(self, displaced: Displaced, bodies: Bodies, H: FloatArray, Y: FloatArray) -> None:
         """See :meth:`JointErrors.into`."""

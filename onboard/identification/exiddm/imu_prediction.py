@@ -51,13 +51,12 @@ class Prediction(NamedTuple):
     values: FloatArray  # (b, m) rate and specific force in the first IMU's axes, then what further instruments show
     jacobian: FloatArray  # (b, m, p)
     state: FloatArray  # (p,) propagated to tick b
-    transition: FloatArray  # (p, p) derivative of that
+    transition: FloatArray  # (c, p) derivative of those of its elements that change: :attr:`ImuPredictor.changing`
 
     @property
     def moderate(self) -> bool:
         """Whether no square of it overflows; else the joints' signals are nonsense."""
-        parts = self.values, self.jacobian, self.state, self.transition
-        return all(bool((np.abs(part) < _IMMODERATE).all()) for part in parts)  # False for NaN
+        return all(bool(part.min() > -_IMMODERATE and part.max() < _IMMODERATE) for part in self)  # False for NaN
 
 
 class Thruster(NamedTuple):
@@ -249,8 +248,7 @@ class ImuPredictor:
 
     def joint_effect(self, q: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""
-        still = np.zeros_like(q)
-        chain = chain_motion(self.vehicle, q, still, still)
+        chain = chain_motion(self.vehicle, q, *np.zeros((2, *q.shape)))
         bodies, S = Bodies(chain.links, self._chi(state)), chain.screws
         momenta = times(self._joint_errors.beyond(bodies).inertia, S)  # (n, joints, 6)
         twist = -momenta @ np.asarray(np.linalg.inv(bodies.composite), np.float64).swapaxes(1, 2)
@@ -290,8 +288,8 @@ class ImuPredictor:
         readings = Readings.of(q, dq, ddq, self.period_s, self._functions(n, cyclic))
         base = self._move(readings, x, self.period_s, thrust)
         time_s = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64)
-        values, jacobian = np.empty((n - 2, m)), np.zeros((n - 2, m, len(state)))
-        by_motion = np.empty((n, m, base.along.shape[2]))
+        values, by_motion = np.empty((n - 2, m)), np.empty((n, m, base.along.shape[2]))
+        jacobian = np.zeros((n - 2, m, len(state)))
         for imu, own, kept in zip(self._imus, self.lines, self._own, strict=False):
             true, gain, by_place = sensor_in_base(base, imu.R_BS, imu.p_BoSo_B + x[imu.place])
             E = gain_of(x[imu.errors])
@@ -314,12 +312,12 @@ class ImuPredictor:
         means += (1.0 - 2.0 * self._samples) * by_motion[1:-1]
         for here, there in self._of_motion:
             jacobian[:, :, here] = means[:, :, there]
-        carried, transition = state.copy(), np.eye(len(state))
+        carried, transition = state.copy(), (self.changing[:, None] == np.arange(len(state))).astype(np.float64)
         carried[RATE] = base.rate[-2]
         self._into(transition, base.d_rate[-2])
-        for bias_at, drift_at in self.biases:
+        for row, (bias_at, drift_at) in enumerate(self.biases, RATE.stop):
             carried[bias_at] += time_s[-1] * state[drift_at]
-            transition[bias_at, drift_at] = time_s[-1]
+            transition[row, drift_at] = time_s[-1]
         return Prediction(values, jacobian, carried, transition)
 
     def carried(
@@ -334,9 +332,11 @@ class ImuPredictor:
             covariance: of that, (p, p).
         """
         c, F, P = self.changing, predicted.transition, covariance.copy()
-        P[c] = F[c] @ covariance
-        P[:, c] = P @ F[c].T
-        return predicted.state + F @ (state - start), self.aged(P, len(predicted.values))
+        P[c] = F @ covariance
+        P[:, c] = P @ F.T
+        carried = predicted.state + (state - start)
+        carried[c] = predicted.state[c] + F @ (state - start)
+        return carried, self.aged(P, len(predicted.values))
 
     def aged(self, covariance: FloatArray, ticks: int) -> FloatArray:
         """The state's covariance, (p, p), after the random walks of so many ticks: of drifts, and of a clock's time."""

@@ -75,7 +75,7 @@ class Pieces:
         seen = Normal(*by_first, piece.squares)
         self.normal = self.normal.plus(seen)
         self.residual[first : self._done] = residual
-        self.state, self.transition[changing] = predicted.state, predicted.transition[changing] @ self.transition
+        self.state, self.transition[changing] = predicted.state, predicted.transition @ self.transition
         return self._done - first
 
     def _by_first(self, by_state: FloatArray, changing: IndexArray, stays: BoolArray) -> FloatArray:
