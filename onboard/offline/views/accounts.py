@@ -76,25 +76,47 @@ def accounts(log: LogReader, produced: dict[str, int], start_ns: int) -> dict[st
         produced: samples made, by channel.
         start_ns: CLOCK_MONOTONIC of mission time 0.
     """
-    stamps: dict[str, list[NDArray[np.int64]]] = {name: [] for name in produced}
-    gaps: dict[str, list[dict[str, Any]]] = {name: [] for name in produced}
-    for channel, rows in log.batches():
-        if channel in stamps:
-            stamps[channel].append(rows["host_ns"].astype(np.int64))
+    seen = Seen(produced, start_ns)
+    for batch in log.batches():
+        seen.see(batch)
+    return seen.accounts()
+
+
+class Seen:
+    """Rows of a log as they are read, to be accounted for.
+
+    Args:
+        produced: samples made, by channel.
+        start_ns: CLOCK_MONOTONIC of mission time 0.
+    """
+
+    def __init__(self, produced: dict[str, int], start_ns: int) -> None:
+        self._produced, self._start_ns = produced, start_ns
+        self._stamps: dict[str, list[NDArray[np.int64]]] = {name: [] for name in produced}
+        self._gaps: dict[str, list[dict[str, Any]]] = {name: [] for name in produced}
+
+    def see(self, batch: records.Batch) -> None:
+        """Take the next rows of the log."""
+        channel, rows = batch
+        if channel in self._stamps:
+            self._stamps[channel].append(rows["host_ns"].astype(np.int64))
         elif rows.dtype == records.GAP:
             for row in rows:
                 name = row["channel"].decode(errors="replace")
-                if name in gaps:
-                    gaps[name].append(_gap(row, start_ns))
-    made = {}
-    for name, count in produced.items():
-        times_ns = np.concatenate([np.zeros(0, np.int64), *stamps[name]])
-        named = gaps[name]
-        missing, about = (sum(gap["missing"] for gap in some) for some in (named, [g for g in named if g["about"]]))
-        account = Account(count, len(times_ns), missing, about, named, [])
-        places = [] if account.is_whole else _silent(1e-9 * (np.sort(times_ns) - start_ns), named)
-        made[name] = account._replace(silent=places)
-    return made
+                if name in self._gaps:
+                    self._gaps[name].append(_gap(row, self._start_ns))
+
+    def accounts(self) -> dict[str, Account]:
+        """Of every channel, when all of the log was seen."""
+        made = {}
+        for name, count in self._produced.items():
+            times_ns = np.concatenate([np.zeros(0, np.int64), *self._stamps[name]])
+            named = self._gaps[name]
+            missing, about = (sum(gap["missing"] for gap in some) for some in (named, [g for g in named if g["about"]]))
+            account = Account(count, len(times_ns), missing, about, named, [])
+            places = [] if account.is_whole else _silent(1e-9 * (np.sort(times_ns) - self._start_ns), named)
+            made[name] = account._replace(silent=places)
+        return made
 
 
 def _gap(row: np.void, start_ns: int) -> dict[str, Any]:

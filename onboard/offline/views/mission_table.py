@@ -8,6 +8,7 @@ parameters of rows (``parameter``) among it (:mod:`onboard.offline.views.own_mis
 
 import tempfile
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +33,18 @@ Result = dict[str, Any]
 
 def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
     """The last QUANTITY of each name in a log; empty if there is no estimate."""
-    last: dict[bytes, Any] = {}
+    last: dict[bytes, np.void] = {}
     for _, rows in log.batches(["quantity"]) if "quantity" in log.channels else ():
-        newest = rows[-256:]
-        last |= zip(newest["name"].tolist(), newest, strict=True)
+        _note_answers(last, rows)
+    return _answers(last)
+
+
+def _note_answers(last: dict[bytes, np.void], rows: records.Rows) -> None:
+    newest = rows[-256:]
+    last |= zip(newest["name"].tolist(), newest, strict=True)
+
+
+def _answers(last: dict[bytes, np.void]) -> dict[str, dict[str, Any]]:
     return {
         printable(name): {
             "value": float(row["value"]),
@@ -46,7 +55,7 @@ def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
             "supported": bool(row["supported"]),
             "standing": shown(row),
             "leans": leans_on(row),
-            "drawn": float(row["drawn"]) if "drawn" in row.dtype.names else 0.0,
+            "drawn": float(row["drawn"]) if "drawn" in (row.dtype.names or ()) else 0.0,
         }
         for name, row in last.items()
     }
@@ -55,24 +64,31 @@ def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
 def result(flown: Flown) -> Result:
     """Everything the table shows, as plain JSON values."""
     log = LogReader(flown.log)
-    name = log.metadata["flight"]["vehicle"]
+    seen = accounts.Seen(flown.produced, int(flown.truth["start_ns"]))
+    last, events = dict[bytes, np.void](), list[np.void]()
+    for batch in log.batches():  # all that is wanted of it in one pass
+        seen.see(batch)
+        if batch.channel == "quantity":
+            _note_answers(last, batch.rows)
+        elif batch.rows.dtype == records.EVENT:
+            events += batch.rows
+    name, answers = log.metadata["flight"]["vehicle"], _answers(last)
     own, flown_runs = own_mission.is_own(flown.truth), list[Result]()
     if own:
         with tempfile.TemporaryDirectory() as directory:
             vehicle = vehicle_of(log, Path(directory))
-            answers = last_answers(log)
             if own_mission.is_estimated_afterwards(vehicle):
                 answers, flown_runs = own_mission.after_the_run(vehicle, log)
             compared = own_mission.compared(vehicle, answers, flown.truth)
         published: Result = {"title": f"{name}: rehearsed", **compared}
     else:
-        published, answers = _published(name), last_answers(log)
+        published = _published(name)
     masses, centres, inertias, parameters = (
         [_compared(shown | row, answers, flown.truth) for row in published.get(section, [])]
         for section, shown in _SHOWN.items()
     )
     every = (*masses, *centres, *inertias, *parameters)
-    counted = accounts.accounts(log, flown.produced, int(flown.truth["start_ns"]))
+    counted = seen.accounts()
     return {
         "vehicle": name,
         "title": published["title"],
@@ -86,9 +102,9 @@ def result(flown: Flown) -> Result:
         "identified": any(row["supported"] for row in every) if own else all(mass["supported"] for mass in masses),
         "accounted": all(account.is_whole for account in counted.values()),
         "accounts": accounts.render(counted),
-        "events": _troubles(log),
+        "events": _troubles(events),
         "runs": runs_view.compared(flown_runs, flown.truth),
-        "capture": _capture(log, flown.truth),
+        "capture": _capture(events, flown.truth),
     }
 
 
@@ -113,28 +129,26 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
     return made
 
 
-def _capture(log: LogReader, truth: dict[str, Any]) -> dict[str, Any] | None:
+def _capture(events: Iterable[np.void], truth: dict[str, Any]) -> dict[str, Any] | None:
     """Mission time [s] of a capture and of its detection, which the change before it is; None without a capture."""
     if not truth.get("capture_s"):
         return None
     said, detected_ns = list[float](), 0
-    for _, rows in log.batches():
-        for row in rows if rows.dtype == records.EVENT else ():
-            if row["code"] == b"change":
-                detected_ns = int(row["host_ns"])
-            elif row["code"] == b"capture":
-                said.append(1e-9 * ((detected_ns or int(row["host_ns"])) - truth["start_ns"]))
-                detected_ns = 0
+    for row in events:
+        if row["code"] == b"change":
+            detected_ns = int(row["host_ns"])
+        elif row["code"] == b"capture":
+            said.append(1e-9 * ((detected_ns or int(row["host_ns"])) - truth["start_ns"]))
+            detected_ns = 0
     return {"true_s": truth["capture_s"], "said_s": said}
 
 
-def _troubles(log: LogReader) -> list[str]:
+def _troubles(events: Iterable[np.void]) -> list[str]:
     """Warnings and errors, as sentences."""
     return [
         f"{printable(row['source'])}: {printable(row['text'])}"
-        for _, rows in log.batches()
-        if rows.dtype == records.EVENT
-        for row in rows[rows["severity"] >= records.Severity.WARNING]
+        for row in events
+        if row["severity"] >= records.Severity.WARNING
     ]
 
 
