@@ -35,6 +35,17 @@ class Device(Protocol):
         """Stop the device and read the rest, so that every sample made is a row or part of a gap."""
 
 
+@runtime_checkable
+class Rests(Protocol):
+    """A device that knows until when it neither sends nor says anything of its own accord."""
+
+    def rests_until(self, now_ns: int) -> int:
+        """CLOCK_MONOTONIC until which a pump would only hand over the rows that it found; ``now_ns`` if it may do more.
+
+        It holds as long as its bus carries what it is set up to carry, and nothing of it is lost.
+        """
+
+
 class SelfTestResult(Protocol):
     """Result of a built-in self test."""
 

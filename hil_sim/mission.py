@@ -110,6 +110,11 @@ class Mission:
         """True once advanced to the end."""
         return self.now_ns >= self.end_ns
 
+    @property
+    def undisturbed(self) -> bool:
+        """Whether no device and no bus has a fault."""
+        return not self.faults
+
     def attach(self, buses: Mapping[str, Bus], start_ns: int = _VIRTUAL_START_NS) -> None:
         """Make the devices, plug them into the buses, and power them all up at ``start_ns``.
 

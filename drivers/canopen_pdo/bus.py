@@ -9,7 +9,7 @@ from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
 from drivers.canopen_pdo.channel import NodeConfig, PdoChannel
 from drivers.canopen_pdo.drive_master import DriveMaster
-from drivers.canopen_pdo.event_channel import EventChannel
+from drivers.canopen_pdo.event_channel import QUIET_NS, EventChannel
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.mapped_object import MappedObject
 from drivers.canopen_pdo.node import Node
@@ -156,6 +156,14 @@ class CanopenBus:
             self.player.step(max(now_ns, awaited_ns))
         self._watch_sync(now_ns)
         return self._handed_over()
+
+    def rests_until(self, now_ns: int) -> int:
+        """See ``drivers.device.Rests``. At most as long as the value of an event channel waits to be read back."""
+        if self.player is not None or self._port.period_ns or self._sync.tick is None:
+            return now_ns
+        if self._sync_missed or self._sync.silence(now_ns) > OVERDUE:
+            return now_ns
+        return min([now_ns + QUIET_NS, *(node.rests_until(now_ns) for node in self._nodes)])
 
     def _note_standstill(self, from_ns: int, to_ns: int) -> None:
         if to_ns - from_ns > STOOD_NS:

@@ -115,6 +115,10 @@ class PdoChannel(ABC):
     def suspect(self, host_ns: int, *, bus: bool) -> None:  # noqa: B027 - a hook that may be left as it is
         """The node reported an error, of its ``bus`` or another one: TPDOs may have been lost."""
 
+    def check_ns(self) -> int | None:
+        """When the value is to be read back next, as things stand; None: never."""
+        return None
+
     def check(self, now_ns: int) -> Setup | None:
         """SDO transfers that read the value back, if due now; else None."""
         del now_ns

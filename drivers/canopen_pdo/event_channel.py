@@ -83,11 +83,17 @@ class EventChannel(PdoChannel):
         self._cut |= bus and self.started
         self._checked_ns = min(self._checked_ns, host_ns - CHECK_NS)
 
+    def check_ns(self) -> int | None:
+        """See ``PdoChannel``."""
+        if not (self.live and self._object.is_readable):
+            return None
+        quiet_ns = self._heard_ns + QUIET_NS
+        return quiet_ns if self._unconfirmed or self._rejected else max(quiet_ns, self._checked_ns + CHECK_NS)
+
     def check(self, now_ns: int) -> Setup | None:
         """See ``PdoChannel``."""
-        if not (self.live and self._object.is_readable) or now_ns - self._heard_ns < QUIET_NS:
-            return None
-        if not (self._unconfirmed or self._rejected) and now_ns - self._checked_ns < CHECK_NS:
+        due_ns = self.check_ns()
+        if due_ns is None or now_ns < due_ns:
             return None
         self._checked_ns = now_ns
         return self._check(now_ns)

@@ -64,6 +64,11 @@ class Guard:
         self._waiting = False
         self._expected = None
 
+    @property
+    def due_ns(self) -> int:
+        """When the next request is sent."""
+        return self._due_ns
+
     def poll(self, now_ns: int) -> bool:
         """Send a request when it is due. False: ``life_time_factor`` requests had no valid answer, the node is lost.
 

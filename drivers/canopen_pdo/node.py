@@ -112,6 +112,16 @@ class Node:
             self._watch(now_ns)
             self._check(now_ns)
 
+    def rests_until(self, now_ns: int) -> int:
+        """Until when it is asked nothing, if it goes on answering; ``now_ns`` while it is not running."""
+        if self._state is not _State.RUNNING or self._sdo.busy:
+            return now_ns
+        rests_ns = now_ns + HEARTBEAT_LIMIT_NS if self._guarded_by is None else self._guarded_by.due_ns
+        for channel in self.channels:
+            check_ns = channel.check_ns()
+            rests_ns = rests_ns if check_ns is None else min(rests_ns, check_ns)
+        return rests_ns
+
     def on_sdo(self, host_ns: int, data: bytes) -> None:
         """An answer of its SDO server."""
         if self._state is _State.SETTING_UP:

@@ -33,8 +33,6 @@ def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:
     if len(data) % PACKET_BYTES:
         raise FrameError(f"{len(data)} bytes are no whole number of 14-byte FIFO packets: resynchronise the FIFO")
     words = np.frombuffer(data, ">i2").astype("<i2").reshape(-1, 7)  # (n, 7)
-    at_limit = (words == 32767) | (words == -32768)
-    at_limit[:, _TEMPERATURE] = False
     rows = np.zeros(len(words), IMU)
     rows["accel_scale_m_s2"] = config.accel_scale_m_s2
     rows["gyro_scale_rad_s"] = config.gyro_scale_rad_s
@@ -43,7 +41,10 @@ def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:
     rows["temperature_raw"] = words[:, _TEMPERATURE]
     rows["filter_code"] = config.filter_code
     rows["sync"] = words[:, _TEMPERATURE] & 1
-    rows["status"] = at_limit.any(axis=1) * np.uint8(SampleStatus.SATURATED)
+    if len(words) and (words.max() == 32767 or words.min() == -32768):
+        at_limit = (words == 32767) | (words == -32768)
+        at_limit[:, _TEMPERATURE] = False
+        rows["status"] = at_limit.any(axis=1) * np.uint8(SampleStatus.SATURATED)
     return rows
 
 
@@ -57,10 +58,8 @@ def first_misaligned(temperature_raw: NDArray[np.int16], before: int | None) -> 
     Returns:
         Index of the first sample that differs by more than ``TEMPERATURE_JUMP`` from the one before; None if none.
     """
-    words = temperature_raw.astype(np.int32)
-    if not len(words):
-        return None
-    if before is not None and abs(int(words[0]) - before) > TEMPERATURE_JUMP:
-        return 0
-    jumps = np.abs(words[1:] - words[:-1]) > TEMPERATURE_JUMP
-    return int(jumps.argmax()) + 1 if jumps.any() else None
+    for place, word in enumerate(temperature_raw.tolist()):  # they are few: faster than through arrays
+        if before is not None and abs(word - before) > TEMPERATURE_JUMP:
+            return place
+        before = word
+    return None

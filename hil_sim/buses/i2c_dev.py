@@ -72,22 +72,23 @@ class _Adapter:
     def _rdwr(self, argument: Any) -> None:
         if not 0 < argument.nmsgs <= _MAX_MESSAGES:
             raise _fail(errno.EINVAL)
-        messages = [argument.msgs[k] for k in range(argument.nmsgs)]
-        if any(message.len > _MAX_MESSAGE_BYTES for message in messages):
+        messages = [(each.addr, each.flags, each.len, each.buf) for each in argument.msgs[: argument.nmsgs]]
+        if max(length for _, _, length, _ in messages) > _MAX_MESSAGE_BYTES:
             raise _fail(errno.EINVAL)
         k = 0
         while k < len(messages):
-            message, write = messages[k], b""
-            if not message.flags & _M_RD:
-                write = ctypes.string_at(message.buf, message.len)
+            address, flags, length, buffer = messages[k]
+            write = b""
+            if not flags & _M_RD:
+                write = ctypes.string_at(buffer, length)
                 k += 1
-                joined = k < len(messages) and messages[k].flags & _M_RD and messages[k].addr == message.addr
+                joined = k < len(messages) and messages[k][1] & _M_RD and messages[k][0] == address
                 if not joined:
-                    self._transfer(message.addr, write, 0)
+                    self._transfer(address, write, 0)
                     continue
-                message = messages[k]
-            data = self._transfer(message.addr, write, message.len)
-            ctypes.memmove(message.buf, data, message.len)
+                length, buffer = messages[k][2:]
+            data = self._transfer(address, write, length)
+            ctypes.memmove(buffer, data, length)
             k += 1
 
     def _smbus(self, address: int, argument: Any) -> None:

@@ -24,13 +24,13 @@ class FaultyScalar:
 
     def __init__(self, analog: ScalarAnalog, faults: DeviceFaults, start_ns: int) -> None:
         self._analog = analog
-        self._faults = faults
+        self._faults, self._is_faulty = faults, bool(faults)
         self._start_ns = start_ns
         self._last = math.nan
 
     def value(self, time_s: float) -> float:
         """As ``ScalarAnalog.value``; saturation is an infinite value for the converter to clip."""
-        if not self._faults:
+        if not self._is_faulty:
             return self._analog.value(time_s)
         now_ns = self._start_ns + round(time_s * 1e9)
         saturated = self._faults.active(FaultKind.SATURATED, now_ns)

@@ -257,22 +257,23 @@ class EncoderSensor:
         self.counts_per_revolution = table.counts_per_revolution
         self._plant = plant
         self._angle_rad = plant.angle_rad(at)
-        self._table = table
+        self._gear_ratio = table.gear_ratio
+        self._once_urad, self._twice_urad = table.eccentricity_urad, table.transmission_error_urad
         self._phase: list[float] = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
         self.zero_rad = 1e-3 * table.zero_sigma_mrad * float(rng.standard_normal())
 
     def value(self, time_s: float) -> float:
         """Angle at ``time_s`` [rad], a whole number of counts from joint zero: the last one passed."""
-        step = 2.0 * math.pi / self._table.counts_per_revolution
+        step = 2.0 * math.pi / self.counts_per_revolution
         return math.floor(self.analog_rad(time_s) / step) * step
 
     def analog_rad(self, time_s: float) -> float:
         """Angle before quantisation [rad]."""
         self._plant.require(time_s)
         angle = interpolate_one(self._angle_rad, time_s / self._plant.step_s)
-        turn = self._table.gear_ratio * angle
-        once = self._table.eccentricity_urad * math.sin(turn + self._phase[0])  # per motor turn
-        twice = self._table.transmission_error_urad * math.sin(2.0 * turn + self._phase[1])  # two lobes
+        turn = self._gear_ratio * angle
+        once = self._once_urad * math.sin(turn + self._phase[0])  # per motor turn
+        twice = self._twice_urad * math.sin(2.0 * turn + self._phase[1])  # two lobes
         return angle + self.zero_rad + 1e-6 * (once + twice)
 
     def truth(self) -> dict[str, Any]:

@@ -49,6 +49,10 @@ class World(Protocol):
     def end_ns(self) -> int:
         """When the mission is over."""
 
+    @property
+    def undisturbed(self) -> bool:
+        """Whether no device and no bus has a fault in it."""
+
     def ask(self, segment: str) -> bool:
         """The flight computer asks for a motion; False where the arm cannot play it now."""
 
@@ -97,7 +101,7 @@ def fly_simulated(
         answers = create_rings(directory, estimator)
         opened = open_devices(flying, clock)
         stack.callback(opened.close)
-        acquisition = Acquisition(opened.devices, Publisher(devices))
+        acquisition = Acquisition(opened.devices, Publisher(devices), undisturbed=world.undisturbed)
         acquisition.report(opened.problems)
         for bus in flying.buses:
             acquisition.expect(expected(flying, bus), world.start_ns)

@@ -74,11 +74,12 @@ def fly(
         step += 1
         clock.now_ns = min(clock.now_ns + pause_ns, end_ns)
         advance_world(clock.now_ns)
-        acquisition.step(clock.now_ns)
-        if step % estimation_steps == 0:
+        estimates, records = step % estimation_steps == 0, step % RECORDING_STEPS == 0
+        acquisition.step(clock.now_ns, hand_over=estimates or records)
+        if estimates:
             estimation.step(clock.now_ns)
             end_ns = min(end_ns, answered(clock.now_ns) or end_ns)
-        if step % RECORDING_STEPS == 0:
+        if records:
             recorder.step(clock.now_ns)
             progress(clock.now_ns)
     acquisition.stop(clock.now_ns)

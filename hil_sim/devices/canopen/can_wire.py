@@ -172,6 +172,7 @@ class CanWire:
         self._bit_ns = 1e9 / bit_rate
         self._nodes: list[CanTalker] = []
         self._hearing: list[tuple[int, CanTalker]] = []  # nodes that PDOs are given to
+        self._others: dict[int, list[CanTalker]] = {}  # nodes that other frames are given to, by the sender
         self._single: list[Callable[[int], bool]] = []
         self._later: list[tuple[int, _Waiting]] = []  # by ready time
         self._ready: list[_Waiting] = []  # by arbitration
@@ -197,6 +198,10 @@ class CanWire:
 
         node.connect(transmit)
         self._note_hearing()
+        self._others = {
+            sender: [other for place, other in enumerate(self._nodes) if place != sender]
+            for sender in range(_HOST, len(self._nodes))
+        }
 
     def send(self, identifier: int, data: bytes, ready_ns: int) -> None:
         """Offer a frame of the flight computer to the bus."""
@@ -210,14 +215,16 @@ class CanWire:
         """Let everything happen that is due at ``now_ns``; returns what the flight computer's controller received."""
         node_ns = self._nodes_due_ns()  # when the first of them acts; changes when one acts or receives
         while True:
-            wire_ns = self._wire_due_ns()
-            if min(wire_ns, node_ns) > now_ns:
-                break
+            wire_ns = self._wire_due_ns() if self._on_wire is None else self._on_wire[0]
             if node_ns <= wire_ns:
+                if node_ns > now_ns:
+                    break
                 for node in self._nodes:
                     if node.due_ns <= node_ns:
                         node.act(node_ns)
                 node_ns = self._nodes_due_ns()
+            elif wire_ns > now_ns:
+                break
             elif self._on_wire is None:
                 self._begin(wire_ns)
             elif self._end():
@@ -270,12 +277,15 @@ class CanWire:
                 if index != sender:
                     node.receive(identifier, data, end_ns)
             return bool(self._hearing)
-        for index, node in enumerate(self._nodes):
-            if asked is None and index != sender:
+        if asked is None:
+            for node in self._others[sender]:
                 node.receive(identifier, data, end_ns)
-            elif asked is not None and isinstance(node, AnswersRemoteFrames):
-                node.remote(identifier, end_ns)
-        self._note_hearing()
+        else:
+            for node in self._nodes:
+                if isinstance(node, AnswersRemoteFrames):
+                    node.remote(identifier, end_ns)
+        if identifier >= 0x580:
+            self._note_hearing()
         return True
 
     def _note_hearing(self) -> None:

@@ -75,6 +75,7 @@ class CanopenNode:
             FaultKind.SLOW,
             *extra_faults,
         )
+        self._is_faulty = bool(faults)  # at any time
         self._rng = faults.rng()
         self._start_ns = start_ns
         self._transmit: TransmitFrame | None = None
@@ -117,7 +118,7 @@ class CanopenNode:
 
     def receive(self, identifier: int, data: bytes, now_ns: int) -> None:
         """A frame has ended on the wire."""
-        if self.state in _DEAF or (self._faults and self._faults.is_away(now_ns)):
+        if self.state in _DEAF or (self._is_faulty and self._faults.is_away(now_ns)):
             return
         if identifier == self._sync_cob_id.value:
             if self.state == OPERATIONAL:
@@ -331,10 +332,10 @@ class CanopenNode:
         self.hears_process_data |= sync != 0x80
 
     def _is_silent(self, now_ns: int) -> bool:
-        return bool(self._faults) and self._faults.is_away(now_ns)
+        return self._is_faulty and self._faults.is_away(now_ns)
 
     def _send(self, identifier: int, data: bytes, ready_ns: int) -> None:
-        if self._faults:
+        if self._is_faulty:
             slow = self._faults.active(FaultKind.SLOW, ready_ns)
             ready_ns += 0 if slow is None else round(slow.value * 1e9)
             if self._faults.active(FaultKind.GARBAGE, ready_ns) is not None:

@@ -92,7 +92,7 @@ class Tpdo:
             counter: The SYNC counter, None for a SYNC without one.
         """
         kind = self._type.value
-        if not self.valid or kind > _LAST_CYCLIC:
+        if kind > _LAST_CYCLIC or self._cob_id.value & _INVALID:
             return False
         if not self._started:
             start = self._start.value

@@ -167,6 +167,8 @@ class Mpu6050Twin:
 
     def _settle(self, now_ns: int) -> None:
         """Make every sample that is due."""
+        if now_ns == self._settled_ns and not self._cycles:
+            return
         for edge_ns in self._faults.spurious_edges(self._settled_ns, now_ns) if self._faults else ():
             self._mark(edge_ns, 300_000)
         while self._cycles and self._cycles[0].down_ns <= now_ns:

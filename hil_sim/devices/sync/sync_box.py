@@ -93,7 +93,7 @@ class SyncBox:
         self.hears_process_data = False
         self.produced = 0
         self.pulses = 0
-        self._faults = faults
+        self._faults, self._is_faulty = faults, bool(faults)
         self._rng = faults.rng()
         self._clock: ChipClock = FaultyClock(clock, faults)
         self._period_ns = period_ns
@@ -136,7 +136,7 @@ class SyncBox:
             else:
                 self._sync_ns = NEVER
             return
-        while self._faults and self._sync_time_ns(self._sync + 1) <= now_ns:
+        while self._is_faulty and self._sync_time_ns(self._sync + 1) <= now_ns:
             self._sync += 1  # the clock was put forward over it
         while self._next_pulse[0] < self._sync:
             self._next_pulse = next(self._pulse_places)
@@ -146,13 +146,15 @@ class SyncBox:
             self.pulses += 1
             for pin in self._pins:
                 pin(rise_ns, self._high_ns)
-        if self._transmit is not None and not self._faults.is_away(now_ns):
+        if self._transmit is not None and not (self._is_faulty and self._faults.is_away(now_ns)):
             self.produced += 1
             self._transmit(SYNC_COB_ID, self._counter(now_ns), now_ns)
         self._sync += 1
         self._sync_ns = self._sync_time_ns(self._sync)
 
     def _counter(self, now_ns: int) -> bytes:
+        if not self._is_faulty:
+            return bytes([self._sync % _COUNTER_MAX + 1])
         wrong = self._faults.active(FaultKind.WRONG, now_ns)
         number = self._sync if wrong is None else self._sync + int(wrong.value)
         data = bytes([number % _COUNTER_MAX + 1])

@@ -5,23 +5,36 @@ A device that cannot be started is reported and left out; the others continue.
 
 from collections.abc import Mapping, Sequence
 
-from drivers.device import Device
+from drivers.device import Device, Rests
 from drivers.errors import DriverError
 from drivers.records import Batch, Severity, event
 from onboard.flight.acquire.arming import Arming
-from onboard.flight.acquire.publisher import Expected, Publisher
+from onboard.flight.acquire.publisher import Expected, Publisher, joined
 
 
 class Acquisition:
     """Steps a set of devices. The simulated runner calls :meth:`step`; in the real one each bus has a thread.
 
-    ``arming``: arms their drives; without it nothing is driven.
+    Args:
+        devices: what is pumped.
+        publisher: takes their batches.
+        arming: arms their drives; without it nothing is driven.
+        undisturbed: nothing fails on their buses, so that a device that rests need not be pumped to find that out.
     """
 
-    def __init__(self, devices: Sequence[Device], publisher: Publisher, arming: Arming | None = None) -> None:
-        self._publisher, self._arming = publisher, arming
+    def __init__(
+        self,
+        devices: Sequence[Device],
+        publisher: Publisher,
+        arming: Arming | None = None,
+        *,
+        undisturbed: bool = False,
+    ) -> None:
+        self._publisher, self._arming, self._undisturbed = publisher, arming, undisturbed
         self.devices = list(devices)
         self._due_ns = dict.fromkeys((device.name for device in devices), 0)
+        self._rests_ns = dict(self._due_ns)
+        self._held: list[Batch] = []  # of steps that did not hand over
 
     def start(self, now_ns: int) -> None:
         """Set every device up; those that fail are dropped, with an event that says why."""
@@ -40,18 +53,37 @@ class Acquisition:
 
     def pump(self, device: Device, now_ns: int, timeout_s: float) -> None:
         """Pump one device and publish its batches."""
+        self._publisher.publish(self._pumped(device, now_ns, timeout_s))
+
+    def _pumped(self, device: Device, now_ns: int, timeout_s: float) -> list[Batch]:
         batches = device.pump(now_ns, timeout_s)
-        self._publisher.publish(batches)
         if self._arming is not None:
             self._arming.see(batches)
-            self._publisher.publish(self._arming.hear(device, now_ns))
+            batches += self._arming.hear(device, now_ns)
+        return batches
 
-    def step(self, now_ns: int) -> None:
-        """Pump every device that is due, without waiting."""
+    def step(self, now_ns: int, *, hand_over: bool = True) -> None:
+        """Pump every device that is due, without waiting.
+
+        Args:
+            now_ns: CLOCK_MONOTONIC.
+            hand_over: publish what was found; else it waits for a step that does, and devices that rest are left out.
+        """
         for device in self.devices:
-            if now_ns >= self._due_ns[device.name]:
-                self.pump(device, now_ns, 0.0)
-                self._due_ns[device.name] = now_ns + device.period_ns
+            name = device.name
+            if now_ns < self._due_ns[name] or (now_ns < self._rests_ns[name] and not hand_over):
+                continue
+            self._held += self._pumped(device, now_ns, 0.0)
+            self._due_ns[name] = now_ns + device.period_ns
+            if self._undisturbed and isinstance(device, Rests):
+                self._rests_ns[name] = device.rests_until(now_ns)
+        if hand_over:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        if self._held:
+            held, self._held = self._held, []
+            self._publisher.publish(joined(held))
 
     def stop_device(self, device: Device, now_ns: int) -> None:
         """Stop one device and publish its last batches."""
@@ -62,6 +94,7 @@ class Acquisition:
 
     def stop(self, now_ns: int) -> None:
         """Stop every device."""
+        self._hand_over()
         for device in self.devices:
             self.stop_device(device, now_ns)
         self.finish(now_ns)

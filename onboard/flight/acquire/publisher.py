@@ -43,6 +43,31 @@ class _Left(NamedTuple):
     within_ns: int = 0  # a first row so soon is in time
 
 
+def joined(batches: Iterable[Batch]) -> list[Batch]:
+    """The batches with the rows of a channel as one, but where a batch of a shared channel lies between them."""
+    made: list[Batch] = []
+    pieces: dict[str, list[Rows]] = {}
+    for batch in batches:
+        if batch.channel in SHARED_CHANNELS:
+            made += _wholes(pieces)
+            made.append(batch)
+        elif len(batch.rows):
+            pieces.setdefault(batch.channel, []).append(batch.rows)
+    return made + _wholes(pieces)
+
+
+def _wholes(pieces: dict[str, list[Rows]]) -> list[Batch]:
+    """One batch for the rows of each channel; empties ``pieces``."""
+    made = []
+    for channel, rows in pieces.items():
+        whole = rows[0]
+        if len(rows) > 1:  # by bytes: padding stays as it is
+            whole = np.frombuffer(bytearray().join(part.tobytes() for part in rows), whole.dtype)
+        made.append(Batch(channel, whole))
+    pieces.clear()
+    return made
+
+
 class Publisher:
     """The one writer of a process's rings.
 

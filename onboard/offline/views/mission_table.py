@@ -71,7 +71,7 @@ def result(flown: Flown) -> Result:
         if batch.channel == "quantity":
             _note_answers(last, batch.rows)
         elif batch.rows.dtype == records.EVENT:
-            events += batch.rows
+            events.extend(batch.rows)
     name, answers = log.metadata["flight"]["vehicle"], _answers(last)
     own, flown_runs = own_mission.is_own(flown.truth), list[Result]()
     if own:
