@@ -14,7 +14,7 @@ from onboard import config
 from onboard.config.estimation import Estimation
 from onboard.devices.cia406 import Cia406Device
 from onboard.estimation.gates import GateReason
-from onboard.flight.acquire.publisher import Publisher
+from onboard.flight.acquire.publisher import Publisher, joined
 from onboard.flight.estimate.history import History
 from onboard.flight.estimate.identification import METHODS
 from onboard.flight.estimate.phases import PhaseTrack
@@ -156,6 +156,20 @@ def test_the_publisher_numbers_what_many_hands_write(tmp_path: Path) -> None:
     publisher.publish([said[2]])
     assert RingReader(tmp_path / "event_x.ring").read()[0]["sequence"].tolist() == [0, 1, 2]
     assert RingReader(tmp_path / "pulse.ring").read()[0]["sequence"].tolist() == [7]
+
+
+def test_rows_of_a_channel_are_joined_but_not_past_an_event() -> None:
+    def pulse(*numbers: int) -> Batch:
+        rows = np.zeros(len(numbers), records.PULSE)
+        rows["sequence"] = numbers
+        return Batch("pulse", rows)
+
+    said = event(5, Severity.INFO, "code", "source", "text")
+    made = joined([pulse(0), Batch("edge", pulse(7).rows), pulse(1, 2), pulse(), said, pulse(3)])
+    assert [batch.channel for batch in made] == ["pulse", "edge", "event", "pulse"]
+    assert [batch.rows["sequence"].tolist() for batch in made] == [[0, 1, 2], [7], [0], [3]]
+    assert made[0].rows.dtype is pulse(0).rows.dtype
+    assert made[0].rows.flags.writeable
 
 
 def recorded_vehicle(tmp_path: Path) -> config.Vehicle:

@@ -30,9 +30,10 @@ class Acquisition:
         *,
         undisturbed: bool = False,
     ) -> None:
-        self._publisher, self._arming, self._undisturbed = publisher, arming, undisturbed
+        self._publisher, self._arming = publisher, arming
         self.devices = list(devices)
         self._due_ns = dict.fromkeys((device.name for device in devices), 0)
+        self._resting = {each.name: each for each in devices if undisturbed and isinstance(each, Rests)}
         self._rests_ns = dict(self._due_ns)
         self._held: list[Batch] = []  # of steps that did not hand over
 
@@ -75,8 +76,8 @@ class Acquisition:
                 continue
             self._held += self._pumped(device, now_ns, 0.0)
             self._due_ns[name] = now_ns + device.period_ns
-            if self._undisturbed and isinstance(device, Rests):
-                self._rests_ns[name] = device.rests_until(now_ns)
+            if name in self._resting:
+                self._rests_ns[name] = self._resting[name].rests_until(now_ns)
         if hand_over:
             self._hand_over()
 

@@ -1,0 +1,98 @@
+"""A CAN bus that rests need not be pumped: what it says and sends is the same, to the byte and the millisecond."""
+
+import pytest
+
+from drivers.canopen_pdo import CanopenBus, CanopenObjectConfig, GuardConfig, SyncConfig
+from tests.drivers.can_peers import MS, ArmController, Bench, Encoder, LoadCell, u8, u16
+from tests.drivers.three_nodes import CELL, JOINT, PHASE
+
+COUNTED = CanopenObjectConfig(
+    "arm_phase", 3, tpdo=1, byte_offset=0, format="u8", index=0x2000, subindex=1, counter_subindex=2
+)
+READ_MS = 50  # between two times that rows are asked for
+
+
+class Seldom:
+    """Pumps a bus only where it does not rest, or rows are asked for."""
+
+    def __init__(self, bus: CanopenBus, *, rests: bool) -> None:
+        self.bus, self.rests, self.until_ns, self.pumps = bus, rests, 0, 0
+
+    def start(self, now_ns):
+        return self.bus.start(now_ns)
+
+    def stop(self, now_ns):
+        return self.bus.stop(now_ns)
+
+    def pump(self, now_ns):
+        if self.rests and now_ns < self.until_ns and now_ns // MS % READ_MS > 10:
+            return []
+        self.pumps += 1
+        batches = self.bus.pump(now_ns)
+        self.until_ns = self.bus.rests_until(now_ns)
+        return batches
+
+
+def flown(clock_of, phase, *, rests):
+    """A flight of 6 s whose phase changes thrice; the bench, and what was sent when."""
+    clock, sent = clock_of(), []
+
+    def make(port):
+        send = port.send
+        port.send = lambda identifier, data: (sent.append((clock(), identifier, bytes(data))), send(identifier, data))
+        return Seldom(CanopenBus(port, [JOINT, CELL, phase], SyncConfig(), "can_0"), rests=rests)
+
+    bench = Bench(clock, make, Encoder(), LoadCell(), ArmController())
+    bench.start()
+    for number, wait_ms in ((1, 1003), (2, 1511), (3, 2509)):
+        bench.put([bench.nodes[3].change(number)])
+        bench.run(wait_ms)
+    bench.stop()
+    return bench, sent
+
+
+def whole_bytes(bench, channel):
+    """All rows of a channel, padding included."""
+    return b"".join(batch.rows.tobytes() for batch in bench.batches if batch.channel == channel)
+
+
+@pytest.mark.parametrize("phase", [PHASE, COUNTED], ids=["without counter", "with counter"])
+def test_a_bus_that_is_pumped_where_it_does_not_rest_says_and_sends_the_same(clock, phase):
+    always, sent_always = flown(type(clock), phase, rests=False)
+    seldom, sent_seldom = flown(type(clock), phase, rests=True)
+    assert seldom.device.pumps < 0.8 * always.device.pumps
+    assert sent_seldom == sent_always
+    assert len(sent_always) > 40
+    for channel in ("can_sync", "joint_1", "load_cell", "arm_phase", "event"):
+        rows = whole_bytes(always, channel)
+        assert rows
+        assert whole_bytes(seldom, channel) == rows
+
+
+def test_a_bus_does_not_rest_before_its_nodes_run_nor_without_sync(clock):
+    bench = Bench(clock, lambda port: CanopenBus(port, [JOINT, CELL, PHASE], SyncConfig(), "can_0"), Encoder())
+    bench.start()
+    assert bench.device.rests_until(clock()) == clock(), "two nodes are away"
+    bench = Bench(clock, lambda port: CanopenBus(port, [JOINT], SyncConfig(), "can_0"), Encoder())
+    bench.start()
+    assert clock() < bench.device.rests_until(clock()) <= clock() + 20 * MS
+    bench.sync_on = False
+    bench.run(30)
+    assert bench.device.rests_until(clock()) == clock(), "it must settle what it holds"
+
+
+def test_a_guarded_bus_rests_until_its_next_question(clock):
+    no_heartbeat = {(0x1017, 0): None, (0x100C, 0): u16(0), (0x100D, 0): u8(0)}
+    guards = [GuardConfig(1, guard_time_ms=15)]
+    bench = Bench(
+        clock,
+        lambda port: CanopenBus(port, [JOINT], SyncConfig(), "can_0", guards),
+        Encoder(objects=no_heartbeat),
+    )
+    bench.start()
+    rests_ms = []
+    for _ in range(40):
+        bench.run(10)
+        rests_ms.append((bench.device.rests_until(clock()) - clock()) / MS)
+    assert bench.nodes[1].guarded > 20
+    assert max(rests_ms) <= 15.0
