@@ -159,11 +159,9 @@ class CanopenBus:
 
     def rests_until(self, now_ns: int) -> int:
         """See ``drivers.device.Rests``. At most as long as the value of an event channel waits to be read back."""
-        if self.player is not None or self._port.period_ns or self._sync.tick is None:
-            return now_ns
-        if self._sync_missed or self._sync.silence(now_ns) > OVERDUE:
-            return now_ns
-        return min([now_ns + QUIET_NS, *(node.rests_until(now_ns) for node in self._nodes)])
+        busy = self.player is not None or self._sync_missed or self._sync.tick is None
+        busy = busy or self._port.period_ns > 0 or self._sync.silence(now_ns) > OVERDUE
+        return now_ns if busy else min([now_ns + QUIET_NS, *(node.rests_until(now_ns) for node in self._nodes)])
 
     def _note_standstill(self, from_ns: int, to_ns: int) -> None:
         if to_ns - from_ns > STOOD_NS:

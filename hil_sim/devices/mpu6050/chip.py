@@ -194,12 +194,10 @@ class Mpu6050Twin:
             code = int(nack.value) if nack is not None and nack.value else errno.EREMOTEIO
             raise OSError(code, os.strerror(code))
         answer = self._exchange(write, read_count, now_ns)
-        if self._faults:
-            if self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
-                raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
-            if self._faults.active(FaultKind.GARBAGE, now_ns) is not None:
-                return garbled(answer, self._rng)
-        return answer
+        if self._faults and self._faults.active(FaultKind.TIMEOUT, now_ns) is not None:
+            raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        is_garbled = self._faults and self._faults.active(FaultKind.GARBAGE, now_ns) is not None
+        return garbled(answer, self._rng) if is_garbled else answer
 
     def _exchange(self, write: bytes, read_count: int, now_ns: int) -> bytes:
         if write:
