@@ -145,10 +145,6 @@ class PdoChannel(ABC):
             status |= SampleStatus.AFTER_RESET
             self._after_reset = False
         data = self.data
-        self._rows.append(
-            (
-                *(self._next, host_ns, tick, sample.value_raw, data.scale),
-                *(data.unit, sync_counter, sample.device_status, int(status)),
-            )
-        )
+        value = sample.value_raw, data.scale, data.unit
+        self._rows.append((self._next, host_ns, tick, *value, sync_counter, sample.device_status, int(status)))
         self._next += 1

@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil_sim.devices.serial_line.serial_wire import Heard, LineFormat, SerialStation, SerialWire
+from hil_sim.devices.serial_line.serial_wire import Arrived, Heard, LineFormat, SerialStation, SerialWire
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after two status bytes
@@ -97,7 +97,7 @@ class SerialBus:
         self._made_before: int | None = None  # the port was first open
         self._discarded = False
         self._latency_ns = latency_ns
-        self._held: list[Heard] = []  # in the USB adapter
+        self._held = Arrived([], b"")  # in the USB adapter
         self._rng = np.random.default_rng([seed, 0x5E])
         self._faults = NO_FAULTS
         self._plugged = True
@@ -112,7 +112,7 @@ class SerialBus:
     def due_ns(self) -> int:
         """When something next happens on the line, in a device or in the adapter."""
         times = [t for w in self._faults.windows for t in (w.start_ns, w.end_ns) if t > self._now_ns]
-        if self._held:
+        if self._held.data:
             times.append((self._now_ns // self._latency_ns + 1) * self._latency_ns)
         return min([*times, *(wire.due_ns for wire in self._wires)], default=NEVER)
 
@@ -152,7 +152,7 @@ class SerialBus:
         sent = self._link.take()
         host = self._link.line if self._plugged else None  # asked afterwards: the port may just have been opened
         if self._faults:
-            sent = bytes(c.byte for c in self._through_faults([Heard(self._now_ns, byte) for byte in sent]))
+            sent = self._through_faults([Heard(self._now_ns, byte) for byte in sent]).data
         for wire in self._wires:
             wire.host = host or (wire.host if sent else None)  # closing a port sends what is still in it
             wire.send(sent, self._now_ns)
@@ -168,27 +168,27 @@ class SerialBus:
             self._set_plugged(self._faults.active(FaultKind.UNPLUG, stop_ns) is None)
         self._go_on(now_ns)
         if hears and self._plugged and self._made_before is not None:
-            there_ns = self._held[0].end_ns - 1 if self._held else now_ns
+            there_ns = self._held.ends_ns[0] - 1 if self._held.data else now_ns
             self.samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
 
     def _go_on(self, now_ns: int) -> None:
-        arrived = sorted(character for wire in self._wires for character in wire.advance(now_ns))
+        each = [wire.advance(now_ns) for wire in self._wires]
+        arrived = each[0] if len(each) == 1 else _joined(sorted(one for other in each for one in other.characters()))
         self._now_ns = now_ns
         if self._faults:
-            arrived = self._through_faults(arrived)
-        if self._latency_ns:
-            arrived = self._through_adapter(arrived, now_ns)
-        if arrived:
-            self.to_host += len(arrived)
-            self._link.give(bytes(character.byte for character in arrived))
+            arrived = self._through_faults(arrived.characters())
+        data = self._through_adapter(arrived, now_ns) if self._latency_ns else arrived.data
+        if data:
+            self.to_host += len(data)
+            self._link.give(data)
 
-    def _through_adapter(self, arrived: list[Heard], now_ns: int) -> list[Heard]:
-        self._held += arrived
+    def _through_adapter(self, arrived: Arrived, now_ns: int) -> bytes:
+        ends_ns, data = self._held.ends_ns + arrived.ends_ns, self._held.data + arrived.data
         expiry_ns = now_ns // self._latency_ns * self._latency_ns
-        ready = sum(character.end_ns <= expiry_ns for character in self._held)
-        ready += (len(self._held) - ready) // _USB_PACKET * _USB_PACKET
-        handed_over, self._held = self._held[:ready], self._held[ready:]
-        return handed_over
+        ready = sum([end_ns <= expiry_ns for end_ns in ends_ns])
+        ready += (len(data) - ready) // _USB_PACKET * _USB_PACKET
+        self._held = Arrived(ends_ns[ready:], data[ready:])
+        return data[:ready]
 
     def _next_plugging(self, until_ns: int) -> int | None:
         windows = (w for w in self._faults.windows if w.kind is FaultKind.UNPLUG)
@@ -203,12 +203,12 @@ class SerialBus:
             self._link.plug()
         else:
             self._link.unplug()
-            self._held.clear()
+            self._held = Arrived([], b"")
             for wire in self._wires:
                 wire.cut()
                 wire.host = None
 
-    def _through_faults(self, characters: list[Heard]) -> list[Heard]:
+    def _through_faults(self, characters: list[Heard]) -> Arrived:
         kept = []
         for character in characters:
             loss = self._faults.active(FaultKind.BYTE_LOSS, character.end_ns)
@@ -220,4 +220,8 @@ class SerialBus:
                 self.garbled += 1
                 character = Heard(character.end_ns, character.byte ^ 1 << int(self._rng.integers(8)))  # noqa: PLW2901
             kept.append(character)
-        return kept
+        return _joined(kept)
+
+
+def _joined(characters: list[Heard]) -> Arrived:
+    return Arrived([one.end_ns for one in characters], bytes([one.byte for one in characters]))

@@ -253,7 +253,7 @@ class VehicleFlight:
         more = np.linalg.solve(M[nb:, nb:], load - M[nb:, :nb] @ base) if bends else np.zeros(0)
         if bends:
             data.qacc[nb:] = ddq + more
-        return np.asarray(base, np.float64), self._soft.rates(soft, more, pull), spins
+        return np.asarray(base, np.float64), self._soft.rates(soft, more, pull) if len(soft) else soft, spins
 
     def _start_soft(self, soft: SoftParts) -> None:
         """Springs at rest, in the pose of the first row."""
@@ -312,15 +312,18 @@ class VehicleFlight:
         for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
             pose = self._moved(rates[-1], part * h)
             velocity = v + part * h * forces[-1]
-            rate = self._turned(dq[stage], self._spin + part * h * spin[-1])
-            now = pose, velocity, y + part * h * soft[-1], q[stage], rate, ddq[stage], 2 * self.count + stage
+            rate = dq[stage] if self._wheels is None else self._turned(dq[stage], self._spin + part * h * spin[-1])
+            bent = y + part * h * soft[-1] if len(y) else y
+            now = pose, velocity, bent, q[stage], rate, ddq[stage], 2 * self.count + stage
             for found, one in zip((forces, soft, spin), self._accelerate(*now), strict=True):
                 found.append(one)
             rates.append(velocity)
         self._pose = self._moved(_mean(rates), h)
         self._velocity = v + h * _mean(forces)
-        self._soft.state = y + h * _mean(soft)
-        self._spin = self._spin + h * _mean(spin)
+        if len(y):
+            self._soft.state = y + h * _mean(soft)
+        if len(self._spin):
+            self._spin = self._spin + h * _mean(spin)
 
     def _moved(self, velocity: FloatArray, step_s: float) -> FloatArray:
         """The base's pose after a step from where it stands."""

@@ -176,6 +176,7 @@ class CanWire:
         self._single: list[Callable[[int], bool]] = []
         self._later: list[tuple[int, _Waiting]] = []  # by ready time
         self._ready: list[_Waiting] = []  # by arbitration
+        self._buffered: set[tuple[int, int]] = set()  # of these, identifier and sender of those in a single buffer
         self._on_wire: tuple[int, _Waiting] | None = None
         self.overwritten: Counter[int] = Counter()  # frames that never came to their turn, by identifier
         self._idle_ns = 0
@@ -250,18 +251,21 @@ class CanWire:
         while self._later and self._later[0][0] <= start_ns:
             self._contend(heapq.heappop(self._later)[1])
         frame = heapq.heappop(self._ready)
+        self._buffered.discard((frame[0], frame[3]))
         end_ns = start_ns + round(frame_bits(frame[0], frame[2], frame[4]) * self._bit_ns)
         self._on_wire = (end_ns, frame)
         self._idle_ns = end_ns + round(_INTERMISSION_BITS * self._bit_ns)
 
     def _contend(self, frame: _Waiting) -> None:
         identifier, _, data, sender, asked = frame
-        if self._ready and sender != _HOST and self._single[sender](identifier):
+        if (identifier, sender) in self._buffered:
             for place, waiting in enumerate(self._ready):
                 if waiting[0] == identifier and waiting[3] == sender:
                     self.overwritten[identifier] += 1
                     self._ready[place] = (identifier, waiting[1], data, sender, asked)
                     return
+        if sender != _HOST and self._single[sender](identifier):
+            self._buffered.add((identifier, sender))
         heapq.heappush(self._ready, frame)
 
     def _end(self) -> bool:

@@ -109,7 +109,8 @@ class Tpdo:
         """Contents at ``now_ns``; counts as produced."""
         self.produced += 1
         self.pending = False
-        return b"".join([entry.pack(now_ns) for entry in self._mapped])
+        mapped = self._mapped
+        return mapped[0].pack(now_ns) if len(mapped) == 1 else b"".join([entry.pack(now_ns) for entry in mapped])
 
     def _compile(self, value: int, now_ns: int) -> None:
         del value, now_ns

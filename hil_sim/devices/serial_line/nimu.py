@@ -75,6 +75,7 @@ class Checksum(StrEnum):
     PAYLOAD = "payload"  # the words only
 
 
+_MOST_AHEAD: Final = 256
 _FIRST_SUMMED: Final = {Checksum.PACKET: 0, Checksum.AFTER_SYNC: 4, Checksum.PAYLOAD: 13}
 
 
@@ -144,10 +145,13 @@ class NimuTwin(SerialTwin):
         self._latency_ns = latency_ns
         self._powered_chip_ns = 0
         self._next = 0
+        self._is_known = not faults and magnetometer is None  # its packets, as far ahead as its input is
+        self._ahead: list[tuple[bytes, float]] = []  # the next packets, and their mission times
 
     def _power_up(self, now_ns: int) -> None:
         self._powered_chip_ns = self._clock.chip_ns(now_ns)
         self._next = 0
+        self._ahead.clear()
         self._arm(now_ns)
 
     def _chip_ns(self, sample: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -163,16 +167,29 @@ class NimuTwin(SerialTwin):
         until_ns = max(now_ns, min(self._until_ns, self.due_ns - 1))
         own_until_ns = self._clock.chip_ns(until_ns) - self._powered_chip_ns
         n = max(1, math.ceil((own_until_ns + 1 - self._boot_ns) / self._period_ns) - self._next)
-        own_ns = self._chip_ns(self._next + np.arange(n, dtype=np.float64))  # (n,)
         latest_s = self._seconds(until_ns)
-        times_s = np.minimum(self._clock.times_s(self._powered_chip_ns + own_ns), latest_s)  # (n,)
-        self._next += n
-        shown = np.append(np.diff(times_s) > 0.0, True)  # the unit has no samples of times that it never showed
-        own_ns, times_s = own_ns[shown], times_s[shown]
-        self.produced += len(own_ns)
-        for packet, time_s in zip(self._packets(own_ns, times_s), times_s, strict=True):
-            self._send(packet, self._start_ns + round(float(time_s) * 1e9) + self._latency_ns)
+        if n <= len(self._ahead) and self._ahead[n - 1][1] <= latest_s:
+            made = self._ahead[:n]
+            del self._ahead[:n]
+            self._next += n
+        else:
+            made = self._made(n, latest_s)
+            self._next += n
+            self._ahead = self._made(_MOST_AHEAD, math.inf) if self._is_known else []
+        self.produced += len(made)
+        for packet, time_s in made:
+            self._send(packet, self._start_ns + round(time_s * 1e9) + self._latency_ns)
         self._arm(until_ns)
+
+    def _made(self, n: int, latest_s: float) -> list[tuple[bytes, float]]:
+        """Packets of the next ``n`` samples with their mission times, none after ``latest_s``; if inf, those known."""
+        own_ns = self._chip_ns(self._next + np.arange(n, dtype=np.float64))  # (n,)
+        times_s = np.minimum(self._clock.times_s(self._powered_chip_ns + own_ns), latest_s)  # (n,)
+        shown = np.append(np.diff(times_s) > 0.0, True)  # the unit has no samples of times that it never showed
+        if math.isinf(latest_s):
+            shown &= times_s < self._analog.known_s
+        own_ns, times_s = own_ns[shown], times_s[shown]
+        return list(zip(self._packets(own_ns, times_s), times_s.tolist(), strict=True)) if len(own_ns) else []
 
     def _packets(self, own_ns: NDArray[np.float64], times_s: NDArray[np.float64]) -> list[bytes]:
         words = self._analog.counts(times_s, 1.0 / _ACCEL_G, 1.0 / _GYRO_DPS, _BANDWIDTH_CODE)  # (n, 7)

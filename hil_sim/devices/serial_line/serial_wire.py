@@ -72,6 +72,17 @@ class Heard(NamedTuple):
     byte: int
 
 
+class Arrived(NamedTuple):
+    """Characters that came one after the other: when each was received, and what they are."""
+
+    ends_ns: list[int]
+    data: bytes
+
+    def characters(self) -> list[Heard]:
+        """One by one."""
+        return list(map(Heard, self.ends_ns, self.data))
+
+
 def waveform(data: bytes, line: LineFormat) -> list[int]:
     """Levels of the line, one entry a bit time, while ``data`` is sent without pause."""
     levels: list[int] = []
@@ -83,7 +94,7 @@ def waveform(data: bytes, line: LineFormat) -> list[int]:
     return levels
 
 
-def hear(data: bytes, start_ns: int, sender: LineFormat, receiver: LineFormat) -> list[Heard]:
+def hear(data: bytes, start_ns: int, sender: LineFormat, receiver: LineFormat) -> Arrived:
     """What a receiver makes of characters sent without pause.
 
     Args:
@@ -94,15 +105,15 @@ def hear(data: bytes, start_ns: int, sender: LineFormat, receiver: LineFormat) -
     """
     if sender.agrees_with(receiver):
         step_ns = sender.character_ns
-        return [Heard(start_ns + round((k + 1) * step_ns), byte) for k, byte in enumerate(data)]
+        return Arrived([start_ns + round(k * step_ns) for k in range(1, len(data) + 1)], data)
     return _sampled(waveform(data, sender), start_ns, sender, receiver)
 
 
-def _sampled(levels: list[int], start_ns: int, sender: LineFormat, receiver: LineFormat) -> list[Heard]:
+def _sampled(levels: list[int], start_ns: int, sender: LineFormat, receiver: LineFormat) -> Arrived:
     """Find start bits as falling edges and sample each bit in its middle; times in bits of the sender."""
     step = sender.baud_rate / receiver.baud_rate
     before_stop = _DATA_BITS + (receiver.parity != "N")
-    heard: list[Heard] = []
+    heard = Arrived([], b"")
     edge = 0
     while True:
         while edge < len(levels) and (levels[edge] or (edge and not levels[edge - 1])):
@@ -115,7 +126,8 @@ def _sampled(levels: list[int], start_ns: int, sender: LineFormat, receiver: Lin
             byte |= (levels[at] if at < len(levels) else 1) << k
         stop = edge + (before_stop + 1.5) * step  # the middle of the stop bit: from here on an edge is a new start
         end = edge + (before_stop + 2) * step
-        heard.append(Heard(start_ns + round(end * 1e9 / sender.baud_rate), byte))
+        ends_ns = [*heard.ends_ns, start_ns + round(end * 1e9 / sender.baud_rate)]
+        heard = Arrived(ends_ns, heard.data + bytes([byte]))
         edge = int(stop) + 1
 
 
@@ -130,7 +142,8 @@ class SerialWire:
         self.host: LineFormat | None = None  # the host's port while it is open
         self._device = device
         self._to_device: deque[Heard] = deque()
-        self._to_host: deque[Heard] = deque()
+        self._to_host_ns: list[int] = []  # when each character under way to the host is received
+        self._to_host = bytearray()
         self._host_idle_ns = 0
         self._device_idle_ns = 0
         device.connect(self._transmit)
@@ -138,8 +151,9 @@ class SerialWire:
     @property
     def due_ns(self) -> int:
         """When something next happens on the line or in the device."""
-        waiting = [queue[0].end_ns for queue in (self._to_device, self._to_host) if queue]
-        return min([self._device.due_ns, *waiting])
+        to_device_ns = self._to_device[0].end_ns if self._to_device else NEVER
+        to_host_ns = self._to_host_ns[0] if self._to_host_ns else NEVER
+        return min(self._device.due_ns, to_device_ns, to_host_ns)
 
     def send(self, data: bytes, ready_ns: int) -> None:
         """Send characters of the host, not before ``ready_ns``; a closed port sends nothing."""
@@ -147,14 +161,15 @@ class SerialWire:
             return
         start_ns = max(ready_ns, self._host_idle_ns)
         self._host_idle_ns = start_ns + round(len(data) * self.host.character_ns)
-        self._to_device += hear(data, start_ns, self.host, self._device.line)
+        self._to_device += hear(data, start_ns, self.host, self._device.line).characters()
 
     def cut(self) -> None:
         """Lose what is under way."""
         self._to_device.clear()
         self._to_host.clear()
+        self._to_host_ns.clear()
 
-    def advance(self, now_ns: int) -> list[Heard]:
+    def advance(self, now_ns: int) -> Arrived:
         """Let everything happen that is due at ``now_ns``; returns what the host's UART received."""
         inbox, device = self._to_device, self._device
         while True:
@@ -166,9 +181,13 @@ class SerialWire:
                 break
             character = inbox.popleft()
             device.receive(character.byte, character.end_ns)
-        received = []
-        while self._to_host and self._to_host[0].end_ns <= now_ns:
-            received.append(self._to_host.popleft())
+        arrived = 0
+        for end_ns in self._to_host_ns:
+            if end_ns > now_ns:
+                break
+            arrived += 1
+        received = Arrived(self._to_host_ns[:arrived], bytes(self._to_host[:arrived]))
+        del self._to_host_ns[:arrived], self._to_host[:arrived]
         return received
 
     def _transmit(self, data: bytes, ready_ns: int) -> int:
@@ -176,5 +195,7 @@ class SerialWire:
         start_ns = max(ready_ns, self._device_idle_ns)
         self._device_idle_ns = start_ns + round(len(data) * line.character_ns)
         if self.host is not None:
-            self._to_host += hear(data, start_ns, line, self.host)
+            ends_ns, heard = hear(data, start_ns, line, self.host)
+            self._to_host_ns += ends_ns
+            self._to_host += heard
         return self._device_idle_ns

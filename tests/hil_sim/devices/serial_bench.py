@@ -21,8 +21,8 @@ class Line:
         """Let time pass; returns what was received in it."""
         self.now_ns += round(ms * MS)
         received = self.wire.advance(self.now_ns)
-        self.ends_ns = [character.end_ns for character in received]
-        return bytes(character.byte for character in received)
+        self.ends_ns = received.ends_ns
+        return received.data
 
     def send(self, data):
         self.wire.send(data, self.now_ns)

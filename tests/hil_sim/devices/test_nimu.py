@@ -114,6 +114,43 @@ def test_the_way_time_is_cut_changes_no_byte(step_ms):
     assert len(reference) > 20 * 38
 
 
+class Foreseen(StairImu):
+    """A stair whose future is known up to a mission time."""
+
+    known_s = 0.0
+
+
+def test_packets_made_ahead_are_those_made_one_by_one():
+    said, asked = [], []
+    for known_s in (0.0, 0.9):
+        analog = Foreseen()
+        analog.known_s = known_s
+        line = Line(unit(analog, 0.01))
+        parts = []
+        for ms in range(1, 241):
+            parts.append(line.run(5))
+            analog.known_s = known_s + 5e-3 * ms if known_s else 0.0
+        said.append(b"".join(parts))
+        asked.append(len(analog.calls))
+    assert said[1] == said[0]
+    assert len(packets(said[0])) > 130
+    assert asked[1] < 0.1 * asked[0]
+
+
+def test_what_was_made_ahead_is_not_said_after_a_brown_out():
+    found = []
+    for known_s in (0.0, 9.0):
+        analog = Foreseen()
+        analog.known_s = known_s
+        nimu = unit(analog)
+        line = Line(nimu)
+        line.run(BOOT_MS + 100)
+        nimu.restart(line.now_ns)
+        found.append(line.run(BOOT_MS + 100))
+    assert found[1] == found[0]
+    assert len(packets(found[0])) > 10
+
+
 def test_a_long_step_asks_the_physics_once():
     analog = StairImu()
     line = Line(unit(analog))
