@@ -3,9 +3,9 @@
 The same likelihood as :mod:`onboard.identification.exiddm.batch`, processed in batches of ticks by an extended Kalman
 filter with all unknowns as its state: the base's rate, payload, IMU errors, uncertain links. Linearisation far from
 the truth is wrong, so the first seconds are solved as one growing window (:mod:`onboard.identification.exiddm.window`);
-after that every batch is one filter step. Steps linearised about a payload that is still far off give information in
-directions that no motion shows, so the first of them are replaced once, by a window that has them all. Where a motion
-tells little (a light payload, slow motions), the window grows until it determines the mass.
+after that every batch is one filter step. Steps linearised about a payload that is still far off are replaced by a
+window that has them all (:mod:`onboard.identification.exiddm.stepped`). Where a motion tells little (a light payload,
+slow motions), the window grows until it determines the mass.
 
 At a change the estimates of rate and payload are reset, all others are kept, and a new window begins. The hypothesis
 that fits that window classifies it: nothing held (an ejection, or a contact if nothing was), the same payload (a
@@ -30,13 +30,13 @@ from onboard.identification.exiddm.innovation import Batch, Innovation, Innovati
 from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.snapshots import Before, Known, Snapshots
+from onboard.identification.exiddm.stepped import Stepped
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
-SOLVED_AGAIN_AT_s = 8.0  # with the filter's steps in between, about the payload as it is known then
-_WINDOWS_s = *SOLVED_AT_s, SOLVED_AGAIN_AT_s  # the longest where two IMUs contradict each other
+_WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
 _DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
@@ -112,7 +112,8 @@ class RecursiveExiddm(BoundedWork):
 
     def settled(self) -> bool:
         """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
-        return (not self._hypotheses or self._grown > 1.0) and self._stepped is None and not self.solving
+        open_window = bool(self._hypotheses) and self._grown == 1.0
+        return not (open_window or self.solving or (self._stepped is not None and self._stepped.first))
 
     @property
     def confirmed(self) -> bool:
@@ -164,7 +165,7 @@ class RecursiveExiddm(BoundedWork):
         self._start: FloatArray | None = None
         self._window = self._pending = self._none
         self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
-        self._stepped: Ticks | None = None  # ticks of the window and of the steps since
+        self._stepped: Stepped | None = None  # ticks of the window and of the steps since
         self._earlier: Before | None = None  # motion before the change, while it is not known what was held
         self._accused: Accusation | None = None  # the window is solved without it
         self._detector.forget()
@@ -212,11 +213,14 @@ class RecursiveExiddm(BoundedWork):
             if found is not None and found.hypothesis is Hypothesis.NOTHING:
                 self._prior = self._earlier.known
             self._earlier = None
-            self._ask_again(self._stepped)
+            self._ask_again(self._stepped.ticks)
             return
         if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
-            self.unexplained.count += found is None
+            stepped, self._stepped = self._stepped, None
+            assert stepped is not None
+            self.unexplained.count += found is None and stepped.first
             if found is not None:
+                self._stepped, self._start = stepped.after(found), found.start
                 self.state, self.covariance, self.ticks_used = found.state, found.covariance, found.used
                 self.lines.begin(found.residual)
             assert self.state is not None
@@ -291,12 +295,13 @@ class RecursiveExiddm(BoundedWork):
             self.glitches += solved.glitches
             self._hypotheses, self._pending = (), ticks.part(slice(-2, None))
             self.unexplained.settle()
-            self._stepped = ticks if hypothesis is Hypothesis.NEW and self._grown == 1.0 else None
+            new = hypothesis is Hypothesis.NEW
+            self._stepped = Stepped.since(ticks, grown=self._grown > 1.0) if new else None
 
     def _ask_again(self, stepped: Ticks) -> None:
         """Ask for the window and the steps since; first, where it is not known what was held, for the motion before."""
         if self._earlier is None:
-            self._asked, self._stepped = (stepped, Trial((Hypothesis.NEW,))), None
+            self._asked = stepped, Trial((Hypothesis.NEW,))
         else:
             self._asked = self._earlier.ticks, Trial((Hypothesis.SAME, Hypothesis.NOTHING))
 
@@ -339,9 +344,9 @@ class RecursiveExiddm(BoundedWork):
         self.state, self.covariance = self.predictor.carried(predicted, self.state, state, covariance)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
-            self._stepped = self._stepped.and_then(ticks.part(slice(2, None)))
-            if len(self._stepped.time_s) >= round(SOLVED_AGAIN_AT_s / self.predictor.period_s):
-                self._ask_again(self._stepped)
+            self._stepped.add(ticks.part(slice(2, None)))
+            if self._stepped.due:
+                self._ask_again(self._stepped.ticks)
                 return
         self._snapshots.append(self.state, self.covariance)
         self._snapshots.moves(None if ticks.rest else ticks)
