@@ -37,6 +37,13 @@ def after_a_change(held: bool, known: bool = True) -> tuple[Hypothesis, ...]:
     return tuple(one for one in _AFTER_A_CHANGE[held] if known or one is not Hypothesis.SAME)
 
 
+def at_first(held: bool, carried: bool) -> tuple[Hypothesis, ...]:
+    """Hypotheses of the first window; ``carried``: what was held last is known, and ``held`` does not count."""
+    if carried:
+        return Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW
+    return (Hypothesis.NEW if held else Hypothesis.NOTHING,)
+
+
 class Claim:
     """The last announcement, until it is settled.
 

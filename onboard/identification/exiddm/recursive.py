@@ -23,13 +23,13 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS, STEP_WORK, BoundedWork
-from onboard.identification.exiddm.claims import Claim, after_a_change, kind_of
+from onboard.identification.exiddm.claims import Claim, after_a_change, at_first, kind_of
 from onboard.identification.exiddm.fusion import Accusation, Fusion
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
-from onboard.identification.exiddm.snapshots import Before, Known, Snapshots
+from onboard.identification.exiddm.snapshots import Before, Known, Snapshots, bridged, initially
 from onboard.identification.exiddm.stepped import Stepped
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
@@ -81,8 +81,8 @@ class RecursiveExiddm(BoundedWork):
         super().__init__(call_ticks)
         self.predictor = predictor
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
-        self.held: bool | None = held
-        self._before: bool | None = held
+        self.held: bool | None = held if known is None else None
+        self._before = self.held
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
         self._left: FloatArray | None = None  # by the last one
@@ -96,13 +96,8 @@ class RecursiveExiddm(BoundedWork):
         self.fusion = Fusion(predictor.instruments, predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._innovations = Snapshots(predictor.period_s), Innovations(predictor, self.fusion)
-        mean, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
-        hypotheses: tuple[Hypothesis, ...] = (Hypothesis.NEW if held else Hypothesis.NOTHING,)
-        if known is not None:
-            mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = known
-            self.held, self._before, hypotheses = None, None, (Hypothesis.SAME, Hypothesis.NOTHING, Hypothesis.NEW)
-        self._initial = mean, covariance
-        self._open(hypotheses, mean, covariance)
+        self._initial = initially(predictor, known)
+        self._open(at_first(held, known is not None), self._initial)
 
     @property
     def holds(self) -> bool:
@@ -112,8 +107,8 @@ class RecursiveExiddm(BoundedWork):
 
     def settled(self) -> bool:
         """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
-        open_window = bool(self._hypotheses) and self._grown == 1.0
-        return not (open_window or self.solving or (self._stepped is not None and self._stepped.first))
+        first = self._stepped is not None and self._stepped.first
+        return (not self._hypotheses or self._grown > 1.0) and not first and not self.solving
 
     @property
     def confirmed(self) -> bool:
@@ -158,12 +153,12 @@ class RecursiveExiddm(BoundedWork):
 
     # ------------------------------------------------------------------ a window, as a whole
 
-    def _open(self, hypotheses: tuple[Hypothesis, ...], mean: FloatArray, covariance: FloatArray) -> None:
-        """Begin a window with this prior and an unknown rate."""
-        self._hypotheses, self._prior = hypotheses, (mean, covariance)
-        self._solves, self.unexplained.wait, self._grown = 0, 0, 1.0
+    def _open(self, hypotheses: tuple[Hypothesis, ...], prior: Known, begun: Ticks | None = None) -> None:
+        """Begin a window with this prior and an unknown rate; ``begun``: with these ticks, and solve it at 2 s."""
+        self._hypotheses, self._prior = hypotheses, prior
+        self._solves, self.unexplained.wait, self._grown = int(begun is not None), 0, 1.0
         self._start: FloatArray | None = None
-        self._window = self._pending = self._none
+        self._window, self._pending = self._none, self._none if begun is None else begun
         self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong
         self._stepped: Stepped | None = None  # ticks of the window and of the steps since
         self._earlier: Before | None = None  # motion before the change, while it is not known what was held
@@ -182,7 +177,7 @@ class RecursiveExiddm(BoundedWork):
         elif len(self._snapshots):
             now = self._snapshots.back(batches_back)
         self.state, self.held, self.ticks_used = None, None, 0
-        self._open(hypotheses, *now)
+        self._open(hypotheses, now)
 
     def _wanted(self) -> int:
         """Ticks until there is something to do."""
@@ -213,7 +208,7 @@ class RecursiveExiddm(BoundedWork):
             if found is not None and found.hypothesis is Hypothesis.NOTHING:
                 self._prior = self._earlier.known
             self._earlier = None
-            self._ask_again(self._stepped.ticks)
+            self._ask_again(self._stepped)
             return
         if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
             stepped, self._stepped = self._stepped, None
@@ -295,13 +290,12 @@ class RecursiveExiddm(BoundedWork):
             self.glitches += solved.glitches
             self._hypotheses, self._pending = (), ticks.part(slice(-2, None))
             self.unexplained.settle()
-            new = hypothesis is Hypothesis.NEW
-            self._stepped = Stepped.since(ticks, grown=self._grown > 1.0) if new else None
+            self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
 
-    def _ask_again(self, stepped: Ticks) -> None:
+    def _ask_again(self, stepped: Stepped) -> None:
         """Ask for the window and the steps since; first, where it is not known what was held, for the motion before."""
         if self._earlier is None:
-            self._asked = stepped, Trial((Hypothesis.NEW,))
+            self._asked = stepped.ticks, Trial((Hypothesis.NEW if stepped.held else Hypothesis.NOTHING,))
         else:
             self._asked = self._earlier.ticks, Trial((Hypothesis.SAME, Hypothesis.NOTHING))
 
@@ -344,9 +338,12 @@ class RecursiveExiddm(BoundedWork):
         self.state, self.covariance = self.predictor.carried(predicted, self.state, state, covariance)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
-            self._stepped.add(ticks.part(slice(2, None)))
+            self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)
+            if begun is not None:
+                self._open((Hypothesis.NOTHING,), self._prior, begun)
+                return
             if self._stepped.due:
-                self._ask_again(self._stepped.ticks)
+                self._ask_again(self._stepped)
                 return
         self._snapshots.append(self.state, self.covariance)
         self._snapshots.moves(None if ticks.rest else ticks)
@@ -391,13 +388,11 @@ class RecursiveExiddm(BoundedWork):
         gap_s = float(after.time_s[0] - self._pending.time_s[0])
         fastest = self._pending.fastest(self.predictor.lines[self.fusion.reference])
         if self._hypotheses or self.state is None:
-            self._open(self._hypotheses, *self._prior)
+            self._open(self._hypotheses, self._prior)
         elif gap_s > _LONGEST_HOLE_s or fastest is None:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
-            both = self._pending.part(slice(0, 1)).and_then(after)
-            self.state, F, of_a_turn = self.predictor.bridge(both.q, both.dq, both.ddq, self.state, both.cyclic)
-            self.covariance = F @ self.covariance @ F.T
-            self.covariance[RATE, RATE] += (fastest * gap_s) ** 2 * of_a_turn
+            both, now = self._pending.part(slice(0, 1)).and_then(after), (self.state, self.covariance)
+            self.state, self.covariance = bridged(self.predictor, both, now, fastest * gap_s)
             self._stepped, self._earlier, self._pending = None, None, self._none
             self._snapshots.moves(None)

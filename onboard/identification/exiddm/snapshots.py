@@ -25,6 +25,34 @@ TIERS = ((8, 1), (28, 4), (80, 16))  # of the so many newest batches one in so m
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
 
 
+def initially(predictor: ImuPredictor, payload: tuple[FloatArray, FloatArray] | None) -> Known:
+    """What is known before the first tick.
+
+    Args:
+        predictor: of the instruments.
+        payload: mean, (10,), and covariance, (10, 10), of the one held last; None: nothing is known of one.
+    """
+    mean, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    if payload is not None:
+        mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = payload
+    return mean, covariance
+
+
+def bridged(predictor: ImuPredictor, both: Ticks, known: Known, turned_rad: float) -> Known:
+    """What is known after a gap of the joints.
+
+    Args:
+        predictor: keeps the momentum.
+        both: the ticks before it and after it.
+        known: before it.
+        turned_rad: by which the momentum's direction in base axes may have turned.
+    """
+    state, F, of_a_turn = predictor.bridge(both.q, both.dq, both.ddq, known[0], both.cyclic)
+    covariance = F @ known[1] @ F.T
+    covariance[RATE, RATE] += turned_rad**2 * of_a_turn
+    return state, covariance
+
+
 class Before(NamedTuple):
     """The motion before a change, and what was known at its end if nothing was held."""
 

@@ -5,14 +5,25 @@ that no motion shows, and nothing takes it back. So the window and the steps sin
 of twice the window, and again at twice that length where the mass was not known to a few percent, as of a light vehicle
 that caught much.
 
+Without a payload it is the base's rate that may be hardly known: at rest nothing tells it from zeros of the gyros that
+may be large. In a short window the rate has several minima, each sharp, so it is solved again up to 8 s in any case.
+Steps about a rate that is a tenth of a rad/s off are wrong within a second, at rest too. So what an arm at rest has
+told is given up when it begins to move, but for its last second: a window begins with that, and what was known before.
+
 Known limit: in a window the drift of a bias is constant, in steps it is a random walk.
 """
 
+import numpy as np
+
+from onboard.identification.exiddm.imu_prediction import RATE, ImuPredictor
+from onboard.identification.exiddm.snapshots import Known
 from onboard.identification.exiddm.ticks import Ticks
-from onboard.identification.exiddm.window import Solved
+from onboard.identification.exiddm.window import Hypothesis, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
 _WELL = 0.03  # relative sigma of the payload's mass below which steps are linearised well enough
+_WELL_rad_s = 0.02  # and sigma of the base's rate, which the zeros of a gyro bound
+_AT_REST_s = 1.0  # kept of it
 
 
 class Stepped:
@@ -21,23 +32,51 @@ class Stepped:
     Args:
         ticks: of the window.
         length_s: at which they are solved again.
-
-    Attributes:
+        held: a payload is.
         first: none of the steps has been replaced yet, and the window before them had not grown.
     """
 
-    def __init__(self, ticks: Ticks, length_s: float, *, first: bool) -> None:
-        self._parts, self._length_s, self.first = [ticks], length_s, first
+    def __init__(self, ticks: Ticks, length_s: float, *, held: bool, first: bool) -> None:
+        self._parts, self._length_s, self.held, self.first = [ticks], length_s, held, first
+        self._rests = not held and ticks.rest  # the arm, in all of them
 
     @staticmethod
-    def since(ticks: Ticks, *, grown: bool) -> "Stepped | None":
-        """Of a window, which may have grown; None if one of twice its length is too long."""
-        length_s = 2.0 * float(ticks.time_s[-1] - ticks.time_s[0])
-        return Stepped(ticks, max(_FIRST_s, length_s), first=not grown) if length_s < 1.01 * _LONGEST_s else None
+    def since(ticks: Ticks, solved: Solved, predictor: ImuPredictor, known: Known, *, grown: bool) -> "Stepped | None":
+        """Of a window; None if steps are linearised well enough, or it would be too long.
 
-    def add(self, ticks: Ticks) -> None:
-        """The ticks of a step, which follow."""
-        self._parts.append(ticks)
+        Args:
+            ticks: of the window.
+            solved: its solution.
+            predictor: of the instruments.
+            known: before the window.
+            grown: it has.
+        """
+        length_s, held = 2.0 * float(ticks.time_s[-1] - ticks.time_s[0]), solved.hypothesis is not Hypothesis.NOTHING
+        well = solved.hypothesis is Hypothesis.SAME or (not held and _knows_zeros(predictor, known))
+        if well or length_s > 1.01 * _LONGEST_s:
+            return None
+        return Stepped(ticks, max(_FIRST_s if held else 0.0, length_s), held=held, first=held and not grown)
+
+    def add(self, ticks: Ticks, predictor: ImuPredictor, known: Known) -> tuple[Known, Ticks | None]:
+        """Take in the ticks of a step, of which the first two are known.
+
+        Args:
+            ticks: of the step.
+            predictor: of the instruments.
+            known: before the first of all ticks.
+
+        Returns:
+            The same of those that are kept; where the arm begins to move, these ticks, with which a window begins.
+        """
+        self._parts.append(ticks.part(slice(2, None)))
+        if not self._rests:
+            return known, None
+        if not ticks.rest:
+            self._rests = False
+            return known, self.ticks
+        dropped = max(0, len(self.ticks.time_s) - round(_AT_REST_s / predictor.period_s) - 2)
+        self._parts = [self.ticks.part(slice(dropped, None))]
+        return _later(predictor, known, dropped), None
 
     @property
     def due(self) -> bool:
@@ -52,6 +91,27 @@ class Stepped:
 
     def after(self, solved: Solved) -> "Stepped | None":
         """What is to be solved after the window of all is; None if steps are linearised well enough, or it was long."""
-        if solved.mass_sigma < _WELL or 2.0 * self._length_s > 1.01 * _LONGEST_s:
+        rate = float(np.sqrt(np.diag(solved.covariance)[RATE].max()))
+        well = solved.mass_sigma < _WELL if self.held else rate < _WELL_rad_s and self._length_s > 0.99 * _FIRST_s
+        if well or 2.0 * self._length_s > 1.01 * _LONGEST_s:
             return None
-        return Stepped(self.ticks, 2.0 * self._length_s, first=False)
+        return Stepped(self.ticks, 2.0 * self._length_s, held=self.held, first=False)
+
+
+def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:
+    """What is known of all but the rate so many ticks later, if these tell nothing."""
+    (mean, covariance), after_s = (part.copy() for part in known), ticks * predictor.period_s
+    for bias_at, drift_at in predictor.biases:
+        mean[bias_at] += after_s * mean[drift_at]
+        covariance[bias_at] += after_s * covariance[drift_at]
+        covariance[:, bias_at] += after_s * covariance[:, drift_at]
+    return mean, predictor.aged(covariance, ticks)
+
+
+def _knows_zeros(predictor: ImuPredictor, known: Known) -> bool:
+    """Whether the zeros of one gyro at least are known so well that it tells the rate."""
+    at = [k for k, name in enumerate(predictor.names) if name.startswith("gyro_bias_rad_s")]
+    if len(at) < 3 * len(predictor.imu_frames):  # one has none
+        return True
+    worst = np.sqrt(np.diag(known[1])[at]).reshape(-1, 3).max(axis=1)
+    return bool(worst.min() < _WELL_rad_s)

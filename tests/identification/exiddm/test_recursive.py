@@ -124,6 +124,27 @@ def test_while_the_arm_is_still_the_payload_is_not_known_and_no_alarm_comes_when
     assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_zeros_of_the_gyro_as_large_as_a_data_sheet_allows_are_told_by_the_motion(seed):
+    """At rest they cannot be told from the base's rate; steps about that were 15 sigmas off before the arm moved."""
+    rng = np.random.default_rng(seed)
+    late = Late(free_flyer.JointMotion.draw(rng), 3.0)
+    flight = free_flyer.fly(free_flyer.world(None), late, rng.uniform(-0.05, 0.05, 3), 9.0)
+    signals = recorded(flight, rng, ImuErrors(gyro_bias_rad_s=0.17, accelerometer_bias_m_s2=0.4))
+    prior = BIASES._replace(gyro_bias_rad_s=0.17, accelerometer_bias_m_s2=0.4)
+    recursive = online(signals, held=False, imu_prior=prior, links=["base", *(f"link_{k}" for k in range(1, 6))])
+    recursive.update(ticks_of(signals))
+    recursive.finish()
+    rests = slice(0, 200)
+    truth = signals.rate[rests].mean(axis=0) - flight.rate_rad_s[: 200 * signals.samples].mean(axis=0)
+    at = [recursive.predictor.names.index(f"gyro_bias_rad_s_{axis}") for axis in "xyz"]
+    sigma = np.sqrt(np.diag(recursive.covariance)[at])
+    assert (np.abs(recursive.state[at] - truth) < 4.0 * sigma).all()
+    assert (sigma < 0.1 * 0.17).all()
+    assert recursive.held is False
+    assert recursive.changes == []
+
+
 class Slow:
     """A motion at a share of its rate."""
 
