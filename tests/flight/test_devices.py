@@ -131,6 +131,25 @@ def test_every_joint_and_cell_is_read_right_at_the_right_time(flight):
         assert signal(channel, at_ns).derivatives[0][:, 0] == pytest.approx(si, rel=1e-4)
 
 
+def test_a_trackers_delay_holds_half_of_a_poll(flight):
+    flying, _ = flight
+    [delay] = flying.file.device["tracker"].delays("tracker", flying)
+    assert delay.delay_s == pytest.approx(8e-3 + 0.5 * 5e-3 + 52 * 10 / 230_400)  # a message without a covariance
+    assert delay.sigma_s == pytest.approx(1e-3 * np.hypot(1.0, 5.0 / 12**0.5))
+
+
+def test_a_pose_is_put_on_the_time_when_it_was_taken(flight):
+    flying, rows = flight
+    timebase = timebase_of(flying)
+    poses = rows["tracker"]
+    for now in np.array_split(poses, len(poses) // 5):
+        timebase.update(int(now["host_ns"][-1]), {"tracker": now})
+    taken_s = (timebase.time_ns("tracker", poses[-20:]) - START_NS) * 1e-9
+    late_s = taken_s - poses["position_m"][-20:, 0] / 0.1  # it drifts by 0.1 m/s
+    one_poll_s = 5e-3
+    assert np.abs(late_s).max() < one_poll_s
+
+
 def test_pulses_driven_come_in(flight):
     _, rows = flight
     sent, received = rows["loop"], rows["second"]
