@@ -3,20 +3,24 @@
 Per instrument, at the estimate of all rows:
 
 - *Gain*: a jump of the instrument's scale, or an error that begins in the measured motion, is a step of the ratio of
-  readings to those predicted. It is estimated together with a constant error of the gain and all parameters, which
-  take up part of it, for each time at which it could be. The likeliest is tested by Student's t, corrected for the
-  number of places tried, with the variance that the blocks' scores show and at least that of the stated noise, and of
-  what is left over besides the step: a few blocks at an end, alike by chance in what vibration leaves, are no step. A
-  block that carries much of the step is given its leverage: one block of noise at an end is none. Rows that read
-  nothing, those of a wrench known to be zero, have no gain.
+  readings to those predicted, with the payload and without it. It is estimated together with a constant error of the
+  gain and all parameters, which take up part of it, for each time at which it could be. The likeliest is tested by
+  Student's t, corrected for the number of places tried, with the variance that the blocks' scores show and at least
+  that of the stated noise, and of what is left over besides the step in the very blocks that tell of it: a few blocks
+  at an end, alike by chance in what vibration leaves, are no step, and vibration of a fast sweep hides no step that a
+  slow one shows. A block that carries much of the step is given its leverage: one block of noise at an end is none.
+  Rows that read nothing, those of a wrench known to be zero, have no gain.
+- *Suspicion*: a step that few blocks tell of is no reason to refuse, but may be one. By the scatter of all blocks its
+  variance is known better, and intervals contain what it does to the estimate, beyond what chance is expected to do.
 - *Misfit*: residual relative to the noise, as the estimate makes it of the noise of the motion, and to the signal.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -29,8 +33,10 @@ _STILL = 0.01  # of the mean of what the drawing makes of the motion: a block in
 _OF_STILL = 0.5  # of what is left over: it comes of such blocks
 LARGE_STEP, LEAST_STEP, DOUBTFUL_STEP = 0.1, 0.03, 0.015  # of a gain: instruments creep, and gears ripple
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
+_SUSPECTED_CHANCE = 0.05  # from which on intervals contain a step
 _FEWEST = 2  # blocks on each side of a step
 _SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
+_ABSORBED = 1e-6  # of a step's information, left by the parameters: rounding
 _MOST_SHARE = 0.9  # of the information on a step that one block may have in its leverage
 
 
@@ -39,7 +45,16 @@ class Step(NamedTuple):
 
     time_s: float
     size: float  # relative
-    chance: float  # that as much comes of the scatter
+    chance: float  # that as much comes of the scatter of the blocks that tell of it
+    sigmas: float  # of the scatter of all blocks, each relative to what is left over in it
+    expected: float  # so many sigmas, or more, by a chance of 5 %
+    moved: FloatArray  # (p,) of the estimate, by the step
+
+    @property
+    def suspected(self) -> FloatArray:
+        """What it does to the estimate, beyond what scatter is expected to do, (p,)."""
+        beyond = max(0.0, 1.0 - (self.expected / self.sigmas) ** 2) if self.sigmas else 0.0
+        return self.moved * np.sqrt(beyond)
 
 
 class InstrumentFit(NamedTuple):
@@ -78,7 +93,7 @@ def instrument_fits(
     body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
     found = []
     for number, name in enumerate(blocks.instruments):
-        steps, squares, worst, lost = list[Step](), np.zeros(4), (0.0, 0.0), np.zeros(2)
+        parts, squares, worst, lost = list[_Part](), np.zeros(4), (0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
             if own != number:
                 continue
@@ -94,12 +109,12 @@ def instrument_fits(
             worst = max(worst, (float(unexplained), float(left.sum() / expected)))
             if readings.any():
                 scores = (noise - N)[:, :-2] @ v
-                residual = float(left.sum()), correlation / rows
-                steps += _steps(blocks.times_s(held, number), rows_of[held, own], scores, body, every, residual)
+                noisy = left, correlation / N[:, -1, -1]
+                parts.append(_Part(blocks.times_s(held, number), rows_of[held, own], scores, *noisy))
         rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
-            step = min(steps, key=lambda one: one.chance, default=None)
+            step = _step(parts, body, every) if parts else None
             still = float(lost[0] / lost[1]) if lost[1] else 0.0
             found.append(InstrumentFit(name, rows, worst[1], worst[0], float(response), still, step))
     return tuple(found)
@@ -111,15 +126,18 @@ def _sums(N: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(np.einsum("i,bij,j->b", v, N[:, :n, :n], v), 0.0))
 
 
-def _steps(
-    times_s: FloatArray,
-    H: FloatArray,
-    scores: FloatArray,
-    body: FloatArray,
-    every: FloatArray,
-    residual: tuple[float, float],
-) -> list[Step]:
-    """The likeliest step of an instrument's gain; none where its blocks are too few to be cut.
+class _Part(NamedTuple):
+    """Blocks of an instrument's rows."""
+
+    times_s: FloatArray  # when each begins, (b,)
+    H: FloatArray  # information of each, (b, p, p)
+    scores: FloatArray  # derivative of each one's log likelihood at the estimate, (b, p)
+    left: FloatArray  # residual sum of each, (b,)
+    of_noise: FloatArray  # what makes it one of their stated noise, (b,)
+
+
+def _step(parts: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step | None:
+    """The likeliest step of an instrument's gain; None where its blocks are too few to be cut.
 
     Readings after a cut k are predicted as ``(1 + g + G) Y body``, those before as ``(1 + G) Y body``. All parameters
     are estimated again with g and G, by one step of Newton's from the estimate, where the scores of all rows add up to
@@ -131,16 +149,16 @@ def _steps(
     with ``I = E_kk - r E_0k``.
 
     Args:
-        times_s: when each block begins, (b,).
-        H: information of each block, (b, p, p).
-        scores: derivative of each block's log likelihood at the estimate, (b, p).
+        parts: its rows, with the payload and without.
         body: the estimate's parameters of bodies, (p,).
         every: information of all rows and the prior, (p, p).
-        residual: residual sum of these rows, and what makes it one of their stated noise.
     """
+    times_s, H, scores, left, of_noise = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(times_s, kind="stable")
+    times_s, H, scores, left, of_noise = (one[order] for one in (times_s, H, scores, left, of_noise))
     n = len(H)
     if n < 2 * _FEWEST or not body.any():
-        return []
+        return None
     after = [0, *range(_FEWEST, n - _FEWEST + 1)]
     later = np.cumsum((H @ body)[::-1], axis=0)[::-1][after]  # (k, p) sums over the blocks from a cut on
     unit = 1.0 / np.sqrt(np.diag(every))
@@ -149,22 +167,28 @@ def _steps(
     of_all = later @ body - a @ later[0]
     share = of_all / (of_cut[0] + _SCALE_INFORMATION)
     scored = np.cumsum((scores @ body)[::-1])[::-1][after]
-    information = np.maximum(of_cut - share * of_all, 0.0)
+    information = of_cut - share * of_all
+    information = np.where(information > _ABSORBED * (later @ body), information, 0.0)
     moved = scored - share * scored[0]
     information[0] = 0.0
     k = int(np.argmax(np.divide(moved * moved, information, out=np.zeros(len(after)), where=information > 0.0)))
     if not information[k] > 0.0:
-        return []
+        return None
     size = float(moved[k] / information[k])
     c = np.outer((np.arange(n) >= after[k]) - share[k], body) - (a[k] - share[k] * a[0])
     shares = np.einsum("bp,bpq,bq->b", c, H, c)
-    left = np.einsum("bp,bp->b", c, scores) - shares * size
-    shares /= information[k]
-    around = float(np.sum((left / (1.0 - np.minimum(shares, _MOST_SHARE))) ** 2))
-    unexplained = max(1.0, (residual[0] - moved[k] * size) * residual[1])
-    spread = np.sqrt(max(around, unexplained * information[k])) / information[k]
-    chance = min(1.0, 2.0 * float(stdtr(n - 2, -abs(size) / spread)) * (len(after) - 1))
-    return [Step(float(times_s[after[k]]), size, chance)]
+    told = np.einsum("bp,bp->b", c, scores)
+    unexplained = np.maximum(1.0, (left - 2.0 * size * told + size**2 * shares) * of_noise)  # besides the step
+    around = (told - shares * size) ** 2  # of each block, scattered by ``shares`` times what is unexplained
+    leverage, tells = np.minimum(shares / information[k], _MOST_SHARE), shares > 0.0
+    noise = float(shares @ unexplained)
+    scatter = float((around[tells] / (shares * unexplained * (1.0 - leverage))[tells]).mean())
+    tried, told_k = int(np.count_nonzero(information)), abs(size) * information[k]
+    surely = told_k / np.sqrt(max(float((around / (1.0 - leverage) ** 2).sum()), noise))
+    chance = min(1.0, 2.0 * float(stdtr(n - 2, -surely)) * tried)
+    sigmas = float(told_k / np.sqrt(max(1.0, scatter) * noise))
+    expected = -float(stdtrit(n - 2, 0.5 * _SUSPECTED_CHANCE / tried))
+    return Step(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size)
 
 
 def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str]]:

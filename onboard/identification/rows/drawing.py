@@ -13,9 +13,10 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import JackknifeEstimate
 from onboard.identification.quantities import Leaning, Quantity
 from onboard.identification.rows.considered import Considered
+from onboard.identification.rows.row_blocks import RowBlocks
 
 REFUSED, DOUBTFUL = 5.0, 3.29  # sigmas between what was found and the drawing
-_EXPECTED = 1.96  # that many sigmas off the drawing are expected of a sound flight; intervals widen beyond
+_EXPECTED = 1.96  # that many sigmas off the drawing are expected of a sound flight; beyond, a scale may be wrong
 _OF_SIGMA = 0.2  # part of the sigma from which on a cause is named
 _COMMON = 0.5  # relative change of the answer per relative change of a scale: it stands and falls with it
 _SCALES = ("scale", "joint_scale", "gyro_scale", "accelerometer_scale")
@@ -50,17 +51,45 @@ def leans_on(
     return f"leans on {', '.join(said)}" if said else ""
 
 
-def widening(quantities: Sequence[Quantity], jackknife: JackknifeEstimate) -> float:
-    """By how much the intervals of all masses widen where one is not the drawing's: 1 within what is expected.
+def unstated(
+    quantities: Sequence[Quantity],
+    jackknife: JackknifeEstimate,
+    blocks: RowBlocks,
+    body: FloatArray,
+    prior: FloatArray,
+) -> FloatArray:
+    """What a scale that no key states does to the estimate, (h, p): one sigma for each way in which it can be wrong.
 
-    What makes the known mass wrong (a scale, an IMU that is turned, a centre of mass off its drawing) makes the unknown
-    ones wrong too, and by no less in sigmas (the Birge ratio, of one check).
+    Where the known mass is not the drawing's, a scale of an instrument may be what is wrong: of all rows, or only of
+    those without the payload, as after a jump. It is taken so large that it explains what is beyond the expected
+    difference (:data:`_EXPECTED`), and moves every inertia, which by its own rows is known much better, and every mass.
+    ``h`` is zero where the drawing agrees.
 
     Args:
         quantities: those that the drawing knows are looked at.
         jackknife: the estimate.
+        blocks: its rows.
+        body: the estimate's parameters of bodies, (p,).
+        prior: information on the parameters before the rows, (p, p).
     """
-    return max((_off(quantity, jackknife).sigmas / _EXPECTED for quantity in quantities if quantity.known), default=1.0)
+    found = list[FloatArray]()
+    for quantity in quantities:
+        if quantity.known is None:
+            continue
+        off = _off(quantity, jackknife)
+        if off.sigmas <= _EXPECTED:
+            continue
+        beyond = abs(off.found - off.drawn) * np.sqrt(1.0 - (_EXPECTED / off.sigmas) ** 2)
+        of_part = {part: blocks.of(*part)[0][:, :-2, :-2].sum(axis=0) for part in blocks.parts}
+        every = prior + sum(of_part.values())
+        unit = 1.0 / np.sqrt(np.diag(every))
+        for wrong in (of_part.values(), [H for (held, _), H in of_part.items() if not held]):
+            rows = np.asarray(sum(wrong, np.zeros_like(every)) @ body, np.float64)
+            moved = np.linalg.solve(every * np.outer(unit, unit), rows * unit) * unit
+            lever = float(quantity.weights @ moved)
+            if abs(lever) > _COMMON * abs(off.found):
+                found.append(moved * beyond / lever)
+    return np.array(found).reshape(len(found), body.size)
 
 
 def judged_drawing(

@@ -209,7 +209,7 @@ class Hypotheses:
 
     def _contradiction(self, members: Sequence[Member]) -> str:
         """Two that leave one instrument out each, and whose answers lie apart; empty if there are none."""
-        estimates = {member: self._members[member].estimate() for member in members if not member.still_held}
+        estimates = {one: self._members[one].stated_estimate() for one in members if not one.still_held}
         for k, (one, first) in enumerate(estimates.items()):
             for other, second in list(estimates.items())[k + 1 :]:
                 for a, b in zip(first.quantities, second.quantities, strict=True):

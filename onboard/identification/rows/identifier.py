@@ -31,9 +31,9 @@ from onboard.identification.quantities import (
     Quantity,
     QuantityEstimate,
 )
-from onboard.identification.rows.agreement import instrument_fits, judged_fit
+from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
 from onboard.identification.rows.considered import Considered, check, columns, of_motion
-from onboard.identification.rows.drawing import judged_drawing, leans_on, widening
+from onboard.identification.rows.drawing import judged_drawing, leans_on, unstated
 from onboard.identification.rows.fitted_corrections import FittedCorrections
 from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
@@ -136,6 +136,7 @@ class Identifier:
         self._of_motion = of_motion(considered)
         self._corrections = FittedCorrections(p, considered, block_s) if free and self._of_motion else None
         self._corrected: tuple[int, dict[str, float]] | None = None  # rows used, and the corrections that they give
+        self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, and how each instrument stands
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
 
     @property
@@ -306,15 +307,32 @@ class Identifier:
             against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
-        drawn, jackknife = self.base.value(self.model.chi), self.block_jackknife()
-        parameters = self._physical, self.rls.prior_equations()[0]
-        fits = instrument_fits(self.seen, jackknife.mean, drawn, *parameters, self._inflation**2)
-        found = [judged_fit(fit, self._inflation**2) for fit in fits]
+        jackknife = self.block_jackknife()
+        found = [judged_fit(fit, self._inflation**2) for fit in self._fits()]
         found += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
         for bad, doubt in (*found, (too_large(self.corrections), doubtful(self.corrections))):
             against += bad
             doubts += doubt
         return Findings(tuple(against), tuple(doubts))
+
+    def _fits(self) -> tuple[InstrumentFit, ...]:
+        """How each instrument's rows stand to the estimate of all; none where that forgets."""
+        if self.memory != FOR_EVER:
+            return ()
+        if self._fitted is None or self._fitted[0] != self.rows_used:
+            mean, drawn = self.block_jackknife().mean, self.base.value(self.model.chi)
+            parameters = self._physical, self.rls.prior_equations()[0]
+            fits = instrument_fits(self.seen, mean, drawn, *parameters, self._inflation**2)
+            self._fitted = self.rows_used, fits
+        return self._fitted[1]
+
+    def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
+        """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
+        steps = [fit.step.suspected for fit in self._fits() if fit.step is not None]
+        body, prior = np.where(self._physical, jackknife.mean, 0.0), self.rls.prior_equations()[0]
+        scales = unstated(self.quantities, jackknife, self.seen, body, prior)
+        largest = np.abs(self._weights @ scales.T).max(axis=1, initial=0.0)
+        return np.asarray(np.hypot.reduce([largest, *(np.abs(self._weights @ step) for step in steps)]), np.float64)
 
     @property
     def corrections(self) -> dict[str, float]:
@@ -351,30 +369,34 @@ class Identifier:
         """
         of = (level, self.rows_used, self.refused[GateReason.RESIDUAL])
         if self._estimated is None or self._estimated[0] != of:
-            self._estimated = of, self._estimate(level)
+            self._estimated = of, self._estimate(level, True)
         return self._estimated[1]._replace(refused=dict(self.refused))
 
-    def _estimate(self, level: float) -> Estimate:
+    def stated_estimate(self) -> Estimate:
+        """The same with 95 % intervals of the stated errors alone: no suspected step, no scale off the drawing."""
+        return self._estimate(0.95, False)
+
+    def _estimate(self, level: float, with_unstated: bool) -> Estimate:
         jackknife = self.block_jackknife(level)
         p, weights = len(self.base.names), self._weights
         interval = jackknife.combination(weights)
         shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / self._prior_spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
-        causes, wider = jackknife.causes(weights), max(1.0, widening(self.quantities, jackknife))
+        causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
+        unsaid = self._unstated(jackknife) if with_unstated else np.zeros(len(weights))
+        half = np.hypot(interval.high - interval.mean, z * unsaid)
+        sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half
         quantities = []
         for index, quantity in enumerate(self.quantities, start=p):
             fine = bool(supported[index])
-            mean, sigma, low, high = (
-                float(v[index]) if fine else np.nan
-                for v in (interval.mean, interval.sigma, interval.low, interval.high)
-            )
+            mean, sigma, low, high = (float(v[index]) if fine else np.nan for v in (interval.mean, sigmas, lows, highs))
             note = quantity.note if fine else "not determined by the data so far"
             drawn = float(np.hypot.reduce([one.weights @ jackknife.mean for one in quantity.leanings], initial=0.0))
             if fine:
-                half = wider * float(np.hypot(high - mean, ndtri(0.5 + 0.5 * level) * drawn))
-                sigma, low, high = wider * float(np.hypot(sigma, drawn)), mean - half, mean + half
+                wide = float(np.hypot(high - mean, z * drawn))
+                sigma, low, high = float(np.hypot(sigma, drawn)), mean - wide, mean + wide
             leans = leans_on(self.considered, causes[index], mean, sigma, quantity.leanings, jackknife.mean)
-            told = mean, sigma, low, high, float(shrinkage[index]), fine, note, wider * drawn
+            told = mean, sigma, low, high, float(shrinkage[index]), fine, note, drawn
             quantities.append(QuantityEstimate(quantity.name, quantity.unit, *told, leans if fine else ""))
         if self._payload:
             residual = self.refused[GateReason.RESIDUAL]
@@ -382,9 +404,9 @@ class Identifier:
         return Estimate(
             self.base.names,
             jackknife.mean,
-            interval.sigma[:p],
-            interval.low[:p],
-            interval.high[:p],
+            sigmas[:p],
+            lows[:p],
+            highs[:p],
             supported[:p],
             tuple(quantities),
             self.rows_used,

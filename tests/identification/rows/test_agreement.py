@@ -47,6 +47,58 @@ def test_a_scale_that_jumps_is_seen_wherever_it_does(rng, at_s):
     assert "cell reads" in judged_fit(fit, 1.0)[0][0]
 
 
+def noisy_fits(rng, late_s, vibration, jump=0.06, drawn=TRUTH):
+    """Ten quiet seconds of a slow sweep, then twenty of a fast one that vibrates; a jump of the gain at ``late_s``."""
+    t = 0.01 * np.arange(3000)
+    fast, sigma = np.where(t > 10.0, 3.0, 1.0), np.full(t.size, 0.05)
+    Y = np.column_stack([fast * np.sin(5.0 * t), fast * np.cos(7.0 * t), np.ones(t.size)])
+    y = (1.0 + jump * (t > late_s)) * (Y @ (TRUTH * PHYSICAL)) + TRUTH[2]
+    y += (sigma + vibration * (t > 10.0)) * rng.normal(size=t.size)
+    mean = np.linalg.lstsq(Y, y, rcond=None)[0]
+    seen = RowBlocks(3, 0.5, ("cell",))
+    seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
+    return instrument_fits(seen, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+
+
+def test_vibration_of_a_fast_sweep_hides_no_step_that_a_slow_one_shows():
+    """What vibration leaves over is told of the blocks that vibrate: the quiet ones before tell of their own gain."""
+    chances = [noisy_fits(np.random.default_rng(seed), 8.0, 0.2).step.chance for seed in range(10)]
+    assert np.median(chances) < 1e-4
+    sound = [noisy_fits(np.random.default_rng(seed), 8.0, 0.2, jump=0.0).step.chance for seed in range(60)]
+    assert min(sound) > 1e-3
+
+
+def test_an_interval_contains_what_a_suspected_step_does():
+    """Most rows read 3 % too much: by so much the parameters of bodies are off, and as much is told."""
+    suspected = [noisy_fits(np.random.default_rng(seed), 4.0, 0.05, jump=0.03).step for seed in range(10)]
+    off = [np.abs(step.suspected[:2] / (0.03 * TRUTH[:2])).max() for step in suspected]
+    assert np.median(off) == pytest.approx(1.0, abs=0.4)
+    sound = [noisy_fits(np.random.default_rng(seed), 4.0, 0.05, jump=0.0).step for seed in range(60)]
+    assert np.mean([step.suspected.any() for step in sound]) < 0.15
+
+
+def test_of_two_cells_one_that_jumps_at_the_release_is_seen(rng):
+    """By itself such a jump is another arm; the other cell, with the payload and without, makes it one of the gain."""
+    t = 0.01 * np.arange(2000)
+    held = t < 10.0
+    swing, one = np.sin(5.0 * t), np.ones(t.size)
+    seen, rows = RowBlocks(4, 0.5, ("cell_1", "cell_2")), []
+    for number, scale in enumerate((1.0, 1.1)):
+        bias = [one * (number == 0), one * (number == 1)]
+        Y = np.column_stack([swing, held * swing, *bias])
+        y = np.where(held, 1.0, scale) * (Y @ [0.5, 0.8, 0.0, 0.0]) + number + 0.01 * rng.normal(size=t.size)
+        seen.add(t, held, np.full(t.size, number), Y, y, 0.01 * one, 0.01 * one, None)
+        rows.append((Y, y))
+    mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
+    physical = np.array([True, True, False, False])
+    fits = instrument_fits(seen, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
+    for fit, sign in zip(fits, (-1.0, 1.0), strict=True):
+        assert fit.step is not None
+        assert fit.step.size == pytest.approx(0.1 * sign, rel=0.2)
+        assert fit.step.time_s == pytest.approx(10.0)
+        assert any("from one time on" in said for said in judged_fit(fit, 1.0)[0])
+
+
 @pytest.mark.parametrize("scale", [1.0, 1.05])
 def test_a_long_rest_before_the_motion_hides_no_jump_and_makes_none(rng, scale):
     """Rows of rest are exact: 100 times as large a signal, were it one."""
