@@ -5,8 +5,9 @@ with the payload released, and still held. Rules:
 
 - An identifier is *contradicted* when its own findings refuse its estimate.
 - While the one with all instruments, as reported, is not contradicted, it is selected; but where two that each leave
-  one instrument out differ by more than five sigmas, all are contradicted (*do not use*).
-- When it is contradicted and exactly one of the others is not, that one is selected and its left-out instrument named.
+  one instrument out differ by more than five sigmas of the stated errors, all are contradicted (*do not use*).
+- Where either is so and of exactly one of the others nothing is doubtful, that one is selected and its left-out
+  instrument named.
 - A release is accepted when the model with the payload held is contradicted, and rejected when only the model without
   it is, or when the payload's estimated mass is near zero (the arm moves as before).
 """
@@ -156,9 +157,9 @@ class Hypotheses:
         as_told = findings[_AS_TOLD]
         others = [member for member in findings if member.left_out and not member.still_held]
         clean = [member for member in others if self._is_clean(member, findings[member])]
-        apart = "" if as_told.against else self._contradiction([m for m in self._members if m.left_out])
+        apart = self._contradiction([member for member in self._members if member.left_out])
         chosen, said = _AS_TOLD, as_told
-        if as_told.against and len(clean) == 1:
+        if (as_told.against or apart) and len(clean) == 1:
             chosen = clean[0]
             said = findings[chosen]._replace(
                 doubts=(*findings[chosen].doubts, f"without {chosen.left_out}, which contradicts the others")

@@ -131,6 +131,7 @@ class Identifier:
         self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
         self._inflation = 1.0
         self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
+        self._is_wider = False  # than by the stated errors
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
         self._of_motion = of_motion(considered)
@@ -369,12 +370,14 @@ class Identifier:
         """
         of = (level, self.rows_used, self.refused[GateReason.RESIDUAL])
         if self._estimated is None or self._estimated[0] != of:
+            self._is_wider = False
             self._estimated = of, self._estimate(level, True)
         return self._estimated[1]._replace(refused=dict(self.refused))
 
     def stated_estimate(self) -> Estimate:
         """The same with 95 % intervals of the stated errors alone: no suspected step, no scale off the drawing."""
-        return self._estimate(0.95, False)
+        with_all = self.estimate()
+        return self._estimate(0.95, False) if self._is_wider else with_all
 
     def _estimate(self, level: float, with_unstated: bool) -> Estimate:
         jackknife = self.block_jackknife(level)
@@ -384,6 +387,7 @@ class Identifier:
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
         unsaid = self._unstated(jackknife) if with_unstated else np.zeros(len(weights))
+        self._is_wider |= bool(unsaid.any())
         half = np.hypot(interval.high - interval.mean, z * unsaid)
         sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half
         quantities = []

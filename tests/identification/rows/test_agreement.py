@@ -256,6 +256,16 @@ def test_two_cells_of_different_scales_contradict_each_other_and_nobody_knows_wh
     assert any("contradict each other" in said for said in found.findings().against)
 
 
+@pytest.mark.parametrize(("lies", "scale"), [("cell_1", 1.2), ("cell_2", 1.2), ("cell_2", 0.75)])
+def test_of_two_cells_of_different_scales_the_drawn_arm_tells_which_is_wrong(rng, lies, scale):
+    """The mean of both is half as far off the drawing as the wrong one alone: that is no reason to refuse it."""
+    found = Hypotheses(identifier, ("cell_1", "cell_2"))
+    fly(found, rng, scale=lambda _: [scale if name == lies else 1.0 for name in ("cell_1", "cell_2")])
+    assert not found.findings().against
+    assert any(lies in doubt for doubt in found.findings().doubts)
+    assert payload_kg(found).mean == pytest.approx(TIP_KG, rel=0.02)
+
+
 @pytest.mark.parametrize("again_s", [8.0, 99.0])
 def test_a_release_that_does_not_happen_is_not_believed_and_the_true_one_is(rng, again_s):
     found = Hypotheses(identifier)
