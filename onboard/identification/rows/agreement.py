@@ -31,7 +31,7 @@ NOISE = 4.0  # residual sum a row that may still be noise
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
 _STILL = 0.01  # of the mean of what the drawing makes of the motion: a block in which nothing moves
 _OF_STILL = 0.5  # of what is left over: it comes of such blocks
-LARGE_STEP, LEAST_STEP, DOUBTFUL_STEP = 0.1, 0.03, 0.015  # of a gain: instruments creep, and gears ripple
+LARGE_STEP, LEAST_STEP = 0.1, 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
 STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of the gains
 _SUSPECTED_CHANCE = 0.05  # from which on intervals contain a step
 _FEWEST = 2  # blocks on each side of a step
@@ -207,8 +207,8 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
             said += ", most of it where no joint moves: is an encoder stuck?"
         (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
     step = fit.step
-    if step is not None and step.chance < DOUBTFUL_CHANCE and abs(step.size) > DOUBTFUL_STEP:
+    if step is not None and step.chance < DOUBTFUL_CHANCE and abs(step.size) > LEAST_STEP:
         said = f"{name} reads {step.size:+.0%} of the motion from one time on: it or a joint's sensor has changed"
-        is_sure = (step.chance < STEP_CHANCE and abs(step.size) > LEAST_STEP) or abs(step.size) > LARGE_STEP
+        is_sure = step.chance < STEP_CHANCE or abs(step.size) > LARGE_STEP
         (against if is_sure else doubts).append(said)
     return against, doubts
