@@ -54,7 +54,7 @@ class Step(NamedTuple):
     def suspected(self) -> FloatArray:
         """What it does to the estimate, beyond what scatter is expected to do, (p,)."""
         beyond = max(0.0, 1.0 - (self.expected / self.sigmas) ** 2) if self.sigmas else 0.0
-        return self.moved * np.sqrt(beyond)
+        return np.asarray(self.moved * np.sqrt(beyond), np.float64)
 
 
 class InstrumentFit(NamedTuple):

@@ -39,12 +39,12 @@ from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.prediction import prediction
 from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.scales import fill_scales
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
 from onboard.regressor.rows import BaseMotion, RowModel
 from onboard.regressor.signals import Signals
 
-_SCALE_ROUNDS = 2
 _SEEN_SHARE = 0.4  # of a jackknife block: two kernels
 _OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
 _BATCH_TICKS = 64  # ticks whose rows are gated with one estimate before they update it
@@ -131,13 +131,12 @@ class Identifier:
         self._instrument = np.array([instruments.index(_instrument(name)) for name in rows], np.intp)
         self._inflation = 1.0
         self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
-        self._is_wider = False  # than by the stated errors
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
         self._of_motion = of_motion(considered)
         self._corrections = FittedCorrections(p, considered, block_s) if free and self._of_motion else None
         self._corrected: tuple[int, dict[str, float]] | None = None  # rows used, and the corrections that they give
-        self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, and how each instrument stands
+        self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
 
     @property
@@ -224,7 +223,7 @@ class Identifier:
         Y = self.model.regressor(*joints, motion, attached[at], True, none, self._fold, z)
         use = reasons[ticks] == 0  # (t, m)
         if self._scales:
-            self._fill_scales(Y, signals.measured[at], signals.sigma[at], use)
+            fill_scales(self.rls, self._scales, Y, signals.measured[at], signals.sigma[at], use)
         rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
         sigma = signals.sigma[at][use]
         doubt, changes, group = None, None, np.zeros(at.size, np.intp)
@@ -261,23 +260,6 @@ class Identifier:
         if self._corrections is not None and C is not None:
             self._corrections.add(times, rows, y, sigma, C, doubt, mean)
         self.rows_used += y.size
-
-    def _fill_scales(self, Y: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
-        """Fills the columns of the scales, (t, rows, p + 1), with what the sensors should read.
-
-        A scale multiplies its reading, so the rows are linear for a given prediction only. The prediction is that of
-        the estimate with these very rows taken in on trial: it must not be the one of a payload not yet known.
-        """
-        before, trial = self.rls.state(), SquareRootRls(self.rls.parameters, self.rls.considered)
-        C = np.zeros((np.count_nonzero(use), len(self.considered))) if self.considered else None
-        unscaled, columns = Y.copy(), [column for _, column in self._scales]
-        unscaled[..., columns] = 0.0
-        for _ in range(_SCALE_ROUNDS):
-            trial.restore(before)
-            trial.update(Y[..., :-1][use], (measured - Y[..., -1])[use], sigma[use], C)
-            predicted = unscaled @ [*trial.solve().mean, 1.0]  # (t, rows)
-            for row, column in self._scales:
-                Y[:, row, column] = predicted[:, row]
 
     def _on_trial(self, rows: FloatArray, y: FloatArray, sigma: FloatArray) -> FloatArray:
         """The estimate, (p,); of a free base with these rows taken in, as that before them may be the prior's."""
@@ -323,17 +305,15 @@ class Identifier:
         if self._fitted is None or self._fitted[0] != self.rows_used:
             mean, drawn = self.block_jackknife().mean, self.base.value(self.model.chi)
             parameters = self._physical, self.rls.prior_equations()[0]
-            fits = instrument_fits(self.seen, mean, drawn, *parameters, self._inflation**2)
-            self._fitted = self.rows_used, fits
+            self._fitted = self.rows_used, instrument_fits(self.seen, mean, drawn, *parameters, self._inflation**2)
         return self._fitted[1]
 
     def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
-        steps = [fit.step.suspected for fit in self._fits() if fit.step is not None]
+        steps = [self._weights @ fit.step.suspected for fit in self._fits() if fit.step is not None]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.rls.prior_equations()[0]
-        scales = unstated(self.quantities, jackknife, self.seen, body, prior)
-        largest = np.abs(self._weights @ scales.T).max(axis=1, initial=0.0)
-        return np.asarray(np.hypot.reduce([largest, *(np.abs(self._weights @ step) for step in steps)]), np.float64)
+        scales = np.abs(self._weights @ unstated(self.quantities, jackknife, self.seen, body, prior).T)
+        return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)
 
     @property
     def corrections(self) -> dict[str, float]:
@@ -370,14 +350,12 @@ class Identifier:
         """
         of = (level, self.rows_used, self.refused[GateReason.RESIDUAL])
         if self._estimated is None or self._estimated[0] != of:
-            self._is_wider = False
             self._estimated = of, self._estimate(level, True)
         return self._estimated[1]._replace(refused=dict(self.refused))
 
     def stated_estimate(self) -> Estimate:
         """The same with 95 % intervals of the stated errors alone: no suspected step, no scale off the drawing."""
-        with_all = self.estimate()
-        return self._estimate(0.95, False) if self._is_wider else with_all
+        return self._estimate(0.95, False)
 
     def _estimate(self, level: float, with_unstated: bool) -> Estimate:
         jackknife = self.block_jackknife(level)
@@ -387,7 +365,6 @@ class Identifier:
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
         unsaid = self._unstated(jackknife) if with_unstated else np.zeros(len(weights))
-        self._is_wider |= bool(unsaid.any())
         half = np.hypot(interval.high - interval.mean, z * unsaid)
         sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half
         quantities = []
