@@ -100,6 +100,19 @@ def test_a_wrist_cell_of_a_wrong_scale_is_left_out_from_the_start(flown: Result)
     assert_weak(mass, "load_cell")
 
 
+def test_a_wrist_cell_that_nothing_contradicted_before_a_capture_is_left_out_after_it(tmp_path: Path) -> None:
+    """The empty arm hardly loads it, and the last link takes up its error: no payload explains the motion with both."""
+
+    def spoil(rows: Rows) -> None:
+        rows["value_raw"] = np.rint(rows["value_raw"] * 0.5)
+
+    capture = {"earliest_s": 4.0, "latest_s": 5.0}
+    log = fly(tmp_path / "flight.mcap", 11, vehicle="dymaflex", sequence=SEQUENCE, capture=capture).flown.log
+    texts, mass = told(log, "load_cell", spoil)
+    assert texts == ["load_cell contradicts the other instruments: estimates without it"]
+    assert_weak(mass, "load_cell")
+
+
 def test_a_wrist_cell_whose_scale_changes_in_flight_is_left_out(flown: Result) -> None:
     start_ns = int(LogReader(flown.flown.log).read("load_cell")["host_ns"][0])
 

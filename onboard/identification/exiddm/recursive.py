@@ -195,7 +195,8 @@ class RecursiveExiddm(BoundedWork):
         self._ask()
 
     def _trials_now(self, accused: int | None) -> Trials | CellTrials:
-        return trials_of(self.fusion, self._hypotheses, accused, self._solves, len(_WINDOWS_s))
+        window = self._solves or int(accused is None and self.unexplained.count > 0)  # no contact takes so long
+        return trials_of(self.fusion, self._hypotheses, accused, window, len(_WINDOWS_s))
 
     def _ask(self) -> None:
         """Ask for the window with all instruments, or for the next trial."""
@@ -240,16 +241,18 @@ class RecursiveExiddm(BoundedWork):
         elif not choice.clear and self._solves + 1 < len(_WINDOWS_s):
             self._solves += 1  # wait for a longer window
         else:
-            self.undecided = self.undecided or choice.doubt(self.fusion.names)
-            self._accused = None
-            self._do_without(choice, for_good=accused is None or accused.for_good)
+            self._accused, self.undecided = None, self.undecided or choice.doubt(self.fusion.names)
+            self._do_without(choice, accused)
 
-    def _do_without(self, choice: Choice, *, for_good: bool) -> None:
-        """Go on from the window without an instrument; anew, if what was known before may come from a reference."""
-        was_reference, begun = choice.instrument == self.fusion.reference, self._prior[0] is self._initial[0]
-        self.fusion.leave_out(choice.instrument, for_good=for_good)
+    def _do_without(self, choice: Choice, accused: Accusation | None) -> None:
+        """Go on from the window without an instrument; anew, if what was known before may come from it.
+
+        That of an accused one is from before it was.
+        """
+        old = self._prior[0] is not self._initial[0] and (accused is None or choice.instrument == self.fusion.reference)
+        self.fusion.leave_out(choice.instrument, for_good=accused is None or accused.for_good)
         self._explained(choice.found, instrument=True)
-        if was_reference and not begun and (not self.held or self._innovations.misled(choice.found.state)):
+        if old and (not self.held or self._innovations.misled(choice.found.state)):
             window, self._asked = self._window, None
             self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
             self._pending = window
