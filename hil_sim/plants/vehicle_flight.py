@@ -4,8 +4,9 @@ At a pose, MuJoCo's inverse dynamics with the joints' accelerations and none of 
 keep the base from accelerating; with M the inertia matrix at the base and f the wrench on it from outside, the base
 accelerates by ``M^-1 (f - b)``. A Runge-Kutta scheme of fourth order integrates that, its stages on half steps.
 
-A capture is plastic: from one row to the next the payload is welded to its link, the momentum of the whole vehicle is
-that of before and the payload's own together, and the joints continue as told. A release is the reverse.
+A grip that closes at once is plastic: from one row to the next the payload is welded to its link, the momentum of the
+whole vehicle is that of before and the payload's own together, and the joints continue as told. A release is the
+reverse. A grip with a contact holds the payload by a spring first (``Contact``).
 """
 
 import math
@@ -20,6 +21,8 @@ from hil_sim.plants.attitude import Wheels
 from hil_sim.plants.base_sway import BasePath
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
+from hil_sim.plants.contact import Contact
+from hil_sim.plants.exchange import Jolt, Momenta, Released
 from hil_sim.plants.jets import Jets
 from hil_sim.plants.pucks import Puck, drag_wrench
 from hil_sim.plants.soft_parts import SoftParts, full_inertia
@@ -44,21 +47,6 @@ class Rows(NamedTuple):
     torques: FloatArray  # (n, j) that the joints' drives exert on what is beyond them, without their own friction
 
 
-class Jolt(NamedTuple):
-    """What jumps between two rows: velocities gained and impulses felt, in the axes of the sensors."""
-
-    sensors: FloatArray  # (s,) accelerometers: velocity gained; force and torque: impulse; gyros: nothing
-    torques: FloatArray  # (j,) impulse
-
-
-class Released(NamedTuple):
-    """A payload that comes, or goes; its motion relative to its link just before, in the axes of the link."""
-
-    payload: Body
-    velocity_m_s: FloatArray  # (3,)
-    rate_rad_s: FloatArray  # (3,)
-
-
 class VehicleFlight:
     """A flight computed in chunks.
 
@@ -75,6 +63,11 @@ class VehicleFlight:
         soft: its springs; none of a prescribed base.
         jets: thrusters of a free one.
         wheels: that hold its attitude; the others move as told.
+
+    Attributes:
+        momenta: velocities and momenta of the state in which the vehicle stands.
+        contact: by which it holds a payload until the grip closes; None else.
+        caught: the payload as the closed grip holds it, in the axes of its link; None where none was caught.
     """
 
     def __init__(
@@ -92,7 +85,7 @@ class VehicleFlight:
         jets: Jets | None = None,
         wheels: Wheels | None = None,
     ) -> None:
-        self.vehicle, self._motion, self._places, self._link = vehicle, motion, places, link
+        self.vehicle, self._motion, self._link = vehicle, motion, link
         self._step_s, self._path, self._pucks = step_s, path, pucks
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np = vehicle.freedom, vehicle.pose
@@ -108,6 +101,11 @@ class VehicleFlight:
             self._pose, self._velocity = cabin.start()
         self.count = 0  # of the next row
         self._soft_rates, self._spin_rates = np.zeros_like(self._soft.state), np.zeros_like(self._spin)
+        self.momenta = Momenta(vehicle, self.data, places)
+        self.contact: Contact | None = None
+        self.caught: Body | None = None
+        self._push = np.zeros(self.model.nv)  # generalised, of the contact's spring on the vehicle
+        self._touched_rates = self._touched
         if soft is not None:
             self._start_soft(soft)
 
@@ -138,35 +136,54 @@ class VehicleFlight:
             comes: what is caught.
             goes: what is let go.
         """
-        assert self._link is not None
-        self.show()
-        body = self.vehicle.body(self._link)
-        seen, parts = self._velocities(), self._momenta()
         moves = comes if comes is not None else goes
         assert moves is not None
-        own, moving = self._outside(body, moves), self._payload_momentum(body, moves)
-        momentum = self._momentum() + (moving if comes is not None else -moving)
-        self.vehicle.hold(self._link, None if comes is None else comes.payload)
+        self.show()
+        body, found = self._holder, self.momenta
+        self.caught = None if comes is None else comes.payload
+        seen, parts, own = found.of_imus(), found.beyond_cells(), found.outside(body, moves)
+        moving, sign = found.generalised(body, *own), 1.0 if comes is not None else -1.0
+        momentum = found.whole() + sign * moving
+        self.vehicle.hold(self._link or "", None if comes is None else comes.payload)
         self._refresh()
         dq = self.data.qvel[self._nb :].copy()
         if self._free:
             M = self._base_inertia()
             self._velocity = np.linalg.solve(M[:, : self._nb], momentum[: self._nb] - M[:, self._nb :] @ dq)
             self._refresh()
-        sensors = np.zeros(self.model.nsensordata)
-        for link, gained in zip(self._places.imus, self._velocities() - seen, strict=True):
-            sensors[self.vehicle.sensor("accelerometer", link)] = gained
-        at, p, L = own
-        sign = 1.0 if comes is not None else -1.0
-        for link, after, before in zip(self._places.cells, self._momenta(), parts, strict=True):
-            site = self.data.site(f"at {link}")
-            linear, angular = after[0] - before[0], after[1] - before[1]
-            if body in self.vehicle.beyond(link):
-                linear, angular = linear - sign * p, angular - sign * (L + np.cross(at - site.xpos, p))
-            R = site.xmat.reshape(3, 3)
-            sensors[self.vehicle.sensor("force", link)] = linear @ R
-            sensors[self.vehicle.sensor("torque", link)] = angular @ R
-        return Jolt(sensors, (self._momentum() - momentum)[self._nb :])
+        return Jolt(found.felt(seen, parts, body, own, sign), (found.whole() - momentum)[self._nb :])
+
+    def touch(self, comes: Released, frequency_Hz: float, damping_ratio: float) -> None:
+        """Take hold of a payload by a spring; ``close`` welds it to its link.
+
+        Args:
+            comes: what is caught.
+            frequency_Hz: of the payload on the spring.
+            damping_ratio: of that.
+        """
+        self.show()
+        came, (R, _), (rate, _) = self.momenta.outside(self._holder, comes), self._grip(), self._grip_twist()
+        self.contact = Contact(comes, frequency_Hz, damping_ratio, np.array(self.model.opt.gravity))
+        self.contact.start(R, rate + R @ comes.rate_rad_s, came)
+
+    def close(self) -> Jolt:
+        """Weld the payload that the spring holds to its link, between two rows."""
+        assert self.contact is not None
+        self.show()
+        comes, self.contact = self.contact.released(self._grip(), self._grip_twist()), None
+        return self.exchange(comes, None)
+
+    @property
+    def _holder(self) -> int:
+        assert self._link is not None
+        return self.vehicle.body(self._link)
+
+    def _grip(self) -> tuple[FloatArray, FloatArray]:
+        """Rotation of the link that holds the payload, to world axes, and place of its frame."""
+        return self.data.xmat[self._holder].reshape(3, 3).copy(), self.data.xpos[self._holder].copy()
+
+    def _grip_twist(self) -> tuple[FloatArray, FloatArray]:
+        return self.momenta.twist(self._holder)
 
     def _show(self, k: int, out: Rows, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
         data, nb = self.data, self._nb
@@ -179,12 +196,13 @@ class VehicleFlight:
             mujoco.mj_inverse(self.model, data)
         else:
             dq = self._turned(dq, self._spin)
-            now = self._pose, self._velocity, self._soft.state
-            acceleration, self._soft_rates, self._spin_rates = self._accelerate(*now, q, dq, ddq, 2 * self.count)
-            data.qacc[:nb] = acceleration
+            now = self._pose, self._velocity, self._soft.state, self._touched
+            found = self._accelerate(*now, q, dq, ddq, 2 * self.count)
+            data.qacc[:nb], self._soft_rates, self._spin_rates, self._touched_rates = found
             mujoco.mj_inverseSkip(self.model, data, _LATER, 0)
+            data.xfrc_applied[:] = 0.0
         out.sensors[k], out.joints[k], out.rates[k] = data.sensordata, q, dq
-        out.torques[k] = data.qfrc_inverse[nb:]
+        out.torques[k] = data.qfrc_inverse[nb:] - self._push[nb:]
 
     def _turned(self, dq: FloatArray, spin: FloatArray) -> FloatArray:
         """Rates of the joints, those of the wheels as the attitude control has turned them, (j,)."""
@@ -209,19 +227,21 @@ class VehicleFlight:
         pose: FloatArray,
         velocity: FloatArray,
         soft: FloatArray,
+        touched: FloatArray,
         q: FloatArray,
         dq: FloatArray,
         ddq: FloatArray,
         stage: int,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of the base at a half step, (b,), of springs and of wheels; leaves the joints' accelerations in place."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Of the base at a half step, (b,), of springs, wheels, contact; leaves the joints' accelerations in place."""
         data, nb, cabin = self.data, self._nb, self._cabin
         bends = self._soft.joints > 0
         bend, bending = self._soft.bend(soft) if bends else (0.0, 0.0)
         self._place(pose, velocity, q + bend, dq + bending)
         data.qacc[:nb], data.qacc[nb:] = 0.0, ddq
         mujoco.mj_inverse(self.model, data)
-        wrench, pull = -data.qfrc_inverse[:nb], np.zeros(3)
+        touching = self._contact_push(touched)
+        wrench, pull = self._push[:nb] - data.qfrc_inverse[:nb], np.zeros(3)
         if self._pucks:
             wrench += drag_wrench(self._pucks, float(pose[2]), velocity)
         if self._soft.slosh is not None:
@@ -232,7 +252,11 @@ class VehicleFlight:
         if cabin is not None and not cabin.held(stage):
             wrench += cabin.push(stage)
         held = nb == 0 or (cabin is not None and cabin.held(stage))
-        load = self._soft.torque(soft, 0.5 * self._step_s * stage) - data.qfrc_inverse[nb:] if bends else np.zeros(0)
+        load = (
+            self._soft.torque(soft, 0.5 * self._step_s * stage) + self._push[nb:] - data.qfrc_inverse[nb:]
+            if bends
+            else np.zeros(0)
+        )
         M = full_inertia(self.model, data) if bends else np.zeros((0, 0))
         spins = np.zeros(0)
         if held:
@@ -253,7 +277,26 @@ class VehicleFlight:
         more = np.linalg.solve(M[nb:, nb:], load - M[nb:, :nb] @ base) if bends else np.zeros(0)
         if bends:
             data.qacc[nb:] = ddq + more
-        return np.asarray(base, np.float64), self._soft.rates(soft, more, pull) if len(soft) else soft, spins
+        bent = self._soft.rates(soft, more, pull) if len(soft) else soft
+        return np.asarray(base, np.float64), bent, spins, touching
+
+    @property
+    def _touched(self) -> FloatArray:
+        """State of what the contact's spring holds, (13,); empty without."""
+        return np.zeros(0) if self.contact is None else self.contact.state
+
+    def _contact_push(self, state: FloatArray) -> FloatArray:
+        """The contact's push on the vehicle as MuJoCo's data show it, for what is computed next; rates of its state."""
+        contact = self.contact
+        if contact is None:
+            self._push[:] = 0.0
+            return state
+        body = self._holder
+        force, torque = contact.wrench(state, self._grip(), self._grip_twist())
+        self._push = self.momenta.generalised(body, state[:3], -force, -torque)
+        about = -torque - np.cross(state[:3] - self.data.xipos[body], force)
+        self.data.xfrc_applied[body] = np.concatenate([-force, about])
+        return contact.rates(state, force, torque)
 
     def _start_soft(self, soft: SoftParts) -> None:
         """Springs at rest, in the pose of the first row."""
@@ -308,15 +351,15 @@ class VehicleFlight:
         h, v, y = self._step_s, self._velocity, self._soft.state
         rates: list[FloatArray] = [v]
         forces = [self.data.qacc[: self._nb].copy()]  # as _show left it
-        soft, spin = [self._soft_rates], [self._spin_rates]
+        soft, spin, z, touched = [self._soft_rates], [self._spin_rates], self._touched, [self._touched_rates]
         for stage, part in ((1, 0.5), (1, 0.5), (2, 1.0)):
             pose = self._moved(rates[-1], part * h)
             velocity = v + part * h * forces[-1]
             rate = dq[stage] if self._wheels is None else self._turned(dq[stage], self._spin + part * h * spin[-1])
-            bent = y + part * h * soft[-1] if len(y) else y
-            now = pose, velocity, bent, q[stage], rate, ddq[stage], 2 * self.count + stage
-            for found, one in zip((forces, soft, spin), self._accelerate(*now), strict=True):
-                found.append(one)
+            springs = y + part * h * soft[-1] if len(y) else y, z + part * h * touched[-1] if len(z) else z
+            found = self._accelerate(pose, velocity, *springs, q[stage], rate, ddq[stage], 2 * self.count + stage)
+            for stages, one in zip((forces, soft, spin, touched), found, strict=True):
+                stages.append(one)
             rates.append(velocity)
         self._pose = self._moved(_mean(rates), h)
         self._velocity = v + h * _mean(forces)
@@ -324,6 +367,8 @@ class VehicleFlight:
             self._soft.state = y + h * _mean(soft)
         if len(self._spin):
             self._spin = self._spin + h * _mean(spin)
+        if self.contact is not None:
+            self.contact.moved(z + h * _mean(touched))
 
     def _moved(self, velocity: FloatArray, step_s: float) -> FloatArray:
         """The base's pose after a step from where it stands."""
@@ -335,58 +380,6 @@ class VehicleFlight:
         mujoco.mju_quatIntegrate(attitude, velocity[3:], step_s)
         pose[3:] = attitude
         return pose
-
-    def _momentum(self) -> FloatArray:
-        """Generalised momentum of the vehicle, (v,)."""
-        out = np.zeros(self.model.nv)
-        mujoco.mj_mulM(self.model, self.data, out, self.data.qvel)
-        return out
-
-    def _outside(self, body: int, moves: Released) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of a payload beside its link: place of its centre, momentum, angular momentum about that; world axes."""
-        R, origin = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
-        link = np.zeros(6)  # rate, velocity
-        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, body, link, 0)
-        rate, velocity = link[:3] + R @ moves.rate_rad_s, link[3:] + R @ moves.velocity_m_s
-        arm = R @ moves.payload.centre_of_mass_m
-        return (
-            origin + arm,
-            moves.payload.mass_kg * (velocity + np.cross(rate, arm)),
-            R @ moves.payload.inertia_kg_m2 @ R.T @ rate,
-        )
-
-    def _payload_momentum(self, body: int, moves: Released) -> FloatArray:
-        """Generalised momentum that a payload beside its link has, (v,)."""
-        at, linear, angular = self._outside(body, moves)
-        J = np.zeros((2, 3, self.model.nv))
-        mujoco.mj_jac(self.model, self.data, J[0], J[1], at, body)
-        return np.asarray(linear @ J[0] + angular @ J[1])
-
-    def _velocities(self) -> FloatArray:
-        """Of the IMUs, their axes, (imus, 3)."""
-        found = np.zeros((len(self._places.imus), 3))
-        twist = np.zeros(6)
-        for row, link in zip(found, self._places.imus, strict=True):
-            site = self.model.site(f"at {link}").id
-            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, site, twist, 1)
-            row[:] = twist[3:]
-        return found
-
-    def _momenta(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Linear momentum beyond each cell and angular momentum about it, world axes."""
-        return [self._beyond(link) for link in self._places.cells]
-
-    def _beyond(self, link: str) -> tuple[FloatArray, FloatArray]:
-        about, linear, angular = self.data.site(f"at {link}").xpos, np.zeros(3), np.zeros(3)
-        motion = np.zeros(6)  # rate, velocity of the centre of mass
-        for body in self.vehicle.beyond(link):
-            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, motion, 0)
-            axes = self.data.ximat[body].reshape(3, 3)
-            p = self.model.body_mass[body] * motion[3:]
-            linear += p
-            angular += axes @ (self.model.body_inertia[body] * (axes.T @ motion[:3]))
-            angular += np.cross(self.data.xipos[body] - about, p)
-        return linear, angular
 
 
 def _mean(rates: Sequence[FloatArray]) -> FloatArray:

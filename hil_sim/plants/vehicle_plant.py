@@ -8,7 +8,7 @@ released in chunks as time advances, so no sensor reads future rows.
 
 import copy
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import mujoco
@@ -22,12 +22,14 @@ from hil_sim.plants.base_sway import sway
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin, Release
 from hil_sim.plants.driven_vehicle import Drivable, drawn_drives
+from hil_sim.plants.events import events
+from hil_sim.plants.exchange import Jolt
 from hil_sim.plants.jets import Jets
 from hil_sim.plants.joint_swings import JointSwings, wheels
 from hil_sim.plants.pucks import pucks
 from hil_sim.plants.soft_parts import springs
 from hil_sim.plants.urdf_model import Places, UrdfModel
-from hil_sim.plants.vehicle_flight import Jolt, Released, Rows, VehicleFlight
+from hil_sim.plants.vehicle_flight import Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
@@ -58,8 +60,8 @@ class VehiclePlant(world.Plant):
     Attributes:
         bodies: every link that has a mass, as built.
         off_m: how far frames are from where they are drawn, in the axes of the link before.
-        payload: what is held, or caught; None where nothing is.
-        events_s: capture and ejection, by name.
+        payload: what is held, or caught, and how it is held once it is; None where nothing is.
+        events_s: capture, closing of the grip after a contact, and ejection, by name.
         cabin: in which the vehicle is let go and caught; None where there is none.
         rows_true: true signals of the whole flight; rows from ``count`` on are not yet released.
 
@@ -124,8 +126,8 @@ class VehiclePlant(world.Plant):
         self.jets = Jets(scenario, self._model, self.bodies)
         wheeled = holding(scenario, self._model, self._model.joints)
         self._flight = VehicleFlight(*given, self.cabin, self.soft, self.jets, wheeled)
-        self._coming = deque(self._events(rng, self._coarse_s, self._steps))
-        self._caught = next((moves for name, _, moves in self._coming if name == "capture"), None)
+        self._coming = deque(events(scenario, self.payload, self._coarse_s, self._steps, rng))
+        self._capture = next((event for event in self._coming if event.name == "capture"), None)
         joints = len(self.joints)
         self._tracks = [Track(self.rows, n) for n in (self._model.model.nsensordata, *[joints] * 3)]
         self.rows_true = Rows(*(track.values for track in self._tracks))
@@ -139,7 +141,7 @@ class VehiclePlant(world.Plant):
         """True signals on the sensors' grid, so many rows at least."""
         every, flight = self._scenario.physics.integration_steps, self._flight
         while self._done < self._steps and self._done * every < rows:
-            end = self._coming[0][1] if self._coming else self._steps
+            end = self._coming[0].row if self._coming else self._steps
             wanted = min(end, -(-rows // every) + _AROUND)
             flown = flight.advance(wanted - flight.count)
             self._window = flown if self._window is None else _joined(self._window, flown)
@@ -152,9 +154,10 @@ class VehiclePlant(world.Plant):
             self._refine(_joined(self._window, flight.show()), end)
             self._window, self._window_at = None, end
             if self._coming:
-                name, first, moves = self._coming.popleft()
-                self._jolt = flight.exchange(moves, None) if name == "capture" else flight.exchange(None, moves)
-                self.events_s[name] = first * self._coarse_s
+                event = self._coming.popleft()
+                self._jolt = event.happen(flight)
+                self.events_s[event.name] = event.row * self._coarse_s
+                self.payload = flight.caught or self.payload
 
     def _refine(self, window: Rows, until: int) -> None:
         """Splines up to a coarse row; what jumped before the first is in that."""
@@ -193,22 +196,6 @@ class VehiclePlant(world.Plant):
     def ask(self, name: str) -> bool:
         """Play a segment of ``motion.segments`` as soon as what is computed allows; False where it cannot be."""
         return self.program.ask(name, (self._flight.count + 1) * self._coarse_s)
-
-    def _events(self, rng: np.random.Generator, coarse_s: float, steps: int) -> Iterator[tuple[str, int, Released]]:
-        """Capture and ejection: name, coarse row, and what comes or goes."""
-        scenario, payload = self._scenario, self.payload
-        capture, ejection = scenario.capture, scenario.ejection
-        first = 0
-        if capture is not None and payload is not None:
-            window = rng.uniform(capture.earliest_s, max(capture.latest_s, capture.earliest_s))
-            at_s = window if capture.phase is None else scenario.start_of(capture.phase)
-            first = min(max(round(at_s / coarse_s), 2), steps - 2)
-            velocity = capture.velocity_sigma_m_s * rng.standard_normal(3)
-            yield "capture", first, Released(payload, velocity, capture.rate_sigma_rad_s * rng.standard_normal(3))
-        if ejection is not None and payload is not None:
-            told = scenario.start_of(ejection.phase) if ejection.phase is not None else ejection.at_s
-            row = min(max(round((told or 0.0) / coarse_s), first + 2), steps - 2)
-            yield "ejection", row, Released(payload, np.asarray(ejection.velocity_m_s), np.zeros(3))
 
     def inertial(self, at: str) -> world.Inertial:
         """See ``world.Plant``; ``at`` is a link or joint of the URDF."""
@@ -309,6 +296,7 @@ class VehiclePlant(world.Plant):
     def truth(self) -> dict[str, Any]:
         """See ``world.Plant``: of the payload in its link's frame, and of every link in its own."""
         quantities: dict[str, float] = {}
+        caught, contact = (self._capture.moves, self._capture.contact) if self._capture else (None, None)
         if self.payload is not None:
             name, c = str(self._scenario.vehicle.payload_link), self.payload.centre_of_mass_m
             quantities = {
@@ -326,8 +314,10 @@ class VehiclePlant(world.Plant):
             "gravity_m_s2": self._gravity,
             "posture": dict(zip(self._model.joints, self.program.posture.tolist(), strict=True)),
             "capture_s": self.events_s.get("capture", 0.0),
-            "capture_velocity_m_s": self._caught.velocity_m_s if self._caught else None,
-            "capture_rate_rad_s": self._caught.rate_rad_s if self._caught else None,
+            "capture_velocity_m_s": caught.velocity_m_s if caught else None,
+            "capture_rate_rad_s": caught.rate_rad_s if caught else None,
+            "contact_Hz": contact[0] if contact else None,
+            "gripped_s": self.events_s.get("grip"),
             "ejection_s": self.events_s.get("ejection"),
             "joint_stiffness_N_m_rad": None if self.soft is None else self.soft.stiffness_N_m_rad,
             "parabolas": [] if self.cabin is None else [_flown(run) for run in self.cabin.runs],

@@ -79,6 +79,9 @@ class CaptureWindow(Table):
     """``[capture]``: when the payload is caught; without it, it is held from the start. Sigmas of its relative motion.
 
     ``phase``: at the start of the first step with this phase, and not in the window.
+
+    ``contact_Hz``: the grip holds the payload by a spring first, on which the payload alone would swing at a frequency
+    drawn between these; it closes when that has settled. Without it the grip closes at once.
     """
 
     earliest_s: NonNegative = 0.0
@@ -86,6 +89,8 @@ class CaptureWindow(Table):
     phase: PhaseCode | None = None
     velocity_sigma_m_s: NonNegative = 0.005
     rate_sigma_rad_s: NonNegative = 0.01
+    contact_Hz: tuple[PositiveFloat, PositiveFloat] | None = None
+    contact_damping_ratio: PositiveFloat = 0.5
 
 
 class EjectionTable(Table):
@@ -283,6 +288,8 @@ class VehicleScenario(Scenario):
             raise ValueError('attitude: wheels hold a base = "free", with stiff joints, that is not let go by hand')
         if self.payload is None and (self.capture is not None or self.ejection is not None):
             raise ValueError("capture and ejection need a [payload]")
+        if self.capture is not None and self.capture.contact_Hz is not None and self.vehicle.base != "free":
+            raise ValueError('capture.contact_Hz: a payload is held by a spring first with base = "free" alone')
         if any(step.action == "asked" for step in self.sequence) != (self.motion.segments is not None):
             raise ValueError('motion.segments and a step with action = "asked" need each other')
         if self.motion.segments is not None and self.motion.csv is not None:

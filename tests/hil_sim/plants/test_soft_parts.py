@@ -90,7 +90,7 @@ def test_what_swings_takes_momentum_from_the_base_and_gives_it_back(motion):
         flight.advance(150)
         flight.show()
         mass = float(flight.model.body_mass.sum())
-        body = flight._momentum()[:3]
+        body = flight.momenta.whole()[:3]
         total.append(body + soft.slosh.mass_kg * soft.state[3:])
     total = np.array(total)
     assert np.abs(total - total[0]).max() < 1e-5

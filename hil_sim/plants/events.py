@@ -1,0 +1,79 @@
+"""Captures and ejections of a mission: when they happen, and what moves how."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hil_sim.plants.body import Body
+from hil_sim.plants.contact import Contact
+from hil_sim.plants.exchange import Jolt, Released
+from hil_sim.plants.vehicle_flight import VehicleFlight
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import VehicleScenario
+
+
+class Event(NamedTuple):
+    """What happens between two rows.
+
+    Attributes:
+        name: ``capture``; ``grip``, which closes after a contact; ``ejection``.
+        row: of the integration, that is first after it.
+        moves: what comes or goes; nothing of a grip.
+        contact: frequency, Hz, and damping ratio of a capture that holds the payload by a spring first.
+    """
+
+    name: str
+    row: int
+    moves: Released | None
+    contact: tuple[float, float] | None = None
+
+    def happen(self, flight: VehicleFlight) -> Jolt | None:
+        """Do it; what jumps."""
+        if self.moves is None:
+            return flight.close()
+        if self.name == "ejection":
+            held = self.moves.payload if flight.caught is None else flight.caught
+            return flight.exchange(None, self.moves._replace(payload=held))
+        if self.contact is None:
+            return flight.exchange(self.moves, None)
+        flight.touch(self.moves, *self.contact)
+        return None
+
+
+def events(
+    scenario: VehicleScenario, payload: Body | None, step_s: float, steps: int, rng: np.random.Generator
+) -> list[Event]:
+    """Of a mission, in their order.
+
+    Args:
+        scenario: its ``[capture]`` and ``[ejection]``.
+        payload: what is caught and let go.
+        step_s: of the integration.
+        steps: of the mission.
+        rng: draws the time of the capture, the payload's motion against the gripper, and the spring.
+
+    Raises:
+        ScenarioError: a mission that ends before the grip has closed.
+    """
+    capture, ejection, found, first = scenario.capture, scenario.ejection, list[Event](), 0
+    if capture is not None and payload is not None:
+        window = rng.uniform(capture.earliest_s, max(capture.latest_s, capture.earliest_s))
+        at_s = window if capture.phase is None else scenario.start_of(capture.phase)
+        first = min(max(round(at_s / step_s), 2), steps - 2)
+        velocity = capture.velocity_sigma_m_s * rng.standard_normal(3)
+        comes = Released(payload, velocity, capture.rate_sigma_rad_s * rng.standard_normal(3))
+        if capture.contact_Hz is None:
+            found.append(Event("capture", first, comes))
+        else:
+            contact = rng.uniform(*capture.contact_Hz), capture.contact_damping_ratio
+            found.append(Event("capture", first, comes, contact))
+            first += math.ceil(Contact.lasts_s(*contact) / step_s)
+            if first > steps - 2:
+                raise ScenarioError("the mission ends before the grip closes: give capture a higher contact_Hz")
+            found.append(Event("grip", first, None))
+    if ejection is not None and payload is not None:
+        told = scenario.start_of(ejection.phase) if ejection.phase is not None else ejection.at_s
+        row = min(max(round((told or 0.0) / step_s), first + 2), steps - 2)
+        found.append(Event("ejection", row, Released(payload, np.asarray(ejection.velocity_m_s), np.zeros(3))))
+    return found
