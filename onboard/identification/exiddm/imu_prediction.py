@@ -249,7 +249,7 @@ class ImuPredictor:
     def joint_effect(self, q: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of an error of one in the rate and in the acceleration of each joint, (n, joints, 2, lines)."""
         chain = chain_motion(self.vehicle, q, *np.zeros((2, *q.shape)))
-        bodies, S = Bodies(chain.links, self._chi(state)), chain.screws
+        bodies, S = Bodies(chain.links, self.chi(state)), chain.screws
         momenta = times(self._joint_errors.beyond(bodies).inertia, S)  # (n, joints, 6)
         twist = -momenta @ np.asarray(np.linalg.inv(bodies.composite), np.float64).swapaxes(1, 2)
         effect = np.zeros((*q.shape, 2, self.lines[-1].stop))
@@ -396,7 +396,7 @@ class ImuPredictor:
         for here, there in self._of_motion:
             transition[RATE, here] = d_rate[:, there]
 
-    def _chi(self, state: FloatArray) -> FloatArray:
+    def chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""
         return self._links.chi(state[PAYLOAD], self._basis @ state[self._in_links])
 

@@ -1,48 +1,58 @@
 """How a body moved before it was captured, from the momentum that it brought.
 
-The capture changes the base's twist by ``d`` while the joints go on as they were told, and nothing acts from outside.
-With A_s the locked inertia of the servicer about its base, A_p that of the payload about its frame in the gripper, and
-X, X* the changes of frame of a twist and of a momentum from the base to there, conservation gives the payload's twist
-before, against that of the gripper:
+Between a tick before the first touch and one after the grip has closed nothing acts from outside, so the momentum of
+vehicle and payload together is constant. That of the vehicle alone before, and that of both as one after it, differ by
+what the payload brought; its own inertia makes the twist of that. The base's rate is that of the gyro, its velocity the
+integral of the accelerometer; a light payload brings little momentum: what it does not tell, the covariance does.
 
-    U = X d + A_p^-1 X* A_s d
-
-The rate's change is measured by the gyro, the velocity's by the accelerometer's impulse. A light payload brings little
-momentum: what U does not tell, its covariance does.
+How long the contact lasts is not known. The shortest time is taken that tells the same as all longer ones.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.inertia import symmetric
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.spatial import hat
-from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.exiddm.ticks import Ticks
 
-_SPREAD, _BESIDE = 2, 12  # ticks over which filters spread an impulse, on each side; that tell the motion there
-_LATE = 0.15  # of a tick: sigma of the time of the jump
-_RELATIVE = 0.01  # of a jump: scale and misalignment of the IMU, delays
-_STEP = 1e-3  # of a derivative, in sigmas
+_EARLY_s: Final = 0.05  # of the strongest push, in which the first touch lies
+_CONTACTS_s: Final = (0.03, 0.06, 0.12, 0.25, 0.5)  # from there until the grip has closed
+_BESIDE: Final = 12  # ticks on each side that tell the rate there
+_OTHER: Final = 1e-2  # chance below which two times tell different motions
+_RELATIVE: Final = 0.01  # of a push: scale and misalignment of the IMU, delays
+_STEP: Final = 1e-3  # of a derivative, in sigmas
 
 
-class Jump(NamedTuple):
-    """Change of the base's twist in a capture, base axes, at its origin."""
+class Imu(NamedTuple):
+    """The base's IMU and its zeros at the capture."""
 
-    at: int  # tick
-    twist: FloatArray  # (6,) m/s, rad/s
+    R_BS: FloatArray  # (3, 3)
+    p_BoSo_B: FloatArray  # noqa: N815 - (3,) m
+    zeros: FloatArray  # (6,) gyro, accelerometer; its axes
     covariance: FloatArray  # (6, 6)
 
 
+class Payload(NamedTuple):
+    """Standard parameters of what was caught, as identified."""
+
+    chi: FloatArray  # (10,)
+    covariance: FloatArray  # (10, 10)
+
+
 class BeforeCapture(NamedTuple):
-    """The payload's motion against the gripper just before, at the payload's frame, its axes."""
+    """The payload's motion against the gripper just before: its centre of mass, and its rate; the gripper's axes."""
 
     velocity_m_s: FloatArray  # (3,)
     rate_rad_s: FloatArray  # (3,)
     covariance: FloatArray  # (6, 6) in this order
+    touched_s: float  # the strongest push
 
     @property
     def sigma(self) -> FloatArray:
@@ -50,110 +60,142 @@ class BeforeCapture(NamedTuple):
         return np.asarray(np.sqrt(np.diag(self.covariance)), np.float64)
 
 
-def jump_of(ticks: Ticks, R_BS: FloatArray, p_BoSo_B: FloatArray, period_s: float) -> Jump:
-    """The largest impulse in some ticks.
-
-    Args:
-        ticks: about a capture, half a second and more.
-        R_BS: from the IMU's axes to the base's, (3, 3).
-        p_BoSo_B: the IMU's place, (3,) m.
-        period_s: between ticks.
-
-    Raises:
-        SignalError: too few ticks beside it, or without readings.
-    """
-    force, n = ticks.measured[:, 3:6], len(ticks.time_s)
-    beside = _SPREAD + _BESIDE
-    if n < 2 * beside + 1:
-        raise SignalError(f"{n} ticks about the capture; {2 * beside + 1} are needed")
-    away = np.linalg.norm(force - np.nanmedian(force, axis=0), axis=1)
-    at = beside + int(np.nanargmax(np.where(np.isfinite(away), away, -1.0)[beside : n - beside]))
-    whole = slice(at - beside, at + beside + 1)
-    if not np.isfinite(ticks.measured[whole, :6]).all():
-        raise SignalError("readings are missing about the capture")
-    t = np.asarray(period_s * np.arange(-beside, beside + 1), np.float64)
-    values, sigma = ticks.measured[whole, :6], ticks.sigma[whole, :6].mean(axis=0)
-    middle = np.abs(t) < (_SPREAD + 0.5) * period_s
-    (w0, w1), variance_rate = _sides(t, values[:, :3], (np.abs(t) > 1.5 * period_s), 3, period_s)
-    (f0, f1), variance_force = _sides(t, values[:, 3:], ~middle, 2, period_s)
-    apart = w1[0] - w0[0]
-    share = float(np.clip((w1[0] - values[beside, :3]) @ apart / max(float(apart @ apart), 1e-12), 0.0, 1.0))
-    at_s = period_s * (share - 0.5)  # of the jump, in its tick
-    rate = (_powers(np.array([at_s]), 3) @ (w1 - w0))[0]
-    own = np.where(t[middle, None] < 0.0, _powers(t[middle], 2) @ f0, _powers(t[middle], 2) @ f1)
-    own[_SPREAD] = share * f0[0] + (1.0 - share) * f1[0]
-    velocity = period_s * (values[middle, 3:] - own).sum(axis=0)
-    ticks_of_it = float(middle.sum())
-    of_velocity = period_s**2 * (ticks_of_it + 0.5 * ticks_of_it**2 * variance_force)
-    late = _LATE * period_s
-    variance = np.concatenate([of_velocity * sigma[3:] ** 2, 2.0 * variance_rate * sigma[:3] ** 2])
-    variance += late**2 * np.concatenate([(f1 - f0)[0] ** 2, (w1 - w0)[1] ** 2])
-    sensed = np.concatenate([velocity, rate])
-    variance += _RELATIVE**2 * np.repeat([velocity @ velocity, rate @ rate], 3)
-    into = np.zeros((6, 6))  # twist of the base by that of the IMU
-    into[:3, :3] = into[3:, 3:] = R_BS
-    into[:3, 3:] = hat(p_BoSo_B) @ R_BS
-    return Jump(at, into @ sensed, into @ np.diag(variance) @ into.T)
-
-
-def before_capture(
-    vehicle: VehicleModel, q: FloatArray, jump: Jump, chi: FloatArray, chi_covariance: FloatArray
-) -> BeforeCapture:
+def before_capture(servicer: FloatingArm, ticks: Ticks, imu: Imu, period_s: float, payload: Payload) -> BeforeCapture:
     """Motion of the payload before it was captured.
 
     Args:
-        vehicle: with a payload link.
-        q: joints at the capture, (n,).
-        jump: of the base.
-        chi: identified standard parameters of the payload, (10,).
-        chi_covariance: of these, (10, 10).
+        servicer: the vehicle without it, its tip the gripper's frame.
+        ticks: about the capture, one second or more.
+        imu: whose lines are the first six.
+        period_s: between ticks.
+        payload: what is held.
 
     Raises:
-        SignalError: a payload without a mass or inertia.
+        SignalError: too few ticks, readings missing, or a payload without a mass or inertia.
     """
-    bare = vehicle.chi.copy()
-    bare[vehicle.payload_columns()] = 0.0
-    arm = FloatingArm(vehicle, str(vehicle.spec.payload_link), bare)
-    servicer = arm.mass_matrix(q)[:6, :6]
-    R, p = arm.tip_pose(q)
-    X, force = np.zeros((6, 6)), np.zeros((6, 6))
-    X[:3, :3] = X[3:, 3:] = force[:3, :3] = force[3:, 3:] = R.T
-    X[:3, 3:], force[3:, :3] = -R.T @ hat(p), -R.T @ hat(p)
-    momentum = force @ servicer
-
-    def against(parameters: FloatArray) -> FloatArray:
-        payload = _spatial(parameters)
-        if not np.linalg.eigvalsh(payload).min() > 0.0:
-            raise SignalError("the payload found has no mass or inertia that a body can have")
-        return np.asarray(X + np.linalg.solve(payload, momentum), np.float64)
-
-    gain = against(chi)
-    U = gain @ jump.twist
-    sigma = np.sqrt(np.diag(chi_covariance))
-    D = np.column_stack(
-        [
-            (against(chi + _STEP * s * unit) @ jump.twist - U) / (_STEP * s)
-            for s, unit in zip(sigma, np.eye(10), strict=True)
-        ]
-    )
-    covariance = gain @ jump.covariance @ gain.T + D @ chi_covariance @ D.T
-    return BeforeCapture(U[:3], U[3:], np.asarray(covariance, np.float64))
+    early, latest = (round(part / period_s) for part in (_EARLY_s, _CONTACTS_s[-1]))
+    n = len(ticks.time_s)
+    if n < early + latest + 2 * _BESIDE + 1:
+        raise SignalError(f"{n} ticks about the capture; {early + latest + 2 * _BESIDE + 1} are needed")
+    force = ticks.measured[:, 3:6]
+    away = np.linalg.norm(force - np.nanmedian(force, axis=0), axis=1)
+    window = slice(_BESIDE + early, n - _BESIDE - latest)
+    at = window.start + int(np.nanargmax(np.where(np.isfinite(away), away, -1.0)[window]))
+    whole = slice(at - early - _BESIDE, at + latest + _BESIDE + 1)
+    seen = ticks.part(whole)
+    if not np.isfinite(np.column_stack([seen.measured[:, :6], seen.q, seen.dq])).all():
+        raise SignalError("readings are missing about the capture")
+    if not np.linalg.eigvalsh(_spatial(payload.chi)).min() > 0.0:
+        raise SignalError("the payload found has no mass or inertia that a body can have")
+    touched_s, zero = float(ticks.time_s[at]), _BESIDE
+    found: list[_Told] = []
+    for lasts_s in reversed(_CONTACTS_s):
+        end = zero + early + max(2, round(lasts_s / period_s))
+        one = _over(servicer, seen, imu, period_s, payload, slice(zero, end + 1))
+        if not all(_agree(one, other) for other in found):
+            break
+        found.append(one)
+    best = found[-1]
+    return BeforeCapture(best.motion[:3], best.motion[3:], best.noise + best.common, touched_s)
 
 
-def _sides(
-    t: FloatArray, values: FloatArray, beside: BoolArray, order: int, period_s: float
-) -> tuple[list[FloatArray], float]:
-    """Polynomials through values before and after time 0, (order, k) each, and the variance of their values there."""
-    found, variance = [], 0.0
-    for side in (beside & (t < 0.0), beside & (t > 0.0)):
-        A = _powers(t[side] / period_s, order)
-        found.append(np.linalg.lstsq(A, values[side], rcond=None)[0] / period_s ** np.arange(order)[:, None])
-        variance = float(np.linalg.inv(A.T @ A)[0, 0])
-    return found, variance
+class _Told(NamedTuple):
+    motion: FloatArray  # (6,)
+    noise: FloatArray  # (6, 6) covariance by the readings
+    common: FloatArray  # by what is the same for every time
 
 
-def _powers(t: FloatArray, order: int) -> FloatArray:
-    return np.asarray(t[:, None] ** np.arange(order), np.float64)
+def _agree(short: _Told, long: _Told) -> bool:
+    """Whether two times tell the same: the readings of the shorter are a part of the longer's."""
+    away = short.motion - long.motion
+    return bool(away @ np.linalg.solve(long.noise, away) < chdtri(6, _OTHER))
+
+
+def _over(servicer: FloatingArm, ticks: Ticks, imu: Imu, period_s: float, payload: Payload, span: slice) -> _Told:
+    """The payload's motion by the momentum between the first and the last tick of a span."""
+    first, last = span.start, span.stop - 1
+    t = np.asarray(period_s * np.arange(len(ticks.time_s)), np.float64)
+    gyro, sigma = ticks.measured[:, :3], np.asarray(ticks.sigma[:, :6].mean(axis=0), np.float64)
+    w0, variance0 = _value(t - t[first], gyro, t <= t[first])
+    w1, variance1 = _value(t - t[last], gyro, (t >= t[last]) & (t < t[last] + _BESIDE * period_s))
+    joints, count = servicer.joints, last - first
+    push = period_s * np.abs(ticks.measured[span, 3:6] - imu.zeros[3:]).sum(axis=0)
+    noise = [
+        (variance0 * sigma[:3] ** 2, w0),
+        (variance1 * sigma[:3] ** 2, w1),
+        (period_s**2 * count * sigma[3:] ** 2 + (_RELATIVE * np.linalg.norm(push)) ** 2, np.zeros(3)),
+        (ticks.joint_sigma[first, 0] ** 2, ticks.dq[first]),
+        (ticks.joint_sigma[last, 0] ** 2, ticks.dq[last]),
+    ]
+    covariances = [*(np.diag(variance) for variance, _ in noise), imu.covariance, payload.covariance]
+    values = np.concatenate([*(value for _, value in noise), imu.zeros, payload.chi])
+    parts = np.cumsum([3, 3, 3, joints, joints, 6])
+
+    def told(z: FloatArray) -> FloatArray:
+        w0, w1, dv, dq0, dq1, zeros, chi = np.split(z, parts)
+        R, v, p = _travelled(ticks.measured[span, :6] - zeros, imu.R_BS, period_s)
+        v = v + imu.R_BS @ dv
+        rate0, rate1 = imu.R_BS @ (w0 - zeros[:3]), imu.R_BS @ (w1 - zeros[:3])
+        twist0 = np.concatenate([-np.cross(rate0, imu.p_BoSo_B), rate0, dq0])
+        twist1 = np.concatenate([R.T @ v - np.cross(rate1, imu.p_BoSo_B), rate1, dq1])
+        q0, q1 = ticks.q[first], ticks.q[last]
+        before = servicer.mass_matrix(q0)[:6] @ twist0
+        after = servicer.mass_matrix(q1)[:6] @ twist1 + _carried(servicer, q1, twist1, chi)
+        moved = imu.p_BoSo_B + p - R @ imu.p_BoSo_B
+        linear = R @ after[:3] - before[:3]
+        angular = R @ after[3:] + np.cross(moved, R @ after[:3]) - before[3:]
+        R_BT, p_BT = servicer.tip_pose(q0)
+        brought = np.concatenate([R_BT.T @ linear, R_BT.T @ (angular - np.cross(p_BT, linear))])
+        grip = servicer.tip_jacobian(q0) @ twist0
+        U = np.linalg.solve(_spatial(chi), brought) - np.concatenate([R_BT.T @ grip[:3], R_BT.T @ grip[3:]])
+        return np.concatenate([U[:3] + np.cross(U[3:], chi[1:4] / chi[0]), U[3:]])
+
+    by = list(_propagated(told, values, covariances))
+    return _Told(told(values), np.sum(by[:-2], axis=0), np.sum(by[-2:], axis=0))
+
+
+def _propagated(
+    told: Callable[[FloatArray], FloatArray], values: FloatArray, blocks: list[FloatArray]
+) -> Iterator[FloatArray]:
+    """Covariance, (6, 6), of a function of values by each of their parts with such covariances."""
+    centre, at = told(values), 0
+    for block in blocks:
+        sigma = np.sqrt(np.diag(block))
+        columns = np.zeros((6, len(sigma)))
+        for k in np.flatnonzero(sigma):
+            moved = values.copy()
+            moved[at + k] += _STEP * sigma[k]
+            columns[:, k] = (told(moved) - centre) / (_STEP * sigma[k])
+        yield columns @ block @ columns.T
+        at += len(sigma)
+
+
+def _travelled(readings: FloatArray, R_BS: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Attitude of the base at the end of some ticks, velocity gained there by its IMU, and way; first axes."""
+    rate, force = readings[:, :3] @ R_BS.T, readings[:, 3:] @ R_BS.T
+    turn = Rotation.from_rotvec(0.5 * period_s * (rate[1:] + rate[:-1]))
+    R = [np.eye(3)]
+    for one in turn.as_matrix():
+        R.append(R[-1] @ one)
+    a = np.einsum("kij,kj->ki", R, force)
+    v = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * period_s * (a[1:] + a[:-1]), axis=0)])
+    return R[-1], v[-1], period_s * (v[:-1] + v[1:]).sum(axis=0) / 2.0
+
+
+def _carried(servicer: FloatingArm, q: FloatArray, twist: FloatArray, chi: FloatArray) -> FloatArray:
+    """Momentum of a payload in the gripper, (6,), base axes, about the base's origin."""
+    R, p = servicer.tip_pose(q)
+    tip = servicer.tip_jacobian(q) @ twist
+    own = _spatial(chi) @ np.concatenate([R.T @ tip[:3], R.T @ tip[3:]])
+    linear = R @ own[:3]
+    return np.concatenate([linear, R @ own[3:] + np.cross(p, linear)])
+
+
+def _value(t: FloatArray, values: FloatArray, beside: BoolArray) -> tuple[FloatArray, float]:
+    """At time 0, of a parabola through the values of some ticks, and its variance for one of theirs."""
+    A = (t[beside, None] / max(float(np.abs(t[beside]).max()), 1e-12)) ** np.arange(3)
+    found = np.linalg.lstsq(A, values[beside], rcond=None)[0]
+    return np.asarray(found[0], np.float64), float(np.linalg.inv(A.T @ A)[0, 0])
 
 
 def _spatial(chi: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ import numpy as np
 
 from onboard import config
 from onboard.dynamics.errors import ModelError, SignalError
+from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
@@ -34,7 +35,7 @@ from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
 from onboard.identification.exiddm.witnesses import HARDLY, Tested, tested, without_each
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
-from onboard.offline.estimate_again.before_capture import BeforeCapture, before_capture, jump_of
+from onboard.offline.estimate_again.before_capture import BeforeCapture, Imu, Payload, before_capture
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.likelihood_log import (
@@ -55,7 +56,7 @@ from onboard.regressor.signals import Signals
 _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
-_ABOUT_s = 0.4  # of a capture, on each side of the time that belongs to no segment
+_ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
 _STEP_s = 1.0  # in which the log is read
 _EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
@@ -160,10 +161,11 @@ class _Flight:
         begin_s, end_s = taken[0][0].ticks.time_s[-1] - _ABOUT_s, taken[0][1].ticks.time_s[0] + _ABOUT_s
         first, last = np.searchsorted(self._ticks.time_s, [begin_s, end_s]).tolist()
         about = self._ticks.part(slice(first, last))
-        frame = self._online.exiddm.predictor.imu_frames[0]
+        frame, found = self._online.exiddm.predictor.imu_frames[0], made.found
+        servicer = FloatingArm(vehicle, str(vehicle.spec.payload_link), made.flight.empty(found.fit.x))
+        imu = Imu(*vehicle.pose_in_base(frame), *made.flight.zeros(found.fit, begin_s))
         try:
-            jump = jump_of(about, *vehicle.pose_in_base(frame), self._period_s)
-            return before_capture(vehicle, about.q[jump.at], jump, made.found.chi, made.found.chi_covariance)
+            return before_capture(servicer, about, imu, self._period_s, Payload(found.chi, found.chi_covariance))
         except SignalError:
             return None
 

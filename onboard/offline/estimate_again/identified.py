@@ -122,7 +122,7 @@ class Identified:
 
 
 def _before(one: BeforeCapture) -> dict[str, Any]:
-    """Against the gripper, at the payload's frame and in its axes."""
+    """Against the gripper, of the payload's centre of mass, in the gripper's axes."""
     sigma = one.sigma.tolist()
     return {
         "velocity_m_s": one.velocity_m_s.tolist(),

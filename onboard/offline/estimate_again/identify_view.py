@@ -105,7 +105,7 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
     if log.before is not None:
         half = 1.96 * log.before.sigma
         yield "before capture", f"turned at {_within(log.before.rate_rad_s, half[3:])} rad/s against the gripper"
-        yield "", f"and moved at {_within(1e3 * log.before.velocity_m_s, 1e3 * half[:3])} mm/s, payload's axes"
+        yield "", f"and moved at {_within(1e3 * log.before.velocity_m_s, 1e3 * half[:3])} mm/s, its centre of mass"
     for one in log.links:
         if one.body is not None:
             said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"
