@@ -1,6 +1,10 @@
 """Detected changes: of the payload (capture, ejection), of an instrument, or a contact that changes nothing."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+CONTACT_s: Final = (
+    0.4  # after a capture was noticed, in which its contact ends: a grip of 4 Hz needs 0.5 s from the touch
+)
 
 
 class Change(NamedTuple):

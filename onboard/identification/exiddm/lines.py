@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.identification.change import CONTACT_s
 
 _BLOCK_s = 8.0
 _CHANCE = 1e-6  # of the largest of all bins of a block: what is exceeded more rarely is a line
@@ -162,10 +163,14 @@ class Unexplained:
     """
 
     def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
+        self._period_s, self._contact = period_s, round(CONTACT_s / period_s)
         self._first, self._longest = (round(wait_s / period_s) for wait_s in _WAITS_s)
         self.count = self.wait = 0
         self._lines: list[tuple[float, float, Line]] = []  # first and last time of the window
+
+    def begin(self, *, change: bool = False) -> None:
+        """No window yet; the first one after a change waits until the contact is over."""
+        self.wait = self._contact if change else 0
 
     def add(self, end_s: float, residual: FloatArray | None, *, longer: bool) -> None:
         """Take in a window.
@@ -176,8 +181,9 @@ class Unexplained:
             longer: a shorter window was explained.
         """
         line = None if residual is None else line_of(residual, self._period_s)
-        self.count += longer or self.wait > 0 or line is not None
-        self.wait = min(max(2 * self.wait, self._first), self._longest)
+        self.count += longer or self.wait > self._contact or line is not None
+        waited = self.wait if self.wait > self._contact else 0
+        self.wait = min(max(2 * waited, self._first), self._longest)
         self._lines = [one for one in self._lines if one[1] > end_s - _RECENT_s]
         if residual is not None and line is not None:
             self._lines.append((end_s - len(residual) * self._period_s, end_s, line))

@@ -156,7 +156,8 @@ class RecursiveExiddm(BoundedWork):
     def _open(self, hypotheses: tuple[Hypothesis, ...], prior: Known, begun: Ticks | None = None) -> None:
         """Begin a window with this prior and an unknown rate; ``begun``: with these ticks, and solve it at 2 s."""
         self._hypotheses, self._prior = hypotheses, prior
-        self._solves, self.unexplained.wait, self._grown = int(begun is not None), 0, 1.0
+        self._solves, self._grown = int(begun is not None), 1.0
+        self.unexplained.begin(change=self._suspected is not None)
         self._start: FloatArray | None = None
         self._window, self._pending = self._none, self._none if begun is None else begun
         self._trials: Trials | CellTrials | None = None  # fits that tell which instrument is wrong

@@ -186,17 +186,17 @@ class WholeFlight:
         return np.diag(np.nan_to_num(1.0 / self.sigma**2))
 
     def zeros(self, fit: Fit, time_s: float) -> tuple[FloatArray, FloatArray]:
-        """Of the first IMU at a time, gyro and accelerometer, (6,), and their covariance."""
+        """Of the first IMU at a time, gyro and accelerometer, (6,), and their covariance; zeros if constant."""
         L = np.zeros((6, len(self.names)))
-        for row, at in zip(L, self._of_lines[:6], strict=True):
+        for row, at in zip(L, self._of_lines if len(self._of_lines) >= len(L) else (), strict=False):
             row[at] = self._lines(np.array([time_s]))[0]
         return L @ fit.x, L @ fit.covariance @ L.T
 
-    def empty(self, x: FloatArray) -> FloatArray:
-        """Standard parameters of all links as fitted, nothing held, (10 x links,)."""
-        state = np.concatenate([np.zeros(3), x[: self.constants]])
-        state[PAYLOAD] = 0.0
-        return self._predictor.chi(state)
+    def free(self, x: FloatArray) -> FloatArray:
+        """The predictor's state with nothing held, (predictor's p,); without rate and what ``zeros`` tells."""
+        state = self._state(x, 0)
+        state[RATE], state[PAYLOAD] = 0.0, 0.0
+        return state
 
     def start(self, constants: FloatArray) -> FloatArray:
         """Initial parameters, (p,): constants of the predictor's state, rates by the first readings of each segment."""

@@ -1,14 +1,18 @@
 """How a body moved before it was captured, from the momentum that it brought.
 
-Between a tick before the first touch and one after the grip has closed nothing acts from outside, so the momentum of
-vehicle and payload together is constant. That of the vehicle alone before, and that of both as one after it, differ by
-what the payload brought; its own inertia makes the twist of that. The base's rate is that of the gyro, its velocity the
-integral of the accelerometer; a light payload brings little momentum: what it does not tell, the covariance does.
+The fit of the flight tells how the base would have moved on without a capture. Between a tick before the first touch
+and one after the grip has closed nothing acts from outside, so what vehicle and payload have together as one, less what
+the vehicle alone would have then, is the payload's momentum. Its own inertia makes velocity and rate of that; a light
+payload brings little momentum, and what it does not tell, the covariance does. The base's rate is that of the gyro, its
+velocity the integral of the accelerometer.
 
-How long the contact lasts is not known. The shortest time is taken that tells the same as all longer ones.
+How long the contact lasts is not known. The shortest time is taken that tells the same as all longer ones; where the
+longest has no shorter one that agrees, its noise is taken for as much larger as they differ.
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import accumulate
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,23 +23,23 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.inertia import symmetric
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.spatial import hat
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.exiddm.imu_prediction import FIRST_TICKS, RATE, ImuPredictor, first_rate
 from onboard.identification.exiddm.ticks import Ticks
 
-_EARLY_s: Final = 0.05  # of the strongest push, in which the first touch lies
-_CONTACTS_s: Final = (0.03, 0.06, 0.12, 0.25, 0.5)  # from there until the grip has closed
+_EARLY_s: Final = 0.03  # before the first time at which the payload may have been touched
+_CONTACTS_s: Final = (0.0, 0.06, 0.12, 0.25, 0.5)  # after the last one, until the grip has closed
 _BESIDE: Final = 12  # ticks on each side that tell the rate there
+_HOLE: Final = 0.5  # of a tick: later or earlier ones have others missing
 _OTHER: Final = 1e-2  # chance below which two times tell different motions
 _RELATIVE: Final = 0.01  # of a push: scale and misalignment of the IMU, delays
 _STEP: Final = 1e-3  # of a derivative, in sigmas
 
 
-class Imu(NamedTuple):
-    """The base's IMU and its zeros at the capture."""
+class Zeros(NamedTuple):
+    """Of the base's IMU at the capture."""
 
-    R_BS: FloatArray  # (3, 3)
-    p_BoSo_B: FloatArray  # noqa: N815 - (3,) m
-    zeros: FloatArray  # (6,) gyro, accelerometer; its axes
+    values: FloatArray  # (6,) gyro, accelerometer; its axes
     covariance: FloatArray  # (6, 6)
 
 
@@ -47,12 +51,11 @@ class Payload(NamedTuple):
 
 
 class BeforeCapture(NamedTuple):
-    """The payload's motion against the gripper just before: its centre of mass, and its rate; the gripper's axes."""
+    """Velocity of its centre of mass against the gripper at the touch, and its rate in space; the gripper's axes."""
 
     velocity_m_s: FloatArray  # (3,)
     rate_rad_s: FloatArray  # (3,)
     covariance: FloatArray  # (6, 6) in this order
-    touched_s: float  # the strongest push
 
     @property
     def sigma(self) -> FloatArray:
@@ -60,43 +63,52 @@ class BeforeCapture(NamedTuple):
         return np.asarray(np.sqrt(np.diag(self.covariance)), np.float64)
 
 
-def before_capture(servicer: FloatingArm, ticks: Ticks, imu: Imu, period_s: float, payload: Payload) -> BeforeCapture:
+def before_capture(
+    predictor: ImuPredictor,
+    state: FloatArray,
+    ticks: Ticks,
+    zeros: Zeros,
+    payload: Payload,
+    touched_s: tuple[float, float],
+) -> BeforeCapture:
     """Motion of the payload before it was captured.
 
     Args:
-        servicer: the vehicle without it, its tip the gripper's frame.
-        ticks: about the capture, one second or more.
-        imu: whose lines are the first six.
-        period_s: between ticks.
+        predictor: of the instruments, the base's IMU first.
+        state: (p,) of it with nothing held; without rate and these zeros.
+        ticks: about the capture.
+        zeros: of the IMU then.
         payload: what is held.
+        touched_s: between which times it was touched first.
 
     Raises:
-        SignalError: too few ticks, readings missing, or a payload without a mass or inertia.
+        SignalError: ticks or readings missing, or a payload without a mass or inertia.
     """
-    early, latest = (round(part / period_s) for part in (_EARLY_s, _CONTACTS_s[-1]))
-    n = len(ticks.time_s)
-    if n < early + latest + 2 * _BESIDE + 1:
-        raise SignalError(f"{n} ticks about the capture; {early + latest + 2 * _BESIDE + 1} are needed")
-    force = ticks.measured[:, 3:6]
-    away = np.linalg.norm(force - np.nanmedian(force, axis=0), axis=1)
-    window = slice(_BESIDE + early, n - _BESIDE - latest)
-    at = window.start + int(np.nanargmax(np.where(np.isfinite(away), away, -1.0)[window]))
-    whole = slice(at - early - _BESIDE, at + latest + _BESIDE + 1)
-    seen = ticks.part(whole)
-    if not np.isfinite(np.column_stack([seen.measured[:, :6], seen.q, seen.dq])).all():
+    begin_s, end_s = touched_s[0] - _EARLY_s, touched_s[1]
+    ends = np.searchsorted(ticks.time_s, [end_s + lasts_s for lasts_s in _CONTACTS_s]).tolist()
+    first = int(np.searchsorted(ticks.time_s, begin_s))
+    if first < _BESIDE + 1 or ends[-1] + _BESIDE + 1 >= len(ticks.time_s):
+        raise SignalError(f"ticks are missing within {_BESIDE * predictor.period_s:g} s of the capture")
+    seen = ticks.part(slice(first - _BESIDE - 1, ends[-1] + _BESIDE + 2))
+    if (
+        np.abs(np.diff(seen.time_s) / predictor.period_s - 1.0).max() > _HOLE
+        or not np.isfinite(np.column_stack([seen.measured[:, :6], seen.q, seen.dq])).all()
+    ):
         raise SignalError("readings are missing about the capture")
     if not np.linalg.eigvalsh(_spatial(payload.chi)).min() > 0.0:
         raise SignalError("the payload found has no mass or inertia that a body can have")
-    touched_s, zero = float(ticks.time_s[at]), _BESIDE
+    about = _About(predictor, state, seen, zeros, payload, touched_s)
     found: list[_Told] = []
-    for lasts_s in reversed(_CONTACTS_s):
-        end = zero + early + max(2, round(lasts_s / period_s))
-        one = _over(servicer, seen, imu, period_s, payload, slice(zero, end + 1))
-        if not all(_agree(one, other) for other in found):
+    wider = 1.0
+    for end in reversed(ends):
+        one = about.until(_BESIDE + end - first)
+        away = max((_away(one, longer) for longer in found), default=0.0)
+        if away > chdtri(6, _OTHER):
+            wider = max(1.0, away / 6.0) if len(found) == 1 else 1.0
             break
         found.append(one)
     best = found[-1]
-    return BeforeCapture(best.motion[:3], best.motion[3:], best.noise + best.common, touched_s)
+    return BeforeCapture(best.motion[:3], best.motion[3:], wider * best.noise + best.common)
 
 
 class _Told(NamedTuple):
@@ -105,53 +117,128 @@ class _Told(NamedTuple):
     common: FloatArray  # by what is the same for every time
 
 
-def _agree(short: _Told, long: _Told) -> bool:
-    """Whether two times tell the same: the readings of the shorter are a part of the longer's."""
+class _Path(NamedTuple):
+    """Motion of the base, axes and origin of the base at the first tick, which is taken for at rest there."""
+
+    R: FloatArray  # (n, 3, 3)
+    velocity_m_s: FloatArray  # (n, 3) of the IMU
+    way_m: FloatArray  # (n, 3) of the IMU
+
+
+def _away(short: _Told, long: _Told) -> float:
+    """Chi-squared, 6 expected at most, of what two times tell: the readings of the shorter are a part of the longer's."""
     away = short.motion - long.motion
-    return bool(away @ np.linalg.solve(long.noise, away) < chdtri(6, _OTHER))
+    return float(away @ np.linalg.solve(long.noise, away))
 
 
-def _over(servicer: FloatingArm, ticks: Ticks, imu: Imu, period_s: float, payload: Payload, span: slice) -> _Told:
-    """The payload's motion by the momentum between the first and the last tick of a span."""
-    first, last = span.start, span.stop - 1
-    t = np.asarray(period_s * np.arange(len(ticks.time_s)), np.float64)
-    gyro, sigma = ticks.measured[:, :3], np.asarray(ticks.sigma[:, :6].mean(axis=0), np.float64)
-    w0, variance0 = _value(t - t[first], gyro, t <= t[first])
-    w1, variance1 = _value(t - t[last], gyro, (t >= t[last]) & (t < t[last] + _BESIDE * period_s))
-    joints, count = servicer.joints, last - first
-    push = period_s * np.abs(ticks.measured[span, 3:6] - imu.zeros[3:]).sum(axis=0)
-    noise = [
-        (variance0 * sigma[:3] ** 2, w0),
-        (variance1 * sigma[:3] ** 2, w1),
-        (period_s**2 * count * sigma[3:] ** 2 + (_RELATIVE * np.linalg.norm(push)) ** 2, np.zeros(3)),
-        (ticks.joint_sigma[first, 0] ** 2, ticks.dq[first]),
-        (ticks.joint_sigma[last, 0] ** 2, ticks.dq[last]),
-    ]
-    covariances = [*(np.diag(variance) for variance, _ in noise), imu.covariance, payload.covariance]
-    values = np.concatenate([*(value for _, value in noise), imu.zeros, payload.chi])
-    parts = np.cumsum([3, 3, 3, joints, joints, 6])
+class _About:
+    """Readings about a capture, and what they would be without one; of ticks that all have both neighbours."""
 
-    def told(z: FloatArray) -> FloatArray:
-        w0, w1, dv, dq0, dq1, zeros, chi = np.split(z, parts)
-        R, v, p = _travelled(ticks.measured[span, :6] - zeros, imu.R_BS, period_s)
-        v = v + imu.R_BS @ dv
-        rate0, rate1 = imu.R_BS @ (w0 - zeros[:3]), imu.R_BS @ (w1 - zeros[:3])
-        twist0 = np.concatenate([-np.cross(rate0, imu.p_BoSo_B), rate0, dq0])
-        twist1 = np.concatenate([R.T @ v - np.cross(rate1, imu.p_BoSo_B), rate1, dq1])
-        q0, q1 = ticks.q[first], ticks.q[last]
-        before = servicer.mass_matrix(q0)[:6] @ twist0
-        after = servicer.mass_matrix(q1)[:6] @ twist1 + _carried(servicer, q1, twist1, chi)
-        moved = imu.p_BoSo_B + p - R @ imu.p_BoSo_B
-        linear = R @ after[:3] - before[:3]
-        angular = R @ after[3:] + np.cross(moved, R @ after[:3]) - before[3:]
-        R_BT, p_BT = servicer.tip_pose(q0)
-        brought = np.concatenate([R_BT.T @ linear, R_BT.T @ (angular - np.cross(p_BT, linear))])
-        grip = servicer.tip_jacobian(q0) @ twist0
-        U = np.linalg.solve(_spatial(chi), brought) - np.concatenate([R_BT.T @ grip[:3], R_BT.T @ grip[3:]])
-        return np.concatenate([U[:3] + np.cross(U[3:], chi[1:4] / chi[0]), U[3:]])
+    def __init__(
+        self,
+        predictor: ImuPredictor,
+        state: FloatArray,
+        ticks: Ticks,
+        zeros: Zeros,
+        payload: Payload,
+        touched_s: tuple[float, float],
+    ) -> None:
+        state, ticks = state.copy(), ticks._replace(measured=ticks.measured.copy())
+        ticks.measured[:, :6] -= zeros.values
+        state[RATE] = first_rate(predictor, ticks, state)
+        predicted = predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
+        vehicle, self._period_s, self._zeros, self._payload = predictor.vehicle, predictor.period_s, zeros, payload
+        self._ticks = ticks.part(slice(1, -1))
+        self._sigma = np.asarray(ticks.sigma[:, :6].mean(axis=0), np.float64)
+        self._shown = self._ticks.measured[:, :6], predicted.values[:, :6]
+        self._R_BS, self._p_BS = vehicle.pose_in_base(predictor.imu_frames[0])
+        self._paths = tuple(self._travelled(readings) for readings in self._shown)
+        self._servicer = FloatingArm(vehicle, str(vehicle.spec.payload_link), predictor.chi(state))
+        at = np.searchsorted(self._ticks.time_s, touched_s)
+        self._touched = slice(int(at[0]), int(at[1]) + 1)
 
-    by = list(_propagated(told, values, covariances))
-    return _Told(told(values), np.sum(by[:-2], axis=0), np.sum(by[-2:], axis=0))
+    def until(self, last: int) -> _Told:
+        """The payload's motion by the momentum in the ticks from one on."""
+        n, zeros, ticks = last - _BESIDE, self._zeros, slice(last, last + _BESIDE)
+        push = self._period_s * np.abs((self._shown[0] - self._shown[1])[_BESIDE:last, 3:]).sum(axis=0)
+        rate = (1.0 / _BESIDE + 1.0 / FIRST_TICKS) * self._sigma[:3] ** 2
+        velocity = self._period_s**2 * n * self._sigma[3:] ** 2 + (_RELATIVE * np.linalg.norm(push)) ** 2
+        drift = (n * self._period_s) ** 2 * zeros.covariance[3:, 3:]
+        joints = (self._ticks.joint_sigma[ticks, 0] ** 2).mean(axis=0) / _BESIDE
+        told = partial(self._motion, ticks)
+        values = np.concatenate([np.zeros(6 + len(joints)), self._payload.chi])
+        blocks = [np.diag(rate), np.diag(velocity) + drift, np.diag(joints), self._payload.covariance]
+        *noise, common = _propagated(told, values, blocks)
+        brought = self._brought(ticks, values)
+        touched = [self._of(brought, self._payload.chi, at) for at in range(self._touched.start, self._touched.stop)]
+        return _Told(told(values), np.sum(noise, axis=0), common + np.cov(np.transpose(touched), bias=True))
+
+    def _motion(self, ticks: slice, z: FloatArray) -> FloatArray:
+        """The payload's motion, (6,): by errors of rate, velocity, IMU axes, and joint rates, and its parameters."""
+        return self._of(self._brought(ticks, z), z[-10:], (self._touched.start + self._touched.stop) // 2)
+
+    def _brought(self, ticks: slice, z: FloatArray) -> FloatArray:
+        """The payload's momentum before it was touched, about the origin of the first tick, (6,)."""
+        off, dv, dq, chi = np.split(z, [3, 6, z.size - 10])
+        brought = np.zeros(6)
+        for at in range(ticks.start, ticks.stop):
+            brought += self._momentum(0, at, off, dv, self._ticks.dq[at] + dq, chi) / _BESIDE
+            brought -= self._momentum(1, at, np.zeros(3), np.zeros(3), self._ticks.dq[at], None) / _BESIDE
+        return brought
+
+    def _of(self, brought: FloatArray, chi: FloatArray, at: int) -> FloatArray:
+        """Motion, (6,), of a payload with a momentum, if it was touched at a tick."""
+        linear, c = brought[:3], chi[1:4] / chi[0]
+        R, origin = self._base(1, at)
+        R_BT, p_BT = self._servicer.tip_pose(self._ticks.q[at])
+        R_T, centre = R @ R_BT, origin + R @ (p_BT + R_BT @ c)
+        inertia = _spatial(chi)[3:, 3:] + chi[0] * hat(c) @ hat(c)
+        spin = np.linalg.solve(inertia, R_T.T @ (brought[3:] - np.cross(centre, linear)))
+        return np.concatenate([R_T.T @ (linear / chi[0] - self._gripper(at, c)), spin])
+
+    def _base(self, path: int, at: int) -> tuple[FloatArray, FloatArray]:
+        """Its axes and origin at a tick."""
+        R = self._paths[path].R[at]
+        return R, self._p_BS + self._paths[path].way_m[at] - R @ self._p_BS
+
+    def _twist(self, path: int, at: int, off: FloatArray, dv: FloatArray, dq: FloatArray) -> FloatArray:
+        """Of base and joints at a tick, base axes, (6 + j,)."""
+        w = self._R_BS @ (self._shown[path][at, :3] + off)
+        velocity = self._paths[path].R[at].T @ self._paths[path].velocity_m_s[at] + self._R_BS @ dv
+        return np.concatenate([velocity - np.cross(w, self._p_BS), w, dq])
+
+    def _momentum(
+        self, path: int, at: int, off: FloatArray, dv: FloatArray, dq: FloatArray, chi: FloatArray | None
+    ) -> FloatArray:
+        """Of the vehicle, and of a payload that it holds, about the origin of the first tick, (6,)."""
+        q, twist = self._ticks.q[at], self._twist(path, at, off, dv, dq)
+        momentum = self._servicer.mass_matrix(q)[:6] @ twist
+        if chi is not None:
+            momentum = momentum + _carried(self._servicer, q, twist, chi)
+        R, origin = self._base(path, at)
+        linear = R @ momentum[:3]
+        return np.concatenate([linear, R @ momentum[3:] + np.cross(origin, linear)])
+
+    def _gripper(self, at: int, c: FloatArray) -> FloatArray:
+        """Velocity of a place of the gripper at a tick, nothing held, (3,)."""
+        q, R = self._ticks.q[at], self._paths[1].R[at]
+        twist = self._twist(1, at, np.zeros(3), np.zeros(3), self._ticks.dq[at])
+        tip, (R_BT, _) = self._servicer.tip_jacobian(q) @ twist, self._servicer.tip_pose(q)
+        return np.asarray(R @ (tip[:3] + np.cross(tip[3:], R_BT @ c)), np.float64)
+
+    def _travelled(self, readings: FloatArray) -> _Path:
+        """Way of the base by the readings of its IMU."""
+        rate, force = readings[:, :3] @ self._R_BS.T, readings[:, 3:] @ self._R_BS.T
+        turns = Rotation.from_rotvec(0.5 * self._period_s * (rate[1:] + rate[:-1])).as_matrix()
+        R = np.array(list(accumulate(turns, np.matmul, initial=np.eye(3))))
+        R = R[_BESIDE].T @ R
+        velocity = self._summed(np.einsum("kij,kj->ki", R, force))
+        return _Path(R, velocity, self._summed(velocity))
+
+    def _summed(self, values: FloatArray) -> FloatArray:
+        steps = 0.5 * self._period_s * (values[1:] + values[:-1])
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+        return np.asarray(sums - sums[_BESIDE], np.float64)
 
 
 def _propagated(
@@ -170,18 +257,6 @@ def _propagated(
         at += len(sigma)
 
 
-def _travelled(readings: FloatArray, R_BS: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Attitude of the base at the end of some ticks, velocity gained there by its IMU, and way; first axes."""
-    rate, force = readings[:, :3] @ R_BS.T, readings[:, 3:] @ R_BS.T
-    turn = Rotation.from_rotvec(0.5 * period_s * (rate[1:] + rate[:-1]))
-    R = [np.eye(3)]
-    for one in turn.as_matrix():
-        R.append(R[-1] @ one)
-    a = np.einsum("kij,kj->ki", R, force)
-    v = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * period_s * (a[1:] + a[:-1]), axis=0)])
-    return R[-1], v[-1], period_s * (v[:-1] + v[1:]).sum(axis=0) / 2.0
-
-
 def _carried(servicer: FloatingArm, q: FloatArray, twist: FloatArray, chi: FloatArray) -> FloatArray:
     """Momentum of a payload in the gripper, (6,), base axes, about the base's origin."""
     R, p = servicer.tip_pose(q)
@@ -189,13 +264,6 @@ def _carried(servicer: FloatingArm, q: FloatArray, twist: FloatArray, chi: Float
     own = _spatial(chi) @ np.concatenate([R.T @ tip[:3], R.T @ tip[3:]])
     linear = R @ own[:3]
     return np.concatenate([linear, R @ own[3:] + np.cross(p, linear)])
-
-
-def _value(t: FloatArray, values: FloatArray, beside: BoolArray) -> tuple[FloatArray, float]:
-    """At time 0, of a parabola through the values of some ticks, and its variance for one of theirs."""
-    A = (t[beside, None] / max(float(np.abs(t[beside]).max()), 1e-12)) ** np.arange(3)
-    found = np.linalg.lstsq(A, values[beside], rcond=None)[0]
-    return np.asarray(found[0], np.float64), float(np.linalg.inv(A.T @ A)[0, 0])
 
 
 def _spatial(chi: FloatArray) -> FloatArray:

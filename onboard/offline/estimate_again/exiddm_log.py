@@ -15,7 +15,6 @@ import numpy as np
 
 from onboard import config
 from onboard.dynamics.errors import ModelError, SignalError
-from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
@@ -23,7 +22,7 @@ from onboard.flight.estimate.answers import change_of, instrument_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
-from onboard.identification.change import Change
+from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
@@ -35,7 +34,7 @@ from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
 from onboard.identification.exiddm.witnesses import HARDLY, Tested, tested, without_each
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
-from onboard.offline.estimate_again.before_capture import BeforeCapture, Imu, Payload, before_capture
+from onboard.offline.estimate_again.before_capture import BeforeCapture, Payload, Zeros, before_capture
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.likelihood_log import (
@@ -154,18 +153,18 @@ class _Flight:
 
     def _before(self, made: Tested) -> BeforeCapture | None:
         """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
-        segments, vehicle = made.flight.segments, self._online.exiddm.predictor.vehicle
+        segments = made.flight.segments
         taken = [(a, b) for a, b in pairwise(segments) if b.held and not a.held]
         if not taken or 0 not in made.flight.devices:
             return None
-        begin_s, end_s = taken[0][0].ticks.time_s[-1] - _ABOUT_s, taken[0][1].ticks.time_s[0] + _ABOUT_s
-        first, last = np.searchsorted(self._ticks.time_s, [begin_s, end_s]).tolist()
-        about = self._ticks.part(slice(first, last))
-        frame, found = self._online.exiddm.predictor.imu_frames[0], made.found
-        servicer = FloatingArm(vehicle, str(vehicle.spec.payload_link), made.flight.empty(found.fit.x))
-        imu = Imu(*vehicle.pose_in_base(frame), *made.flight.zeros(found.fit, begin_s))
+        touched_s = float(taken[0][0].ticks.time_s[-1]), float(taken[0][1].ticks.time_s[0]) - CONTACT_s
+        ends = touched_s[0] - _ABOUT_s, touched_s[1] + _ABOUT_s
+        about = self._ticks.part(slice(*np.searchsorted(self._ticks.time_s, ends).tolist()))
+        found, predictor = made.found, self._online.exiddm.predictor
+        state, zeros = made.flight.free(found.fit.x), Zeros(*made.flight.zeros(found.fit, touched_s[0]))
         try:
-            return before_capture(servicer, about, imu, self._period_s, Payload(found.chi, found.chi_covariance))
+            payload = Payload(found.chi, found.chi_covariance)
+            return before_capture(predictor, state, about, zeros, payload, touched_s)
         except SignalError:
             return None
 

@@ -18,7 +18,7 @@ from onboard.dynamics.payload import BodyEstimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.rls import Observability
-from onboard.identification.change import Change
+from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import contradicted
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
 from onboard.identification.exiddm.ticks import Ticks
@@ -219,7 +219,8 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
         end_s = np.inf if change is None else change.since_s
         which[(ticks.time_s > begin_s) & (ticks.time_s < end_s)] = number
         if change is not None:
-            begin_s = change.time_s
+            noticed = change.since_s < change.time_s  # and not announced
+            begin_s = change.time_s + (CONTACT_s if noticed else 0.0)
             if change.kind == "capture_contradicted":
                 which[which == number] = unknown
             told = {"capture": count, "ejection": 0, "instrument": unknown}
