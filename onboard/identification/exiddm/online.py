@@ -87,7 +87,6 @@ class ExiddmIdentifier:
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._attached: bool | None = None
         self._told = 0
-        self._found: tuple[FloatArray, FloatArray] | None = None  # see :meth:`_now`
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Takes new ticks; a change of ``attached`` announces a capture or a release of the payload.
@@ -132,7 +131,6 @@ class ExiddmIdentifier:
 
     def _count(self, glitches: int) -> None:
         """Count rows, and outliers since there were so many."""
-        self._found = None
         self.rows_used = 6 * self.exiddm.ticks_used
         self.refused[GateReason.RESIDUAL] += 6 * (self.exiddm.glitches - glitches)
 
@@ -146,7 +144,7 @@ class ExiddmIdentifier:
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
         if exiddm.holds and exiddm.state is not None and exiddm.confirmed:
-            mean, P = self._now(exiddm.state)
+            mean, P = self._payload(exiddm.state)
             sigma = np.sqrt(np.diag(P))
             try:
                 possible = possible_body(mean, P)
@@ -184,7 +182,7 @@ class ExiddmIdentifier:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
         if self.exiddm.holds and self.exiddm.state is not None and self.exiddm.confirmed:
-            mean, P = self._now(self.exiddm.state)
+            mean, P = self._payload(self.exiddm.state)
             R = cholesky(np.linalg.inv(P))
             out[:10, :10], out[:10, 10] = R, R @ mean
         return out
@@ -262,12 +260,6 @@ class ExiddmIdentifier:
         if line is None:
             return f"{_CONTRADICTED}: check the IMU and the joints"
         return f"{_CONTRADICTED}, and the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
-
-    def _now(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """:meth:`_payload`, made once after each update: an answer and its triangle want the same."""
-        if self._found is None:
-            self._found = self._payload(state)
-        return self._found
 
     def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard parameters, (10,), and their covariance, (10, 10).

@@ -164,10 +164,8 @@ class RecursiveExiddm(BoundedWork):
         self._stepped: Stepped | None = None  # ticks of the window and of the steps since
         self._earlier: Before | None = None  # motion before the change, while it is not known what was held
         self._accused: Accusation | None = None  # the window is solved without it
-        self._detector.forget()
-        self.misfit.forget()
-        self.lines.forget()
-        self.fusion.forget()
+        for forget in (self._detector.forget, self.misfit.forget, self.lines.forget, self.fusion.forget):
+            forget()
         self._snapshots.clear()
 
     def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int | None) -> None:

@@ -192,19 +192,13 @@ class WholeFlight:
             row[at] = self._lines(np.array([time_s]))[0]
         return L @ fit.x, L @ fit.covariance @ L.T
 
-    def free(self, x: FloatArray) -> FloatArray:
-        """The predictor's state with nothing held, (predictor's p,); without rate and what ``zeros`` tells."""
-        state = self._state(x, 0)
-        state[RATE], state[PAYLOAD] = 0.0, 0.0
-        return state
-
     def start(self, constants: FloatArray) -> FloatArray:
         """Initial parameters, (p,): constants of the predictor's state, rates by the first readings of each segment."""
         x = np.zeros(len(self.names))
         x[: self.constants] = constants
         for k, one in enumerate(self.segments):
             at = self.constants + 3 * k
-            x[at : at + 3] = first_rate(self._predictor, one.ticks, self._state(x, k), self._imu)
+            x[at : at + 3] = first_rate(self._predictor, one.ticks, self.state(x, k), self._imu)
         return x
 
     def widen(self, parameters: IndexArray, factor: float) -> None:
@@ -318,7 +312,7 @@ class WholeFlight:
         """Add the effect of the joints' noise, with the payload of x, to the IMU's; whether it is about as before."""
         before, self._sigma = self._sigma, []
         for k, one in enumerate(self.segments):
-            noise = self._predictor.joint_noise(one.ticks.q, one.ticks.joint_sigma, self._state(x, k))
+            noise = self._predictor.joint_noise(one.ticks.q, one.ticks.joint_sigma, self.state(x, k))
             self._sigma.append(np.hypot(one.ticks.sigma, noise))
         return all((np.abs(new - old) <= _SAME * old).all() for new, old in zip(self._sigma, before, strict=True))
 
@@ -335,7 +329,7 @@ class WholeFlight:
                     use[one, device] = False
         return out
 
-    def _state(self, x: FloatArray, segment: int) -> FloatArray:
+    def state(self, x: FloatArray, segment: int) -> FloatArray:
         """The predictor's state at the start of a segment, without the biases' lines; (predictor's p,)."""
         at = self.constants + 3 * segment
         state = np.concatenate([x[at : at + 3], x[: self.constants]])
@@ -349,7 +343,7 @@ class WholeFlight:
         """Block by block along a segment."""
         ticks, p = self.segments[segment].ticks, len(self._predictor.names)
         last = min(len(ticks.time_s), max(_SHORTEST_TICKS, round(min(length_s, 1e6) / self._predictor.period_s)))
-        state, d_rate, first = self._state(x, segment), np.eye(3, p), 0
+        state, d_rate, first = self.state(x, segment), np.eye(3, p), 0
         while last - first >= _FEWEST_TICKS:
             end = last if last - first < 2 * _BLOCK_TICKS else first + _BLOCK_TICKS + 2
             some = ticks.part(slice(first, end))

@@ -126,7 +126,7 @@ class _Path(NamedTuple):
 
 
 def _away(short: _Told, long: _Told) -> float:
-    """Chi-squared, 6 expected at most, of what two times tell: the readings of the shorter are a part of the longer's."""
+    """Chi-squared of what two times tell, at most 6 expected: the readings of the shorter are part of the longer's."""
     away = short.motion - long.motion
     return float(away @ np.linalg.solve(long.noise, away))
 

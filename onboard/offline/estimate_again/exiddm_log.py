@@ -154,14 +154,15 @@ class _Flight:
     def _before(self, made: Tested) -> BeforeCapture | None:
         """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
         segments = made.flight.segments
-        taken = [(a, b) for a, b in pairwise(segments) if b.held and not a.held]
+        taken = [(k, a, b) for k, (a, b) in enumerate(pairwise(segments)) if b.held and not a.held]
         if not taken or 0 not in made.flight.devices:
             return None
-        touched_s = float(taken[0][0].ticks.time_s[-1]), float(taken[0][1].ticks.time_s[0]) - CONTACT_s
+        number, free, held = taken[0]
+        touched_s = float(free.ticks.time_s[-1]), float(held.ticks.time_s[0]) - CONTACT_s
         ends = touched_s[0] - _ABOUT_s, touched_s[1] + _ABOUT_s
         about = self._ticks.part(slice(*np.searchsorted(self._ticks.time_s, ends).tolist()))
         found, predictor = made.found, self._online.exiddm.predictor
-        state, zeros = made.flight.free(found.fit.x), Zeros(*made.flight.zeros(found.fit, touched_s[0]))
+        state, zeros = made.flight.state(found.fit.x, number), Zeros(*made.flight.zeros(found.fit, touched_s[0]))
         try:
             payload = Payload(found.chi, found.chi_covariance)
             return before_capture(predictor, state, about, zeros, payload, touched_s)

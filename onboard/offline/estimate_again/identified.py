@@ -122,7 +122,7 @@ class Identified:
 
 
 def _before(one: BeforeCapture) -> dict[str, Any]:
-    """Against the gripper, of the payload's centre of mass, in the gripper's axes."""
+    """Velocity of its centre of mass against the gripper, and its rate in space; the gripper's axes."""
     sigma = one.sigma.tolist()
     return {
         "velocity_m_s": one.velocity_m_s.tolist(),

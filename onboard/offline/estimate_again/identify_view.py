@@ -104,8 +104,8 @@ def _notes(log: Identified) -> Iterator[tuple[str, str]]:
         yield "observable", f"{seen.determined} of {seen.of} directions{condition}"
     if log.before is not None:
         half = 1.96 * log.before.sigma
-        yield "before capture", f"turned at {_within(log.before.rate_rad_s, half[3:])} rad/s against the gripper"
-        yield "", f"and moved at {_within(1e3 * log.before.velocity_m_s, 1e3 * half[:3])} mm/s, its centre of mass"
+        yield "before capture", f"turned at {_within(log.before.rate_rad_s, half[3:])} rad/s in space, and"
+        yield "", f"came at {_within(1e3 * log.before.velocity_m_s, 1e3 * half[:3])} mm/s to the gripper, in its axes"
     for one in log.links:
         if one.body is not None:
             said = f"{one.body.mass_kg:.4g} kg, centre of mass {_numbers(1e3 * one.body.centre_of_mass_m)} mm"

@@ -17,7 +17,7 @@ WIDE = np.array([50.0, *[20.0] * 3, *[10.0] * 6])
 BIASED = ImuErrors(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
 BIASES = CERTAIN._replace(gyro_bias_rad_s=0.01, accelerometer_bias_m_s2=0.1)
 PRIOR = ImuPrior(0.01, 1e-4, 0.003, 0.0035, 0.1, 1e-3, 0.003, 0.0035, 1e-4)
-CAPTURE_s, RELEASE_s, END_s = 3.0, 7.5, 10.0
+CAPTURE_s, RELEASE_s, END_s = 3.0, 8.0, 10.5
 
 
 def ticks_of(signals):

@@ -161,7 +161,7 @@ LINKS = "base", *(f"link_{k}" for k in range(1, 6))  # as drawn within their sig
 def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
     flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
     capture = free_flyer.Capture(BOX, 4.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
-    signals = recorded(free_flyer.fly_with_capture(flight, capture, 13.5), rng)
+    signals = recorded(free_flyer.fly_with_capture(flight, capture, 15.0), rng)
     ticks = ticks_of(signals)
     told, found = (online(signals, held=False, imu_prior=PRIOR, links=LINKS) for _ in range(2))
     caught = int(np.searchsorted(ticks.time_s, 4.0))
@@ -172,7 +172,7 @@ def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
     for recursive in (told, found):
         recursive.finish()
     sigmas = [np.sqrt(np.diag(recursive.estimate().covariance))[:4] for recursive in (told, found)]
-    np.testing.assert_allclose(*sigmas, rtol=0.05)
+    np.testing.assert_allclose(*sigmas, rtol=0.08)  # the time of the contact is not used where it is not told
 
 
 def test_a_payload_caught_at_rest_and_noticed_late_leaves_nothing_of_the_motion_before(monkeypatch):

@@ -195,10 +195,10 @@ def test_rows_need_rows(capsys: pytest.CaptureFixture[str]) -> None:
     ("held", "changes", "wanted"),
     [
         (True, [], (0.0, 9.99)),
-        (False, [Change("capture", 3.2, 3.0, 9.0)], (3.21, 9.99)),
+        (False, [Change("capture", 3.2, 3.0, 9.0)], (3.61, 9.99)),
         (True, [Change("ejection", 6.2, 6.0, 9.0)], (0.0, 5.99)),
         (True, [Change("contact", 6.2, 6.0, 9.0)], (0.0, 5.99)),
-        (False, [Change("capture", 1.0, 0.9, 9.0), Change("capture", 4.0, 3.9, 9.0)], (4.01, 9.99)),
+        (False, [Change("capture", 1.0, 0.9, 9.0), Change("capture", 4.0, 3.9, 9.0)], (4.41, 9.99)),
         (True, [Change("capture", 6.005, 6.005, np.nan)], (0.0, 6.0)),
         (False, [], None),
         (False, [Change("capture", 1.0, 1.0, np.nan), Change("capture_contradicted", 5.0, 5.0, np.nan)], None),
