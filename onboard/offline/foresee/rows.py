@@ -62,7 +62,7 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     signals = _signals(vehicle, identifier, plan, motion, chi)
     excluded = reasons(~plan.used(vehicle), GateReason.PHASE)
     identifier.update(signals, plan.held, excluded)
-    found = identifier.estimate()
+    found = identifier.stated_estimate()  # nothing is suspected of readings that were made up
     beta = identifier.base.value(chi)
     at = {quantity.name: float(quantity.weights @ beta) for quantity in identifier.quantities}
     at |= body_values(model, plan.payload)
