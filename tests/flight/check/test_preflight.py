@@ -84,7 +84,7 @@ WRONG = (  # in the file, what stands there in its place, whose problem that is,
 
 
 def test_a_file_that_does_not_fit_its_devices(tmp_path):
-    text = DEVICES.replace('frame = "body"\n', 'frame = "body"\naddress = 0x68\n')
+    text = DEVICES.replace('frame = "body"\n', 'frame = "body"\naddress = 0x68\n', 1)
     for right, wrong, *_ in WRONG:
         assert right in text
         text = text.replace(right, wrong, 1)
