@@ -9,6 +9,8 @@ Per instrument, at the estimate of all rows:
   that of the stated noise, and of what is left over besides the step in the very blocks that tell of it: a few blocks
   at an end, alike by chance in what vibration leaves, are no step, and vibration of a fast sweep hides no step that a
   slow one shows. A block that carries much of the step is given its leverage: one block of noise at an end is none.
+  Degrees of freedom are twice the blocks that tell of it, in effect ``(sum I_b)^2 / sum I_b^2`` by the information I_b of
+  each (Kish, Survey Sampling, 1965): a block is two kernels long. When the payload has just gone, few tell of the rest.
   Rows that read nothing, those of a wrench known to be zero, have no gain.
 - *Suspicion*: a step that few blocks tell of is no reason to refuse, but may be one. By the scatter of all blocks its
   variance is known better, and intervals contain what it does to the estimate, beyond what chance is expected to do.
@@ -185,7 +187,8 @@ def _step(parts: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step |
     scatter = float((around[tells] / (shares * unexplained * (1.0 - leverage))[tells]).mean())
     tried, told_k = int(np.count_nonzero(information)), abs(size) * information[k]
     surely = told_k / np.sqrt(max(float((around / (1.0 - leverage) ** 2).sum()), noise))
-    chance = min(1.0, 2.0 * float(stdtr(n - 2, -surely)) * tried)
+    freedom = 2.0 * float(shares.sum() ** 2 / (shares @ shares))
+    chance = min(1.0, 2.0 * float(stdtr(freedom, -surely)) * tried)
     sigmas = float(told_k / np.sqrt(max(1.0, scatter) * noise))
     expected = -float(stdtrit(n - 2, 0.5 * _SUSPECTED_CHANCE / tried))
     return Step(float(times_s[after[k]]), size, chance, sigmas, expected, a[k] * size)
