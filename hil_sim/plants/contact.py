@@ -2,8 +2,9 @@
 
 The payload is a free body meanwhile. The spring pulls its centre of mass to where the link is to hold it, and turns it
 into the link's axes; the force acts at the payload's centre of mass on both bodies, so that momentum and angular
-momentum are those of both. The grip closes about the payload where it then stands. Stiffness is that with which the
-payload alone would swing at the stated frequency about each axis; against a vehicle that gives way it swings faster.
+momentum are those of both. The grip closes about the payload where it then stands. With W and P the inverse inertias of
+vehicle and payload there, (6, 6), the wrench of a relative motion x is ``-(W + P)^-1 (w^2 x + 2 z w dx/dt)``: then all
+relative motion has the angular frequency w and the damping ratio z, also at the end of a long arm, which gives way.
 """
 
 import math
@@ -37,24 +38,31 @@ class Contact:
         self.payload = moves.payload
         self._w, self._ratio, self._gravity = 2.0 * math.pi * frequency_Hz, damping_ratio, gravity_m_s2
         self.state: FloatArray = np.zeros(SIZE)
+        self._reduced = np.zeros((6, 6))
 
     @staticmethod
     def lasts_s(frequency_Hz: float, damping_ratio: float) -> float:
         """From the first touch until the grip is closed."""
         return _SETTLED / (damping_ratio * 2.0 * math.pi * frequency_Hz)
 
-    def start(self, R: FloatArray, rate_rad_s: FloatArray, came: Moving) -> None:
+    def start(self, R: FloatArray, rate_rad_s: FloatArray, came: Moving, mobility: FloatArray) -> None:
         """Stand where the link holds it.
 
         Args:
             R: of the link, (3, 3) to world axes.
             rate_rad_s: of the payload, world axes.
             came: its place and momentum.
+            mobility: of the vehicle there, (6, 6): acceleration, linear and angular, by force and torque; world axes.
         """
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, R.ravel())
         velocity = came.linear_kg_m_s / self.payload.mass_kg
         self.state = np.concatenate([came.at_m, quaternion, velocity, rate_rad_s])
+        given = np.zeros((6, 6))
+        given[:3, :3] = np.eye(3) / self.payload.mass_kg
+        given[3:, 3:] = np.linalg.inv(self.payload.inertia_kg_m2)
+        axes = np.kron(np.eye(2), R)
+        self._reduced = np.linalg.inv(axes.T @ mobility @ axes + given)  # inertia of the relative motion, link's axes
 
     def wrench(
         self, state: FloatArray, link: tuple[FloatArray, FloatArray], twist: tuple[FloatArray, FloatArray]
@@ -71,10 +79,10 @@ class Contact:
         R_p = matrix_of(attitude)
         stretch = at - origin - R @ self.payload.centre_of_mass_m
         slip = v - velocity - np.cross(rate, at - origin)
-        force = -self.payload.mass_kg * (self._w**2 * stretch + 2.0 * self._ratio * self._w * slip)
-        twisted = R @ _rotation_vector(R.T @ R_p)
-        turn = self._w**2 * twisted + 2.0 * self._ratio * self._w * (w - rate)
-        return force, -R_p @ self.payload.inertia_kg_m2 @ R_p.T @ turn
+        away = np.concatenate([R.T @ stretch, _rotation_vector(R.T @ R_p)])
+        moving = np.concatenate([R.T @ slip, R.T @ (w - rate)])
+        wrench = -self._reduced @ (self._w**2 * away + 2.0 * self._ratio * self._w * moving)
+        return R @ wrench[:3], R @ wrench[3:]
 
     def rates(self, state: FloatArray, force_n: FloatArray, torque_n_m: FloatArray) -> FloatArray:
         """Derivative of the state, (13,)."""

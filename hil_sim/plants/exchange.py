@@ -68,9 +68,13 @@ class Momenta:
 
     def generalised(self, body: int, at_m: FloatArray, linear: FloatArray, angular: FloatArray) -> FloatArray:
         """Generalised force of a force at a place of a link and of a torque, or momentum of momenta, (v,)."""
-        J = np.zeros((2, 3, self._model.nv))
-        mujoco.mj_jac(self._model, self._data, J[0], J[1], at_m, body)
-        return np.asarray(linear @ J[0] + angular @ J[1])
+        return np.asarray(np.concatenate([linear, angular]) @ self.jacobian(body, at_m))
+
+    def jacobian(self, body: int, at_m: FloatArray) -> FloatArray:
+        """Velocity of a place of a link and its rate by generalised velocities, (6, v); world axes."""
+        J = np.zeros((6, self._model.nv))
+        mujoco.mj_jac(self._model, self._data, J[:3], J[3:], at_m, body)
+        return J
 
     def of_imus(self) -> FloatArray:
         """Velocities of the IMUs, their axes, (imus, 3)."""

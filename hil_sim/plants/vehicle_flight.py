@@ -158,13 +158,15 @@ class VehicleFlight:
 
         Args:
             comes: what is caught.
-            frequency_Hz: of the payload on the spring.
+            frequency_Hz: of the payload's motion against the gripper.
             damping_ratio: of that.
         """
         self.show()
         came, (R, _), (rate, _) = self.momenta.outside(self._holder, comes), self._grip(), self._grip_twist()
         self.contact = Contact(comes, frequency_Hz, damping_ratio, np.array(self.model.opt.gravity))
-        self.contact.start(R, rate + R @ comes.rate_rad_s, came)
+        J = self.momenta.jacobian(self._holder, came.at_m)[:, : self._nb]
+        mobility = J @ np.linalg.solve(self._base_inertia()[:, : self._nb], J.T)
+        self.contact.start(R, rate + R @ comes.rate_rad_s, came, mobility)
 
     def close(self) -> Jolt:
         """Weld the payload that the spring holds to its link, between two rows."""

@@ -80,8 +80,8 @@ class CaptureWindow(Table):
 
     ``phase``: at the start of the first step with this phase, and not in the window.
 
-    ``contact_Hz``: the grip holds the payload by a spring first, on which the payload alone would swing at a frequency
-    drawn between these; it closes when that has settled. Without it the grip closes at once.
+    ``contact_Hz``: the grip holds the payload by a spring first, on which it swings against the gripper at a frequency
+    drawn between these; the grip closes when that has settled. Without it the grip closes at once.
     """
 
     earliest_s: NonNegative = 0.0

@@ -9,8 +9,8 @@ Per instrument, at the estimate of all rows:
   that of the stated noise, and of what is left over besides the step in the very blocks that tell of it: a few blocks
   at an end, alike by chance in what vibration leaves, are no step, and vibration of a fast sweep hides no step that a
   slow one shows. A block that carries much of the step is given its leverage: one block of noise at an end is none.
-  Degrees of freedom are twice the blocks that tell of it, in effect ``(sum I_b)^2 / sum I_b^2`` by the information I_b of
-  each (Kish, Survey Sampling, 1965): a block is two kernels long. When the payload has just gone, few tell of the rest.
+  Degrees of freedom are twice the blocks that tell of it, in effect ``(sum I_b)^2 / sum I_b^2`` by the information I_b
+  of each (Kish, Survey Sampling, 1965): a block is two kernels long. After a release few tell of the rows without it.
   Rows that read nothing, those of a wrench known to be zero, have no gain.
 - *Suspicion*: a step that few blocks tell of is no reason to refuse, but may be one. By the scatter of all blocks its
   variance is known better, and intervals contain what it does to the estimate, beyond what chance is expected to do.
