@@ -38,7 +38,7 @@ class Contact:
         self.payload = moves.payload
         self._w, self._ratio, self._gravity = 2.0 * math.pi * frequency_Hz, damping_ratio, gravity_m_s2
         self.state: FloatArray = np.zeros(SIZE)
-        self._reduced = np.zeros((6, 6))
+        self._reduced: FloatArray = np.zeros((6, 6))
 
     @staticmethod
     def lasts_s(frequency_Hz: float, damping_ratio: float) -> float:
@@ -62,7 +62,8 @@ class Contact:
         given[:3, :3] = np.eye(3) / self.payload.mass_kg
         given[3:, 3:] = np.linalg.inv(self.payload.inertia_kg_m2)
         axes = np.kron(np.eye(2), R)
-        self._reduced = np.linalg.inv(axes.T @ mobility @ axes + given)  # inertia of the relative motion, link's axes
+        reduced = np.linalg.inv(axes.T @ mobility @ axes + given)  # inertia of the relative motion, link's axes
+        self._reduced = np.asarray(reduced, np.float64)
 
     def wrench(
         self, state: FloatArray, link: tuple[FloatArray, FloatArray], twist: tuple[FloatArray, FloatArray]
