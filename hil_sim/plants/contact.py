@@ -18,52 +18,52 @@ from hil_sim.plants.exchange import Moving, Released
 from hil_sim.plants.urdf_model import matrix_of
 
 _SETTLED = 6.0  # time constants of the spring after which the grip is closed: 0.25 % of the motion is left
-SIZE = 13  # of the state
 
 
 class Contact:
     """A payload between its first touch and the closed grip.
 
     Args:
-        moves: the payload, and its motion against the link at the first touch.
-        frequency_Hz: of the payload on the spring.
+        payload: what is caught.
+        frequency_Hz: of its motion against the link.
         damping_ratio: of that.
         gravity_m_s2: (3,) world axes.
+        R: of the link at the first touch, (3, 3) to world axes.
+        rate_rad_s: of the payload then, world axes.
+        came: its place and momentum.
+        mobility: of the vehicle there, (6, 6): acceleration, linear and angular, by force and torque; world axes.
 
     Attributes:
         state: place of the centre of mass, attitude as a quaternion, velocity, rate; (13,), world axes.
     """
 
-    def __init__(self, moves: Released, frequency_Hz: float, damping_ratio: float, gravity_m_s2: FloatArray) -> None:
-        self.payload = moves.payload
+    def __init__(
+        self,
+        payload: Body,
+        frequency_Hz: float,
+        damping_ratio: float,
+        gravity_m_s2: FloatArray,
+        R: FloatArray,
+        rate_rad_s: FloatArray,
+        came: Moving,
+        mobility: FloatArray,
+    ) -> None:
+        self.payload = payload
         self._w, self._ratio, self._gravity = 2.0 * math.pi * frequency_Hz, damping_ratio, gravity_m_s2
-        self.state: FloatArray = np.zeros(SIZE)
-        self._reduced: FloatArray = np.zeros((6, 6))
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, R.ravel())
+        velocity = came.linear_kg_m_s / payload.mass_kg
+        self.state: FloatArray = np.concatenate([came.at_m, quaternion, velocity, rate_rad_s])
+        own = np.zeros((6, 6))
+        own[:3, :3], own[3:, 3:] = np.eye(3) / payload.mass_kg, np.linalg.inv(payload.inertia_kg_m2)
+        axes = np.kron(np.eye(2), R)
+        reduced = np.linalg.inv(axes.T @ mobility @ axes + own)  # inertia of the relative motion, link's axes
+        self._reduced = np.asarray(reduced, np.float64)
 
     @staticmethod
     def lasts_s(frequency_Hz: float, damping_ratio: float) -> float:
         """From the first touch until the grip is closed."""
         return _SETTLED / (damping_ratio * 2.0 * math.pi * frequency_Hz)
-
-    def start(self, R: FloatArray, rate_rad_s: FloatArray, came: Moving, mobility: FloatArray) -> None:
-        """Stand where the link holds it.
-
-        Args:
-            R: of the link, (3, 3) to world axes.
-            rate_rad_s: of the payload, world axes.
-            came: its place and momentum.
-            mobility: of the vehicle there, (6, 6): acceleration, linear and angular, by force and torque; world axes.
-        """
-        quaternion = np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, R.ravel())
-        velocity = came.linear_kg_m_s / self.payload.mass_kg
-        self.state = np.concatenate([came.at_m, quaternion, velocity, rate_rad_s])
-        given = np.zeros((6, 6))
-        given[:3, :3] = np.eye(3) / self.payload.mass_kg
-        given[3:, 3:] = np.linalg.inv(self.payload.inertia_kg_m2)
-        axes = np.kron(np.eye(2), R)
-        reduced = np.linalg.inv(axes.T @ mobility @ axes + given)  # inertia of the relative motion, link's axes
-        self._reduced = np.asarray(reduced, np.float64)
 
     def wrench(
         self, state: FloatArray, link: tuple[FloatArray, FloatArray], twist: tuple[FloatArray, FloatArray]

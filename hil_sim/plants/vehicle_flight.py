@@ -138,13 +138,14 @@ class VehicleFlight:
         """
         moves = comes if comes is not None else goes
         assert moves is not None
+        assert self._link is not None
         self.show()
         body, found = self._holder, self.momenta
         self.caught = None if comes is None else comes.payload
         seen, parts, own = found.of_imus(), found.beyond_cells(), found.outside(body, moves)
         moving, sign = found.generalised(body, *own), 1.0 if comes is not None else -1.0
         momentum = found.whole() + sign * moving
-        self.vehicle.hold(self._link or "", None if comes is None else comes.payload)
+        self.vehicle.hold(self._link, None if comes is None else comes.payload)
         self._refresh()
         dq = self.data.qvel[self._nb :].copy()
         if self._free:
@@ -163,10 +164,10 @@ class VehicleFlight:
         """
         self.show()
         came, (R, _), (rate, _) = self.momenta.outside(self._holder, comes), self._grip(), self._grip_twist()
-        self.contact = Contact(comes, frequency_Hz, damping_ratio, np.array(self.model.opt.gravity))
         J = self.momenta.jacobian(self._holder, came.at_m)[:, : self._nb]
         mobility = J @ np.linalg.solve(self._base_inertia()[:, : self._nb], J.T)
-        self.contact.start(R, rate + R @ comes.rate_rad_s, came, mobility)
+        spring = comes.payload, frequency_Hz, damping_ratio, np.array(self.model.opt.gravity)
+        self.contact = Contact(*spring, R, rate + R @ comes.rate_rad_s, came, mobility)
 
     def close(self) -> Jolt:
         """Weld the payload that the spring holds to its link, between two rows."""

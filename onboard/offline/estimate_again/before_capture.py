@@ -34,6 +34,7 @@ _HOLE: Final = 0.5  # of a tick: later or earlier ones have others missing
 _OTHER: Final = 1e-2  # chance below which two times tell different motions
 _RELATIVE: Final = 0.01  # of a push: scale and misalignment of the IMU, delays
 _STEP: Final = 1e-3  # of a derivative, in sigmas
+_ACTUAL, _FREE = 0, 1  # paths of the base: by the readings, and as it would be without a capture
 
 
 class Zeros(NamedTuple):
@@ -182,14 +183,14 @@ class _About:
         off, dv, dq, chi = np.split(z, [3, 6, z.size - 10])
         brought = np.zeros(6)
         for at in range(ticks.start, ticks.stop):
-            brought += self._momentum(0, at, off, dv, self._ticks.dq[at] + dq, chi) / _BESIDE
-            brought -= self._momentum(1, at, np.zeros(3), np.zeros(3), self._ticks.dq[at], None) / _BESIDE
+            brought += self._momentum(_ACTUAL, at, off, dv, self._ticks.dq[at] + dq, chi) / _BESIDE
+            brought -= self._momentum(_FREE, at, np.zeros(3), np.zeros(3), self._ticks.dq[at], None) / _BESIDE
         return brought
 
     def _of(self, brought: FloatArray, chi: FloatArray, at: int) -> FloatArray:
         """Motion, (6,), of a payload with a momentum, if it was touched at a tick."""
         linear, c = brought[:3], chi[1:4] / chi[0]
-        R, origin = self._base(1, at)
+        R, origin = self._base(_FREE, at)
         R_BT, p_BT = self._servicer.tip_pose(self._ticks.q[at])
         R_T, centre = R @ R_BT, origin + R @ (p_BT + R_BT @ c)
         inertia = _spatial(chi)[3:, 3:] + chi[0] * hat(c) @ hat(c)
@@ -221,8 +222,8 @@ class _About:
 
     def _gripper(self, at: int, c: FloatArray) -> FloatArray:
         """Velocity of a place of the gripper at a tick, nothing held, (3,)."""
-        q, R = self._ticks.q[at], self._paths[1].R[at]
-        twist = self._twist(1, at, np.zeros(3), np.zeros(3), self._ticks.dq[at])
+        q, R = self._ticks.q[at], self._paths[_FREE].R[at]
+        twist = self._twist(_FREE, at, np.zeros(3), np.zeros(3), self._ticks.dq[at])
         tip, (R_BT, _) = self._servicer.tip_jacobian(q) @ twist, self._servicer.tip_pose(q)
         return np.asarray(R @ (tip[:3] + np.cross(tip[3:], R_BT @ c)), np.float64)
 
