@@ -1,10 +1,11 @@
 """``heft identify --method exiddm``: a free-flyer's log by maximum likelihood, the whole flight in one fit.
 
-The flight is divided at the changes of the payload, into segments with nothing held and with the payload that was held
-the longest, and fitted by :mod:`onboard.identification.exiddm.whole_flight`, with all instruments that the flight fused
-but one that was left out on board or contradicts the others (:mod:`onboard.identification.exiddm.witnesses`). Changes
-and starting values are those of the onboard answer in the log. A log without one, or whose fit fails a test from there,
-is run through the recursive estimator first, and the fit starts from its state.
+The flight is divided at the changes of the payload, into segments with nothing held and with the payload that was
+held the longest, and fitted by :mod:`onboard.identification.whole_flight.fit`, with all instruments that the flight
+fused but one that was left out on board or contradicts the others
+(:mod:`onboard.identification.whole_flight.witnesses`). Changes and starting values are those of the onboard answer in
+the log. A log without one, or whose fit fails a test from there, is run through the recursive estimator first, and
+the fit starts from its state.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -27,13 +28,13 @@ from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.parts import halves
-from onboard.identification.exiddm.stated import freely, leans_on
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
-from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
-from onboard.identification.exiddm.witnesses import HARDLY, Tested, tested, without_each
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
+from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.parts import halves
+from onboard.identification.whole_flight.stated import freely, leans_on
+from onboard.identification.whole_flight.witnesses import HARDLY, Tested, tested, without_each
 from onboard.offline.estimate_again.before_capture import BeforeCapture, Payload, Zeros, before_capture
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified

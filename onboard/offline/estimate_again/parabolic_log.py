@@ -1,8 +1,8 @@
 """``heft identify`` of parabolic flights: each run between release and catch by itself, and all of them together.
 
 The log is cut by :mod:`onboard.offline.estimate_again.parabolas`. Every run is fitted and tested as a flight of its
-own, and refused where a test fails. The answer pools the others (:mod:`onboard.identification.exiddm.pooled`), also
-those that determine too little by themselves; a run whose payload differs from that of all is named and left out.
+own, and refused where a test fails. The answer pools the others (:mod:`onboard.identification.whole_flight.pooled`),
+also those that determine too little by themselves; a run whose payload differs from that of all is named and left out.
 """
 
 from collections.abc import Sequence
@@ -18,12 +18,12 @@ from onboard.estimation.errors import EstimationError
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.pooled import Pool, Pooled
 from onboard.identification.exiddm.ticks import Ticks
-from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
-from onboard.identification.exiddm.witnesses import Tested, tested
 from onboard.identification.quantities import BODY, Findings
 from onboard.identification.verdict import WORST_MISFIT, Level
+from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.pooled import Pool, Pooled
+from onboard.identification.whole_flight.witnesses import Tested, tested
 from onboard.offline.estimate_again.exiddm_log import TickRecorder, fitted_of
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Answer, Identified, RunAnswer

@@ -17,11 +17,11 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
-from onboard.identification.exiddm.chance import Chance, squares_of
-from onboard.identification.exiddm.flight_blocks import Block, total_of
-from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.prediction import HeldOutFit
+from onboard.identification.whole_flight.blocks import Block, total_of
+from onboard.identification.whole_flight.chance import Chance, squares_of
+from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 
 _PAYLOAD = slice(0, 10)
 _DETERMINED = 1e-6  # share of a part's information about the payload that is its own, in a direction that counts

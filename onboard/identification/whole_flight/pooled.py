@@ -1,7 +1,7 @@
 """One payload from several flights: maximum likelihood with what is common to them, and what is each one's own.
 
 Common are the payload, the links, the joints and the constants of the instruments; the rate at the start and the biases
-are each flight's own. The likelihood is that of :mod:`onboard.identification.exiddm.whole_flight` of every flight, so
+are each flight's own. The likelihood is that of :mod:`onboard.identification.whole_flight.fit` of every flight, so
 that an error common to them all is told once and not averaged away. In every Gauss-Newton step a flight's own unknowns
 are eliminated from its normal equations: with o its own, c the common ones and prior information L about zero,
 
@@ -21,11 +21,11 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
-from onboard.identification.exiddm.chance import Chance, squares_of
-from onboard.identification.exiddm.flight_blocks import Block, misfit_by_instrument, total_of
-from onboard.identification.exiddm.whole_flight import WholeFlight
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.prediction import HeldOutFit
+from onboard.identification.whole_flight.blocks import Block, misfit_by_instrument, total_of
+from onboard.identification.whole_flight.chance import Chance, squares_of
+from onboard.identification.whole_flight.fit import WholeFlight
 
 _PAYLOAD = slice(0, 10)
 _STEPS = 12

@@ -7,7 +7,7 @@ whatever the error is, and a sum over all corrections hides it. A scale of DYMAF
 its axes moves the mass by half of it, and c by a fortieth: 5 % are corrected by less than one sigma, and found by four
 to six. The flight is then fitted again with that kind hardly bound, as widens the interval of the mass by a quarter.
 Kinds of further instruments are many, and one of them that is wrong can be left out
-(:mod:`onboard.identification.exiddm.witnesses`), so theirs have to be less likely.
+(:mod:`onboard.identification.whole_flight.witnesses`), so theirs have to be less likely.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ import numpy as np
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.chance import Chance, squares_of
 from onboard.identification.exiddm.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
+from onboard.identification.whole_flight.chance import Chance, squares_of
+from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 
 KINDS = (
     "gyro_scale",

@@ -15,11 +15,11 @@ from onboard.dynamics.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.identification.corrections import contradicted, told, too_large
-from onboard.identification.exiddm.parts import differences
-from onboard.identification.exiddm.stated import Kind, kinds_of
-from onboard.identification.exiddm.whole_flight import FlightFit, WholeFlight
 from onboard.identification.quantities import Findings
 from onboard.identification.verdict import WORST_MISFIT
+from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
+from onboard.identification.whole_flight.parts import differences
+from onboard.identification.whole_flight.stated import Kind, kinds_of
 
 SUSPECT = 1.3  # misfit of an instrument beyond which it is doubted
 _DOUBTED, _REFUSED = 1e-4, 1e-6  # chance of a difference between parts of the flight

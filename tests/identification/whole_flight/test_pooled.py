@@ -5,12 +5,12 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.dynamics.payload import standard_of
-from onboard.identification.exiddm.pooled import Pool
-from onboard.identification.exiddm.whole_flight import Segment, WholeFlight
+from onboard.identification.whole_flight.fit import Segment, WholeFlight
+from onboard.identification.whole_flight.pooled import Pool
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
-from tests.identification.exiddm.test_whole_flight import predictor, started
+from tests.identification.whole_flight.test_fit import predictor, started
 
 __all__ = ["predictor"]
 

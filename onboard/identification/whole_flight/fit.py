@@ -12,8 +12,8 @@ marks) is a constant and, in stretches of its correlation time T, a deviation of
 effect d of a delay, so that rows are whitened by ``(1 + s^2 d d')^(-1/2)``.
 
 Normal equations are kept for each block of ticks and each instrument, of the parameters that it depends on, so that
-agreement of parts of the flight (:mod:`onboard.identification.exiddm.parts`) costs no further prediction, and memory
-hardly grows with the flight.
+agreement of parts of the flight (:mod:`onboard.identification.whole_flight.parts`) costs no further prediction, and
+memory hardly grows with the flight.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -26,9 +26,9 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
-from onboard.identification.exiddm.flight_blocks import Block, apart, misfit_by_instrument, total_of
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor, first_rate
 from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.whole_flight.blocks import Block, apart, misfit_by_instrument, total_of
 
 INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 KINK_s = 5.0

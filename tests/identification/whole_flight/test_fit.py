@@ -11,14 +11,14 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import FARTHEST
-from onboard.identification.exiddm import witnesses
-from onboard.identification.exiddm.flight_blocks import apart, total_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
-from onboard.identification.exiddm.parts import differences, halves
-from onboard.identification.exiddm.stated import KINDS, UNLIKELY, freely, kinds_of, leans_on
-from onboard.identification.exiddm.whole_flight import INSTRUMENTS, Segment, WholeFlight
+from onboard.identification.whole_flight import witnesses
+from onboard.identification.whole_flight.blocks import apart, total_of
+from onboard.identification.whole_flight.fit import INSTRUMENTS, Segment, WholeFlight
+from onboard.identification.whole_flight.parts import differences, halves
+from onboard.identification.whole_flight.stated import KINDS, UNLIKELY, freely, kinds_of, leans_on
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of

@@ -1,4 +1,4 @@
-"""Normal equations of parts of a flight, by instrument (:mod:`onboard.identification.exiddm.whole_flight`)."""
+"""Normal equations of parts of a flight, by instrument (:mod:`onboard.identification.whole_flight.fit`)."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
