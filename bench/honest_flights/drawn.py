@@ -1,7 +1,7 @@
 """What flies under a seed: vehicle, faults of the vocabulary and model errors, alone and in pairs.
 
-A *fault* is a line of ``hil_sim.faults.vocabulary``; of the recorded runs (``workshop``, ``planar``), which have no
-twins, the same on columns of the recording. A *model error* is a vehicle or sensor that is not as its files say, beyond
+A *fault* is a line of ``hil_sim.faults.vocabulary``; of the recorded run (``planar``), which has no twins, the same on
+columns of the recording. A *model error* is a vehicle or sensor that is not as its files say, beyond
 what every seed draws (masses, centres, lengths, zeros, misalignment, bias).
 """
 
@@ -42,6 +42,16 @@ CAPTURE_MISSION = {
     "capture": {"earliest_s": 7.0, "latest_s": 9.0},
 }
 """Of the free-flyer: 30 s."""
+WORKSHOP_MISSION = {
+    "sequence": [
+        _hold(1.0),
+        _SWING | {"phase": 1, "duration_s": 5.0, "swing": 0.5},
+        _SWING | {"phase": 2, "duration_s": 11.0, "swing": 0.5},
+        _hold(0.5, 9),
+    ],
+    "payload": {"mass_kg": [0.2, 2.5]},
+}
+"""Of the arm on the bench: 17.5 s."""
 
 _MISSING = [("off", 0.0), ("reset", 0.0), ("silent", 0.0), ("intermittent", 0.1)]
 _FALSE = [("stuck", 0.0), ("wrong", np.nan), ("delayed", 0.1)]  # NaN: a scale is drawn
@@ -78,8 +88,9 @@ FAULTS: dict[str, dict[str, list[tuple[str, float]]]] = {
         "can_0": [("frame_drop", 0.0), ("intermittent", 0.1)],
     },
     "workshop": {
-        **{f"joint_{number}": _COLUMN for number in range(1, 6)},
-        **{f"wrist_{kind}_{axis}": _COLUMN for kind in ("force", "moment") for axis in "xyz"},
+        **{f"joint_{number}": _CAN for number in range(1, 6)},
+        **{f"wrist_{kind}_{axis}": _CAN for kind in ("force", "moment") for axis in "xyz"},
+        "can_0": [("frame_drop", 0.0), ("intermittent", 0.1)],
     },
     "planar": {
         **{f"joint_{number}": _COLUMN for number in range(1, 6)},
@@ -87,6 +98,12 @@ FAULTS: dict[str, dict[str, list[tuple[str, float]]]] = {
     },
 }
 ROCKETS = ("rocksat", "rocksat_serial", "rocksat_mixed")
+MISSIONS: dict[str, dict[str, Any]] = {
+    **_each("{}", ROCKETS, {"sequence": MISSION}),
+    "dymaflex": CAPTURE_MISSION,
+    "workshop": WORKSHOP_MISSION,
+}
+"""Of the vehicles that are flown, what lies over their scenario."""
 _SHARE = {  # of the flights; a free-flyer's costs four times a rocket's
     "rocksat": 0.34,
     "rocksat_serial": 0.16,
@@ -123,7 +140,10 @@ MODEL_ERRORS: dict[str, dict[str, dict[str, Any]]] = {
         "IMU warms by 15 K": {"sensor": _each("imu_{}", _IMUS, _WARM)},
         "IMU of the datasheet": {"sensor": _each("imu_{}", _IMUS, {"accel_g": _DATASHEET, "gyro_deg_s": _DATASHEET})},
     },
-    "workshop": {"zeros 3 mrad off": {"zero_rad": 0.003}, "gripper 3 % off": {"gripper": 0.03}},
+    "workshop": {
+        "zeros 3 mrad off": {"sensor": _each("joint_{}", range(1, 6), {"zero_sigma_mrad": 3.0})},
+        "gripper 3 % off": {"as_built": {"gripper": {"mass_relative": 0.03}}},
+    },
     "planar": {"zeros 3 mrad off": {"zero_rad": 0.003}, "links 3 %": {"link": 0.03}},
 }
 SHORTEST_S, LONGEST_S = 0.2, 3.0  # of a fault that ends

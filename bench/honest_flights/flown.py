@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.honest_flights import recorded
-from bench.honest_flights.drawn import CAPTURE_MISSION, MISSION, ROCKETS, Drawn, draw
+from bench.honest_flights.drawn import MISSIONS, Drawn, draw
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
@@ -17,14 +17,13 @@ from onboard.offline.views import mission_table
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     """What came of a seed's flight; ``settings``: ``vehicle``, of a share of all otherwise, and ``healthy``."""
     drawn = draw(seed, settings.get("vehicle"), settings.get("healthy", False))
-    found = recorded.run(drawn) if drawn.vehicle in ("workshop", "planar") else _simulated(drawn)
+    found = recorded.run(drawn) if drawn.vehicle == "planar" else _simulated(drawn)
     return found._replace(faults=drawn.texts, unseen=drawn.invisible, what=drawn.vehicle)
 
 
 def _simulated(drawn: Drawn) -> FlightResult:
     """Through drivers, clocks and estimator, in virtual time."""
-    mission: dict[str, Any] = {"sequence": MISSION} if drawn.vehicle in ROCKETS else CAPTURE_MISSION
-    scenario = scenario_of(drawn.vehicle, {**mission, "fault": drawn.faults, **drawn.overrides})
+    scenario = scenario_of(drawn.vehicle, {**MISSIONS[drawn.vehicle], "fault": drawn.faults, **drawn.overrides})
     with tempfile.TemporaryDirectory() as directory:
         world, urls = open_in_process(scenario, drawn.seed)
         with world:

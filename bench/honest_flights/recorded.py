@@ -1,6 +1,6 @@
-"""Recorded runs: a tool weighed in the workshop, a payload on an air-bearing table, with columns spoilt.
+"""Recorded runs: a payload on an air-bearing table, with columns spoilt.
 
-Both become a log and are identified as ``heft identify`` does; MuJoCo's numbers are the truth.
+Each becomes a log and is identified as ``heft identify`` does; MuJoCo's numbers are the truth.
 """
 
 import tempfile
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from bench.honest_flights.drawn import Drawn
 from bench.identification import free_flyer as bench_flyer
-from bench.identification import planar, workshop
+from bench.identification import planar
 from drivers.records import IMU, SCALAR, Rows
-from hil_sim.plants import fixed_arm, free_flyer, planar_bed
+from hil_sim.plants import free_flyer, planar_bed
 from hil_sim.plants.free_flyer import Body, JointMotion
 from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, Samples, sample
 from onboard import config
@@ -26,7 +26,7 @@ from onboard.offline.estimate_again.identify import identify
 from onboard.recording.writer import LogWriter
 
 Floats = NDArray[np.float64]
-GRASP_S, END_S, TABLE_S = 5.0, 16.0, 14.0
+TABLE_S = 14.0
 BOX = Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
 
 
@@ -69,41 +69,10 @@ def run(drawn: Drawn) -> FlightResult:
     rng = np.random.default_rng([drawn.seed, 0x13])
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "run.mcap"
-        if drawn.vehicle == "workshop":
-            truth, vehicle = _workshop(path, drawn, rng), "workshop"
-        else:
-            truth, vehicle = _table(path, drawn, rng), "dymaflex_air_bearing"
-        log = identify(config.load(config.packaged(vehicle)), [path]).logs[0]
+        truth = _table(path, drawn, rng)
+        log = identify(config.load(config.packaged("dymaflex_air_bearing")), [path]).logs[0]
     found = of_log(log, {"quantities": truth})
     return found._replace(answers=tuple(one for one in found.answers if one.quantity in truth))
-
-
-def _workshop(path: Path, drawn: Drawn, rng: np.random.Generator) -> dict[str, float]:
-    over = drawn.overrides
-    mass = float(np.exp(rng.uniform(np.log(0.2), np.log(2.5))))
-    size = rng.uniform(0.04, 0.25, 3)
-    tool = Body.box(mass, size.tolist(), [*rng.uniform(-0.03, 0.03, 2), float(rng.uniform(0.03, 0.12))])
-    spread = over.get("gripper", workshop.GRIPPER_SIGMA)
-    gripper = bench_flyer.as_built(
-        fixed_arm.GRIPPER, (spread, workshop.GRIPPER_CENTRE_SIGMA_m, workshop.GRIPPER_SIGMA), rng
-    )
-    flown = fixed_arm.run(tool, JointMotion.draw(rng, workshop.SWING_rad), GRASP_S, END_S, gripper)
-    read = fixed_arm.read(flown, fixed_arm.WristErrors(), rng)
-    columns = Columns(read.time_s, drawn)
-    zeros = over.get("zero_rad", 1e-4) * rng.standard_normal(5)  # as the vehicle file states
-    channels = {
-        f"joint_{k + 1}": _scalars(
-            read.time_s, columns.spoilt(f"joint_{k + 1}", read.angle_rad[:, k] + zeros[k]), 1e-7, b"rad"
-        )
-        for k in range(5)
-    }
-    for k, name in enumerate(workshop.AXES):
-        unit = b"N" if k < 3 else b"N m"
-        channels[name] = _scalars(read.time_s, columns.spoilt(name, read.wrench[:, k]), 1e-6, unit)
-    told_s = np.arange(0.0, read.time_s[-1], 0.1)
-    channels["phase"] = _scalars(told_s, np.where(told_s < GRASP_S, 1.0, 2.0), 1.0, b"1")
-    _write(path, channels)
-    return _truth(tool, "tool", BODY)
 
 
 def _table(path: Path, drawn: Drawn, rng: np.random.Generator) -> dict[str, float]:

@@ -1,8 +1,7 @@
-"""Twenty workshop tools in the gripper of an arm on a fixed base, weighed by a wrist load cell; the truth is MuJoCo's.
+"""Twenty workshop tools in the gripper of an arm on a bench, weighed by a wrist load cell; the truth is MuJoCo's.
 
-Ten seconds of the gripper alone give the cell's zero (a tare in many poses, not at one), then the tool is held for
-twenty. Motion, cell and noise of every run are its own. Every run becomes a log and is weighed as ``heft identify
---vehicle workshop LOG`` weighs it.
+The mission is the packaged one, ``heft hil workshop``: ten seconds of the gripper alone give the cell's zero (a tare in
+many poses, not at one), then the tool is held for twenty. Every run's log is weighed as ``heft identify LOG`` does it.
 """
 
 import os
@@ -13,58 +12,45 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bench.identification.free_flyer import as_built, tools
-from drivers.records import SCALAR, Rows
-from hil_sim.plants import fixed_arm
-from hil_sim.plants.free_flyer import Body, JointMotion
+from bench.identification.free_flyer import tools
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.mission import open_in_process
+from hil_sim.plants.body import Body
 from onboard import config
 from onboard.dynamics.inertia import elements
+from onboard.flight import hil
 from onboard.identification.quantities import BODY
 from onboard.offline.campaign.results import FlightResult, of_log
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.identify import identify
-from onboard.recording.writer import LogWriter
-
-Floats = NDArray[np.float64]
-
-GRASP_s, END_s = 10.0, 30.0
-SWING_rad = 0.5
-GRIPPER_SIGMA, GRIPPER_CENTRE_SIGMA_m = 0.01, 5e-4  # as it was weighed
-AXES = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
 
 
-def _scalars(time_s: Floats, values: Floats, scale: float, unit: bytes) -> Rows:
-    made = np.zeros(len(time_s), SCALAR)
-    made["sequence"], made["host_ns"] = np.arange(len(time_s)), np.rint(1e9 * (10.0 + time_s))
-    made["value_raw"], made["scale"], made["unit"] = np.rint(values / scale), scale, unit
-    return made
-
-
-def write(path: Path, readings: fixed_arm.Readings, grasp_s: float) -> Path:
-    """A log of encoders, cell and phase, as the vehicle ``workshop`` names them."""
-    told_s = np.arange(0.0, readings.time_s[-1], 0.1)
-    channels = {f"joint_{k + 1}": _scalars(readings.time_s, readings.angle_rad[:, k], 1e-7, b"rad") for k in range(5)}
-    for k, name in enumerate(AXES):
-        channels[name] = _scalars(readings.time_s, readings.wrench[:, k], 1e-6, b"N" if k < 3 else b"N m")
-    channels["phase"] = _scalars(told_s, np.where(told_s < grasp_s, 1.0, 2.0), 1.0, b"1")
-    with LogWriter.create(path, durable=False, overwrite=True) as writer:
-        for name, batch in channels.items():
-            writer.register(name, SCALAR)
-            writer.write(name, batch)
-    return path
+def payload(tool: Body) -> dict[str, Any]:
+    """The scenario's table of a tool: the solid box that has its mass, centre and inertia."""
+    moments, axes = np.linalg.eigh(tool.inertia_kg_m2)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    size_m = np.sqrt(np.maximum(6.0 * (moments.sum() - 2.0 * moments) / tool.mass_kg, 1e-12))
+    pitch = np.arcsin(np.clip(-axes[2, 0], -1.0, 1.0))
+    roll, yaw = np.arctan2(axes[2, 1], axes[2, 2]), np.arctan2(axes[1, 0], axes[0, 0])
+    return {
+        "mass_kg": [tool.mass_kg] * 2,
+        "size_mm": (1e3 * size_m).tolist(),
+        "centre_of_mass_mm": (1e3 * np.asarray(tool.centre_of_mass_m)).tolist(),
+        "roll_pitch_yaw_deg": np.rad2deg([roll, pitch, yaw]).tolist(),
+    }
 
 
 def weigh(tool: Body, seed: int) -> Identified:
     """One run from MuJoCo to the answer."""
-    rng = np.random.default_rng(seed)
-    gripper = as_built(fixed_arm.GRIPPER, (GRIPPER_SIGMA, GRIPPER_CENTRE_SIGMA_m, GRIPPER_SIGMA), rng)
-    flown = fixed_arm.run(tool, JointMotion.draw(rng, SWING_rad), GRASP_s, END_s, gripper)
-    readings = fixed_arm.read(flown, fixed_arm.WristErrors(), rng)
+    scenario = scenario_of("workshop", {"payload": payload(tool)})
+    vehicle = config.load(config.packaged("workshop"))
     with tempfile.TemporaryDirectory() as directory:
-        log = write(Path(directory) / "run.mcap", readings, GRASP_s)
-        return identify(config.load(config.packaged("workshop")), [log]).logs[0]
+        world, urls = open_in_process(scenario, seed)
+        with world:
+            log = Path(directory) / "run.mcap"
+            hil.fly_simulated(vehicle, world, urls, log)
+        return identify(vehicle, [log]).logs[0]
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:

@@ -9,7 +9,7 @@ from onboard.channels import REQUEST, Act
 from onboard.config.segments import Library, to_bytes
 from onboard.flight.acquire.arming import REQUESTS
 from onboard.ring import RingWriter
-from tests.flight.test_driving import MS, Bench
+from tests.flight.driven_bench import MS, Bench
 
 MISSION = '[mission]\nuntil = "mass 1 %"\nsegments = "segments.npz"'
 POSTURE = np.array([0.0, 0.2])

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from onboard.recording.reader import LogReader
+from tests.flight.driven_bench import csv_of, swing, written
 from tests.flight.supervise.test_kill import pids
-from tests.flight.test_driving import csv_of, swing, written
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_rings")]
 

@@ -1,4 +1,4 @@
-"""An arm on a bench: a log of its encoders and wrist cell, the truth MuJoCo's, through ``heft identify``."""
+"""An arm on a bench: it weighs what its gripper holds by its wrist cell, on board and by ``heft identify``."""
 
 import json
 from pathlib import Path
@@ -7,56 +7,93 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.identification.workshop import write
-from hil_sim.plants import fixed_arm
-from hil_sim.plants.free_flyer import Body, JointMotion
+from bench.identification.workshop import payload
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants.body import Body
+from hil_sim.plants.vehicle_plant import VehiclePlant
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import cli, config
 from onboard.dynamics.inertia import elements
 from onboard.identification.quantities import BODY
+from tests.flight.missions import Result, fly
 
 TOOL = Body.box(0.30, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
-GRASP_S, END_S = 4.0, 16.0
+TRUTH = [TOOL.mass_kg, *TOOL.centre_of_mass_m, *elements(TOOL.inertia_kg_m2)]
+_SWING = {"action": "swing", "swing": 0.5}
+SHORT = [
+    {"phase": 0, "action": "hold", "duration_s": 1.0},
+    _SWING | {"phase": 1, "duration_s": 6.0},
+    _SWING | {"phase": 2, "duration_s": 12.0},
+    {"phase": 9, "action": "hold", "duration_s": 0.5},
+]
+CELLS = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
 
 
-def readings(rng: np.random.Generator) -> fixed_arm.Readings:
-    flown = fixed_arm.run(TOOL, JointMotion.draw(rng, 0.5), GRASP_S, END_S)
-    return fixed_arm.read(flown, fixed_arm.WristErrors(), rng)
+def flown(directory: Path, **over: Any) -> Result:
+    """The tool's mission, shorter than the packaged one."""
+    return fly(directory / "bench.mcap", vehicle="workshop", sequence=SHORT, payload=payload(TOOL), **over)
 
 
-def weigh(directory: Path, read: fixed_arm.Readings) -> tuple[int, dict[str, Any]]:
-    """Exit code, and what the JSON says of the one log."""
-    log, report = write(directory / "bench.mcap", read, GRASP_S), directory / "report.json"
-    code = cli.main(["identify", "--vehicle", "workshop", str(log), "--json", str(report)])
+def identified(run: Result, directory: Path) -> tuple[int, dict[str, Any]]:
+    """Exit code, and what the JSON of ``heft identify`` says of the log."""
+    report = directory / "report.json"
+    code = cli.main(["identify", str(run.path), "--json", str(report)])
     return code, json.loads(report.read_text())["logs"][0]
 
 
-def test_a_tool_is_weighed_from_a_log(
-    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, told = weigh(tmp_path, readings(rng))
+def test_a_tool_is_weighed_on_board_and_from_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = flown(tmp_path)
+    assert run.table["accounted"]
+    on_board = {row["quantity"]: row for key in ("masses", "centres", "inertias") for row in run.table[key]}
+    code, told = identified(run, tmp_path)
     assert code == cli.OK
     assert told["verdict"]["level"] == "good"
     found = {answer["name"]: answer for answer in told["quantities"] if answer["unit"]}
-    truth = [TOOL.mass_kg, *TOOL.centre_of_mass_m, *elements(TOOL.inertia_kg_m2)]
-    tolerance = [0.003, *[5e-4] * 3, *[5e-5] * 6]  # kg, m, kg m^2
     assert list(found) == [f"{name}_tool" for name in BODY]
     shown = capsys.readouterr().out
-    for (name, answer), value, close in zip(found.items(), truth, tolerance, strict=True):
-        assert answer["supported"]
-        assert abs(answer["value"] - value) < close
-        assert answer["low"] - answer["sigma"] < value < answer["high"] + answer["sigma"]
+    assert run.table["capture"] == {"true_s": 7.0, "said_s": [], "told": True}
+    tolerance = [0.003, *[5e-4] * 3, *[5e-5] * 6]  # kg, m, kg m^2
+    for (name, answer), value, close in zip(found.items(), TRUTH, tolerance, strict=True):
+        for one in (answer, on_board[name]):
+            assert one["supported"]
+            assert abs(one["value"] - value) < close
+            assert one["low"] - one["sigma"] < value < one["high"] + one["sigma"]
+        assert on_board[name]["truth"] == pytest.approx(value, rel=1e-6, abs=1e-9)
         assert answer["bound"] <= answer["sigma"]
         assert name in shown
 
 
-def test_a_cell_that_reads_three_times_too_much_weighs_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_cell_that_reads_three_times_too_much_weighs_nothing(tmp_path: Path) -> None:
     """The gripper was weighed: it cannot be three times as heavy."""
-    read = readings(rng)
-    code, told = weigh(tmp_path, read._replace(wrench=3.0 * read.wrench))
+    wrong = [{"kind": "wrong", "device": name, "value": 2.0, "start_s": 0.0} for name in CELLS]
+    run = flown(tmp_path, fault=wrong)
+    code, told = identified(run, tmp_path)
     assert code == cli.FAILED
     assert told["verdict"]["level"] == "do not use"
     assert "contradict what was known" in told["verdict"]["text"]
     assert not any(answer["supported"] for answer in told["quantities"] if answer["unit"])
+    assert not any(row["supported"] for row in run.table["masses"])
+
+
+def test_at_rest_the_wrist_carries_the_weight_where_it_is() -> None:
+    """Force and moment of gripper and tool about the cell's frame, by hand, in its axes."""
+    exact = {"mass_relative": 0.0, "centre_mm": 0.0, "inertia_relative": 0.0}
+    still = [{"phase": phase, "action": "hold", "duration_s": 0.5} for phase in (1, 2)]
+    over = {"as_built": {"gripper": exact}, "payload": payload(TOOL), "sequence": still}
+    upright = {"posture": dict.fromkeys([f"joint_{k}" for k in range(1, 6)], 0.0), "posture_spread": 0.0}
+    scenario = scenario_of("workshop", {**over, "motion": upright})
+    assert isinstance(scenario, VehicleScenario)
+    plant = VehiclePlant(scenario, np.random.default_rng(1))
+    g = 9.80665
+    gripper, mass = np.array([0.003, -0.002, 0.040]), 0.45  # workshop.urdf
+    alone = np.cross(gripper, [0, 0, mass * g])
+    held = alone + np.cross(TOOL.centre_of_mass_m + np.array([0.0, 0.0, 0.120]), [0, 0, TOOL.mass_kg * g])
+    force = plant.force_n("wrist")
+    moment = np.stack([plant.moment_n_m("wrist", axis) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1))], 1)
+    np.testing.assert_allclose(force[100], [0, 0, mass * g], atol=1e-9)
+    np.testing.assert_allclose(force[-100], [0, 0, (mass + TOOL.mass_kg) * g], atol=1e-9)
+    np.testing.assert_allclose(moment[100], alone, atol=1e-9)
+    np.testing.assert_allclose(moment[-100], held, atol=1e-9)
 
 
 def test_a_base_that_moves_needs_an_imu(tmp_path: Path) -> None:

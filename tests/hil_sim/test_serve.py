@@ -1,7 +1,6 @@
 """Tier T1: the adapter's protocol, the I2C socket, the real-time loop, and the process."""
 
 import contextlib
-import errno
 import io
 import itertools
 import json
@@ -22,249 +21,12 @@ import numpy as np
 import pytest
 import serial
 
-from hil_sim.buses.i2c_socket import I2cSocket
-from hil_sim.buses.media import I2cBus
 from hil_sim.buses.realtime import MissionServer
-from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.canopen.can_wire import WireFrame
-from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from hil_sim.serve import _Leash, open_sockets
-from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, FlatImu, RateClock, SmallMission
+from tests.hil_sim.devices.twin_bench import BUSES, MS, SmallMission
 
 ROOT = Path(__file__).resolve().parents[2]
 SERIAL_PORTS = {"imu_port": 115_200, "joint_port": 230_400, "cell_port": 115_200, "arm_port": 115_200}
-
-
-# The Lawicel protocol
-
-
-class Terminal:
-    """A client of the adapter that writes and reads raw lines."""
-
-    def __init__(self):
-        self.adapter = SlcanAdapter()
-        self.fd = os.open(self.adapter.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-
-    def say(self, text):
-        os.write(self.fd, text)
-        sent = self.adapter.take()
-        return self.hear(), sent
-
-    def hear(self):
-        heard = b""
-        with contextlib.suppress(BlockingIOError):
-            while data := os.read(self.fd, 4096):
-                heard += data
-        return heard
-
-    def close(self):
-        os.close(self.fd)
-        self.adapter.close()
-
-
-@pytest.fixture
-def terminal():
-    terminal = Terminal()
-    yield terminal
-    terminal.close()
-
-
-@pytest.mark.parametrize(
-    ("said", "heard"),
-    [
-        (b"V\r", b"V1013\r"),
-        (b"v\r", b"v0107\r"),
-        (b"N\r", b"NHIL0\r"),
-        (b"\r\r", b"\r\r"),
-        (b"O\r", b"\a"),  # no bit rate yet
-        (b"S6\rO\r", b"\r\r"),
-        (b"S6\rO\rO\r", b"\r\r\a"),
-        (b"S6\rO\rS5\r", b"\r\r\a"),
-        (b"S6\rO\rC\rC\r", b"\r\r\r\a"),
-        (b"S9\r", b"\a"),
-        (b"Sx\r", b"\a"),
-        (b"s001C\rO\r", b"\r\r"),
-        (b"F\r", b"\a"),
-        (b"S6\rL\rF\r", b"\r\rF00\r"),
-        (b"Z1\rZ0\rM00000000\rmFFFFFFFF\r", b"\r\r\r\r"),
-        (b"Q\r", b"\a"),
-        (b"t1230\r", b"\a"),  # closed
-        (b"S6\rO\rt1232\r", b"\r\r\a"),  # data missing
-        (b"S6\rO\rt12311\r", b"\r\r\a"),  # half a byte
-        (b"S6\rO\rt1239000000000000000000\r", b"\r\r\a"),
-        (b"S6\rO\rtxyz0\r", b"\r\r\a"),
-        (b"S6\rO\rR000001230\rT000001231AA\r", b"\r\rZ\rZ\r"),
-        (b"S6\rL\rt1230\r", b"\r\r\a"),
-    ],
-)
-def test_commands(terminal, said, heard):
-    assert terminal.say(said) == (heard, [])
-
-
-def test_a_remote_frame_asks_for_so_many_bytes(terminal):
-    terminal.say(b"S6\rO\r")
-    assert terminal.say(b"r7011\r") == (b"z\r", [(0x701, 1)])
-
-
-def test_a_frame_in_one_piece_and_in_single_bytes(terminal):
-    terminal.say(b"S6\rO\r")
-    assert terminal.say(b"t601840001000aB02Cd04\r") == (b"z\r", [(0x601, bytes.fromhex("40001000AB02CD04"))])
-    got = []
-    for byte in b"t0002010A\r":
-        got += terminal.say(bytes([byte]))[1]
-    assert got == [(0, b"\x01\x0a")]
-
-
-def test_a_line_that_never_ends_is_forgotten(terminal):
-    terminal.say(b"x" * 5000)
-    assert terminal.say(b"\rV\r")[0] == b"\rV1013\r"
-
-
-def test_frames_are_written_as_lines_with_stamps_when_asked(terminal):
-    terminal.say(b"S6\rO\r")
-    frame = WireFrame(61_234_000_000, 0x0A1, b"\x0f\xf0")
-    terminal.adapter.give([frame])
-    assert terminal.hear() == b"t0A120FF0\r"
-    terminal.say(b"Z1\r")
-    terminal.adapter.give([frame])
-    assert terminal.hear() == b"t0A120FF004D2\r"  # 61,234 ms modulo 60,000
-
-
-def test_a_client_that_does_not_read_loses_frames_and_is_told(terminal):
-    terminal.say(b"S6\rO\r")
-    for _ in range(20_000):
-        terminal.adapter.give([WireFrame(0, 0x281, bytes(4))])
-    assert terminal.adapter.lost > 1000
-    lines = b""
-    while data := terminal.hear():
-        lines += data
-        terminal.adapter.give([])
-        terminal.adapter.take()
-    assert set(lines.split(b"\r")) == {b"t281400000000", b""}  # whole lines only
-    assert lines.count(b"\r") == 20_000 - terminal.adapter.lost
-    assert terminal.say(b"F\rF\r")[0] == b"F01\rF00\r"
-
-
-# The I2C socket
-
-
-class SocketBench:
-    def __init__(self, directory, bit_rate=400_000):
-        self.bus = I2cBus()
-        self.chip = Mpu6050Twin(FlatImu([0x0102] * 7), RateClock(), START_NS)
-        self.bus.add(self.chip)
-        path = directory / "i2c.sock"
-        self.server = I2cSocket(path, self.bus, bit_rate)
-        self.client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.client.connect(str(path))
-        self.client.setblocking(False)
-        self.now_ns = START_NS
-
-    def send(self, operation, address, write=b"", count=0):
-        self.client.sendall(struct.pack("<BBHH", operation, address, len(write), count) + write)
-
-    def reply_after(self, ns):
-        self.now_ns += ns
-        self.server.advance(self.now_ns)
-        try:
-            reply = self.client.recv(65536)
-        except BlockingIOError:
-            return None
-        code, count = struct.unpack_from("<HH", reply)
-        assert len(reply) == 4 + count
-        return code, reply[4:]
-
-    def close(self):
-        self.client.close()
-        self.server.close()
-
-
-@pytest.fixture
-def wires(tmp_path):
-    bench = SocketBench(tmp_path)
-    yield bench
-    bench.close()
-
-
-def test_write_and_write_read(wires):
-    wires.send(1, 0x68, b"\x75", 1)
-    assert wires.reply_after(0) is None
-    assert wires.reply_after(1 * MS) == (0, b"\x68")
-    wires.send(0, 0x68, b"\x19\x07")
-    wires.reply_after(0)
-    assert wires.reply_after(1 * MS) == (0, b"")
-    wires.send(1, 0x68, b"\x19", 1)
-    wires.reply_after(0)
-    assert wires.reply_after(1 * MS) == (0, b"\x07")
-
-
-def test_a_reply_takes_as_long_as_the_wires_would(wires):
-    wires.send(1, 0x68, b"\x3b", 14)
-    assert wires.reply_after(0) is None
-    assert 350_000 < wires.server.due_ns - wires.now_ns < 420_000  # 14 bytes at 400 kHz
-    assert wires.reply_after(wires.server.due_ns - wires.now_ns - 1) is None
-    assert wires.reply_after(1) == (0, bytes(14))
-
-
-def test_errors_are_the_errno(wires):
-    wires.send(1, 0x69, b"\x75", 1)
-    wires.reply_after(0)
-    assert wires.reply_after(MS) == (errno.EREMOTEIO, b"")
-    wires.send(7, 0x68)
-    assert wires.reply_after(0) == (errno.EINVAL, b"")
-
-
-def test_requests_in_pieces_and_in_a_row(wires):
-    request = struct.pack("<BBHH", 1, 0x68, 1, 1) + b"\x75"
-    for byte in request:
-        wires.client.sendall(bytes([byte]))
-        assert wires.reply_after(0) is None
-    assert wires.reply_after(MS) == (0, b"\x68")
-    wires.client.sendall(request * 3)
-    wires.reply_after(0)
-    wires.now_ns += MS
-    wires.server.advance(wires.now_ns)
-    assert wires.client.recv(64) == b"\x00\x00\x01\x00\x68" * 3
-
-
-def test_one_transfer_is_on_the_wires_at_a_time(wires, tmp_path):
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as other:
-        other.connect(str(tmp_path / "i2c.sock"))
-        request = struct.pack("<BBHH", 1, 0x68, 1, 14) + b"\x3b"
-        wires.client.sendall(request)
-        other.sendall(request)
-        wires.server.advance(wires.now_ns)
-        first = wires.server.due_ns - wires.now_ns
-        wires.server.advance(wires.now_ns + first)
-        assert wires.server.due_ns - wires.now_ns == 2 * first
-
-
-def test_a_client_may_leave_and_another_come(wires, tmp_path):
-    wires.send(1, 0x68, b"\x75", 1)
-    wires.client.close()
-    wires.server.advance(wires.now_ns)
-    wires.server.advance(wires.now_ns + MS)
-    assert len(wires.server.files) == 1
-    wires.client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    wires.client.connect(str(tmp_path / "i2c.sock"))
-    wires.client.setblocking(False)
-    wires.send(1, 0x68, b"\x75", 1)
-    wires.reply_after(0)
-    assert wires.reply_after(2 * MS) == (0, b"\x68")
-
-
-def test_a_client_that_takes_no_replies_is_left(wires):
-    request = struct.pack("<BBHH", 1, 0x68, 1, 8000) + b"\x74"
-    for _ in range(200):
-        with contextlib.suppress(BrokenPipeError):
-            wires.client.sendall(request)
-        wires.now_ns += 1_000 * MS
-        wires.server.advance(wires.now_ns)
-        wires.server.advance(wires.now_ns + 200 * MS)
-    assert len(wires.server.files) == 1
-
-
-# The loop in real time
 
 
 class Client(threading.Thread):
@@ -373,9 +135,6 @@ def test_an_absent_client_costs_no_processor(tmp_path):
         mission.plug(ports.buses, time.monotonic_ns())
         server.run(mission)
         assert server.turns < 2000
-
-
-# The process
 
 
 @pytest.mark.realtime

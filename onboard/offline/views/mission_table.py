@@ -73,10 +73,12 @@ def result(flown: Flown) -> Result:
         elif batch.rows.dtype == records.EVENT:
             events.extend(batch.rows)
     name, answers = log.metadata["flight"]["vehicle"], _answers(last)
-    own, flown_runs = own_mission.is_own(flown.truth), list[Result]()
+    own, flown_runs, told = own_mission.is_own(flown.truth), list[Result](), False
     if own:
         with tempfile.TemporaryDirectory() as directory:
             vehicle = vehicle_of(log, Path(directory))
+            phases = vehicle.file.estimation.phases
+            told = phases is not None and phases.payload_taken is not None
             if own_mission.is_estimated_afterwards(vehicle):
                 answers, flown_runs = own_mission.after_the_run(vehicle, log)
             compared = own_mission.compared(vehicle, answers, flown.truth)
@@ -104,7 +106,7 @@ def result(flown: Flown) -> Result:
         "accounts": accounts.render(counted),
         "events": _troubles(events),
         "runs": runs_view.compared(flown_runs, flown.truth),
-        "capture": _capture(events, flown.truth),
+        "capture": _capture(events, flown.truth, told=told),
     }
 
 
@@ -129,8 +131,11 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
     return made
 
 
-def _capture(events: Iterable[np.void], truth: dict[str, Any]) -> dict[str, Any] | None:
-    """Mission time [s] of a capture and of its detection, which the change before it is; None without a capture."""
+def _capture(events: Iterable[np.void], truth: dict[str, Any], *, told: bool) -> dict[str, Any] | None:
+    """Mission time [s] of a capture and of its detection, which the change before it is; None without a capture.
+
+    ``told``: a phase says when the payload is taken.
+    """
     if not truth.get("capture_s"):
         return None
     said, detected_ns = list[float](), 0
@@ -140,7 +145,7 @@ def _capture(events: Iterable[np.void], truth: dict[str, Any]) -> dict[str, Any]
         elif row["code"] == b"capture":
             said.append(1e-9 * ((detected_ns or int(row["host_ns"])) - truth["start_ns"]))
             detected_ns = 0
-    return {"true_s": truth["capture_s"], "said_s": said}
+    return {"true_s": truth["capture_s"], "said_s": said, "told": told}
 
 
 def _troubles(events: Iterable[np.void]) -> list[str]:
@@ -169,7 +174,9 @@ def render(table: Result) -> RenderableType:
             made.add_row(f"{row['label']}, {row['shown_in']}", truth, *theirs, *_ours(row))
         made.add_section()
     lines: list[Text] = []
-    if capture := table["capture"]:
+    if (capture := table["capture"]) and capture["told"]:
+        lines.append(Text(f"captured at {capture['true_s']:.2f} s, told to the estimator by the phase"))
+    elif capture:
         noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
         lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))
     rows = [*table["masses"], *table["centres"], *table["inertias"], *table["parameters"]]

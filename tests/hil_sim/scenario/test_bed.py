@@ -20,6 +20,7 @@ BASES = {
     "fixed_arm": "fixed",
     "parabolic": "free",
     "tumble": "free",
+    "workshop": "fixed",
 }
 
 
@@ -114,6 +115,6 @@ def test_hil_flies_beds_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert "a6" in capsys.readouterr().out
     assert main(["hil", "air_baering"]) == 2
     assert "did you mean 'air_bearing'" in capsys.readouterr().err
-    assert main(["hil", "workshop"]) == 2
+    assert main(["hil", "dymaflex_air_bearing"]) == 2
     said = capsys.readouterr().err
     assert all(name in said for name in (*bed.names(), "rocksat", "columns of a recording"))
