@@ -176,6 +176,13 @@ class VehicleFlight:
         comes, self.contact = self.contact.released(self._grip(), self._grip_twist()), None
         return self.exchange(comes, None)
 
+    def approach(self, comes: Released) -> FloatArray:
+        """Of a payload before it is caught, axes of its link: velocity of its centre of mass there, rate in space."""
+        self.show()
+        (R, _), (rate, _), c = self._grip(), self._grip_twist(), comes.payload.centre_of_mass_m
+        velocity = comes.velocity_m_s + np.cross(comes.rate_rad_s, c)
+        return np.concatenate([velocity, R.T @ rate + comes.rate_rad_s])
+
     @property
     def _holder(self) -> int:
         assert self._link is not None

@@ -34,6 +34,7 @@ from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
 _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
+_APPROACH = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")
 _SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
 _AT_ONCE_S, _BLOCK = 120.0, 100  # interpolated when the plant is created; chunks at a time afterwards
 _AROUND = 8  # rows to either side with which a part of a spline is as the whole one, to 3e-5 of its bend
@@ -136,6 +137,7 @@ class VehiclePlant(world.Plant):
         )
         self._window_at = self._done = 0
         self._jolt: Jolt | None = None
+        self.came: FloatArray | None = None  # see ``VehicleFlight.approach``
 
     def _compute(self, rows: int) -> None:
         """True signals on the sensors' grid, so many rows at least."""
@@ -155,6 +157,8 @@ class VehiclePlant(world.Plant):
             self._window, self._window_at = None, end
             if self._coming:
                 event = self._coming.popleft()
+                if event.name == "capture" and event.moves is not None:
+                    self.came = flight.approach(event.moves)
                 self._jolt = event.happen(flight)
                 self.events_s[event.name] = event.row * self._coarse_s
                 self.payload = flight.caught or self.payload
@@ -295,11 +299,11 @@ class VehiclePlant(world.Plant):
 
     def truth(self) -> dict[str, Any]:
         """See ``world.Plant``: of the payload in its link's frame, and of every link in its own."""
-        quantities: dict[str, float] = {}
+        quantities = {} if self.came is None else dict(zip(_APPROACH, self.came.tolist(), strict=True))
         caught, contact = (self._capture.moves, self._capture.contact) if self._capture else (None, None)
         if self.payload is not None:
             name, c = str(self._scenario.vehicle.payload_link), self.payload.centre_of_mass_m
-            quantities = {
+            quantities |= {
                 f"m_{name}": self.payload.mass_kg,
                 **{f"c_{axis}_{name}": value for axis, value in zip("xyz", c.tolist(), strict=True)},
                 **{f"I_{of}_{name}": float(self.payload.inertia_kg_m2[at]) for of, at in _ELEMENTS.items()},

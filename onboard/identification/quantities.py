@@ -19,6 +19,7 @@ from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
+MOST_ALSO = 6  # quantities of an Estimate that are not asked for
 MOST_CONTRADICTED = 0.05  # of the rows, by the residual gate: beyond, no answer is to be used
 # A quantity is reported when the data determine it:
 SUPPORTED_SHRINKAGE = 0.2  # posterior over prior sigma at most; the prior's weight in the estimate is this squared
@@ -91,6 +92,7 @@ class Estimate(NamedTuple):
     quantities: tuple[QuantityEstimate, ...]
     rows_used: int
     refused: dict[GateReason, int]  # rows by reason; a row with two reasons counts in both
+    also: tuple[QuantityEstimate, ...] = ()  # of how a captured body came; from its capture on, at most MOST_ALSO
 
 
 def inertia_about_joint(vehicle: VehicleModel, joint: str, q: FloatArray | None = None) -> FloatArray:

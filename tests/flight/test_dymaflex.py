@@ -10,6 +10,7 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
+from onboard.identification.capture.captured_body import NAMES
 from onboard.offline.estimate_again.replay import replay
 from onboard.offline.views import mission_table as table
 from tests.flight.missions import Result, fly, inline
@@ -66,6 +67,16 @@ def test_the_intervals_hold_what_was_caught(flown: Result) -> None:
     assert len(told) == 10
     assert all(row["supported"] for row in told)
     assert sum(row["covered"] for row in told) >= 8
+
+
+def test_how_the_payload_came_is_told_or_how_badly_it_is_known(flown: Result) -> None:
+    rows = flown.table["motions"]
+    assert tuple(row["quantity"] for row in rows) == NAMES
+    for row in rows:
+        assert row["covered"] if row["supported"] else "it brought too little momentum" in row["standing"]
+    assert not all(row["supported"] for row in rows)  # 5 kg bring little
+    before = next(batch for _, batch in flown.log.batches(["quantity"]))
+    assert not {name.encode() for name in NAMES} & set(before["name"].tolist())
 
 
 def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(flown: Result, tmp_path: Path) -> None:

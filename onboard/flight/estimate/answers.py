@@ -41,7 +41,8 @@ class Answers:
         state["rows_used"], state["rows_gated"] = estimate.rows_used, sum(estimate.refused.values())
         state["mean"] = estimate.mean
         state["triangle"] = triangle[_upper(len(triangle))]
-        answers = np.zeros(len(estimate.names) + len(estimate.quantities), channels.QUANTITY)
+        quantities = (*estimate.quantities, *estimate.also)
+        answers = np.zeros(len(estimate.names) + len(quantities), channels.QUANTITY)
         answers["host_ns"], answers["vehicle_ns"] = now_ns, vehicle_ns
         p = len(estimate.names)
         for field in ("low", "high", "sigma", "supported"):
@@ -56,7 +57,7 @@ class Answers:
             answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), found.why.encode()[:WHY]
         if of_all.level is Level.DO_NOT_USE:
             answers["supported"][:p] = 0
-        for row, quantity in zip(answers[p:], estimate.quantities, strict=True):
+        for row, quantity in zip(answers[p:], quantities, strict=True):
             row["value"], row["sigma"], row["low"], row["high"] = quantity[2:6]
             row["drawn"] = quantity.drawn if quantity.supported else 0.0
             row["supported"], row["unit"], row["name"] = quantity.supported, quantity.unit, quantity.name

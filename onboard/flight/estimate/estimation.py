@@ -23,6 +23,7 @@ from onboard.flight.estimate.shedding import KEPT_HZ, LATE_NS, THIN_NS, Shedding
 from onboard.flight.estimate.state import Places, StateError
 from onboard.flight.store import rings
 from onboard.identification.online import Defers
+from onboard.identification.quantities import MOST_ALSO
 from onboard.ring import RingReader, RingWriter
 
 SUFFIX = "_estimation"
@@ -45,7 +46,7 @@ def answer_rates_hz(estimator: Estimator) -> dict[str, float]:
     """How often rows of the estimation worker's channels come, at most."""
     settings = estimator.vehicle.file.estimation
     steps_hz = 1e3 / settings.step_ms
-    answers = len(estimator.parameter_names) + len(estimator.online.quantity_names)
+    answers = len(estimator.parameter_names) + len(estimator.online.quantity_names) + MOST_ALSO
     return {
         "tick": steps_hz,
         "clock": steps_hz * len(estimator.inputs),

@@ -13,6 +13,8 @@ from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.identification.capture.before_capture import Payload
+from onboard.identification.capture.captured_body import CapturedBody
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, told, too_large
 from onboard.identification.exiddm.further import Further, FurtherCell
@@ -85,6 +87,7 @@ class ExiddmIdentifier:
         self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+        self._captured = CapturedBody(exiddm)
         self._attached: bool | None = None
         self._told = 0
 
@@ -112,6 +115,9 @@ class ExiddmIdentifier:
             self._attached = held
             self.exiddm.take(Ticks(*(x[first:last] for x in ticks)))
             first = last
+        self._captured.take(ticks)
+        if self._answers and self.exiddm.state is not None and self._captured.due:
+            self._captured.tell(Payload(*self._payload(self.exiddm.state)))
         for reason in self.refused:
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         self._count(glitches)
@@ -143,7 +149,7 @@ class ExiddmIdentifier:
         fine = np.zeros(10, np.bool_)
         if exiddm.held and not exiddm.holds:
             note = "a release was announced"
-        if exiddm.holds and exiddm.state is not None and exiddm.confirmed:
+        if self._answers and exiddm.state is not None:
             mean, P = self._payload(exiddm.state)
             sigma = np.sqrt(np.diag(P))
             try:
@@ -176,12 +182,17 @@ class ExiddmIdentifier:
             tuple(quantities),
             self.rows_used,
             dict(self.refused),
+            self._captured.quantities(level),
         )
+
+    @property
+    def _answers(self) -> bool:
+        return self.exiddm.holds and self.exiddm.confirmed
 
     def triangle(self) -> FloatArray:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
         out = np.zeros((11, 11))
-        if self.exiddm.holds and self.exiddm.state is not None and self.exiddm.confirmed:
+        if self._answers and self.exiddm.state is not None:
             mean, P = self._payload(self.exiddm.state)
             R = cholesky(np.linalg.inv(P))
             out[:10, :10], out[:10, 10] = R, R @ mean

@@ -101,7 +101,7 @@ def of_mission(table: Mapping[str, Any]) -> FlightResult:
     """From the result table of ``heft hil``."""
     answers = [
         _answer(row, _UNITS.get(section, str(row.get("shown_in", ""))))
-        for section in ("masses", "centres", "inertias", "parameters")
+        for section in ("masses", "centres", "inertias", "parameters", "motions")
         for row in table[section]
     ]
     capture = table["capture"] or {"true_s": math.nan, "said_s": []}

@@ -23,6 +23,13 @@ from onboard.flight.estimate.answers import change_of, instrument_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
+from onboard.identification.capture.before_capture import (
+    ANNOUNCED_s,
+    BeforeCapture,
+    Payload,
+    Zeros,
+    before_capture,
+)
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further
@@ -35,7 +42,6 @@ from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.parts import halves
 from onboard.identification.whole_flight.stated import freely, leans_on
 from onboard.identification.whole_flight.witnesses import HARDLY, Tested, tested, without_each
-from onboard.offline.estimate_again.before_capture import BeforeCapture, Payload, Zeros, before_capture
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
 from onboard.offline.estimate_again.likelihood_log import (
@@ -159,7 +165,9 @@ class _Flight:
         if not taken or 0 not in made.flight.devices:
             return None
         number, free, held = taken[0]
-        touched_s = float(free.ticks.time_s[-1]), float(held.ticks.time_s[0]) - CONTACT_s
+        from_s, until_s = float(free.ticks.time_s[-1]), float(held.ticks.time_s[0]) - CONTACT_s
+        announced = until_s < from_s
+        touched_s = (from_s - ANNOUNCED_s, from_s + ANNOUNCED_s) if announced else (from_s, until_s)
         ends = touched_s[0] - _ABOUT_s, touched_s[1] + _ABOUT_s
         about = self._ticks.part(slice(*np.searchsorted(self._ticks.time_s, ends).tolist()))
         found, predictor = made.found, self._online.exiddm.predictor

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.vehicle import STANDARD
+from onboard.identification.capture.before_capture import BeforeCapture
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.verdict import Level, Standing, Verdict, standing
-from onboard.offline.estimate_again.before_capture import BeforeCapture
 from onboard.offline.estimate_again.residuals import Residuals
 from onboard.offline.estimate_again.throws import Throw, plain
 

@@ -22,12 +22,14 @@ from drivers.records import Rows
 from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.identification import build_online
+from onboard.identification.capture.captured_body import NAMES
 from onboard.identification.rows.identifier import Identifier, Start
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 COMMON_ERRORS = 3.0
 _LEVEL = 0.95  # of the intervals in the log
+_ALSO = [name.encode() for name in NAMES]
 
 
 def go_on(vehicle: config.Vehicle, log: LogReader) -> config.Vehicle:
@@ -87,7 +89,7 @@ def _of_payload(log: LogReader, estimate: np.void, triangle: FloatArray) -> Star
 
 
 def _last_step(log: LogReader, answers: int) -> tuple[np.void, Rows]:
-    """The last ESTIMATE whose QUANTITY rows are all there, and these."""
+    """The last ESTIMATE whose QUANTITY rows are all there, and these, without what was not asked for."""
     tails = []
     for channel in ("estimate", "quantity"):
         batches = log.batches([channel]) if channel in log.channels else iter(())
@@ -96,6 +98,7 @@ def _last_step(log: LogReader, answers: int) -> tuple[np.void, Rows]:
         estimates, quantities = (np.concatenate(tail) for tail in tails)
         for estimate in estimates[::-1]:
             said = quantities[quantities["host_ns"] == estimate["host_ns"]]
+            said = said[~np.isin(said["name"], _ALSO)]
             said = said[-answers:]  # the last step may have been made twice
             if len(said) == answers and len(np.unique(said["name"])) == answers:
                 return estimate, said

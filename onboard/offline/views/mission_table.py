@@ -85,7 +85,7 @@ def result(flown: Flown) -> Result:
         published: Result = {"title": f"{name}: rehearsed", **compared}
     else:
         published = _published(name)
-    masses, centres, inertias, parameters = (
+    masses, centres, inertias, parameters, motions = (
         [_compared(shown | row, answers, flown.truth) for row in published.get(section, [])]
         for section, shown in _SHOWN.items()
     )
@@ -100,6 +100,7 @@ def result(flown: Flown) -> Result:
         "centres": centres,
         "inertias": inertias,
         "parameters": parameters,
+        "motions": motions,
         "channels": {name: account.as_json() for name, account in counted.items()},
         "identified": any(row["supported"] for row in every) if own else all(mass["supported"] for mass in masses),
         "accounted": all(account.is_whole for account in counted.values()),
@@ -126,7 +127,7 @@ def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: di
     made |= {"standing": standing, "leans": leans}
     if answer is not None and supported:
         made |= {key: answer[key] for key in ("value", "low", "high", "sigma", "drawn", "unit")}
-        made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true else None
+        made["our_error_percent"] = 100 * (answer["value"] / true - 1) if true and not row.get("absolute") else None
         made["covered"] = answer["low"] <= true <= answer["high"]
     return made
 
@@ -165,8 +166,10 @@ def render(table: Result) -> RenderableType:
     made.add_column("", no_wrap=True)
     for heading in ("truth", *(("publ.", "err %") if published else ()), "heft", "95 % interval", "err %"):
         made.add_column(heading, justify="right", no_wrap=True)
-    for section in ("masses", "centres", "inertias", "parameters"):
+    for section in ("masses", "centres", "inertias", "parameters", "motions"):
         for row in table[section]:
+            if section == "motions" and not row["supported"]:
+                continue  # said below the table
             theirs = ("", "") if published else ()
             if "identified_g" in row:
                 theirs = f"{row['identified_g']:.1f}", f"{row['error_percent']:.2f}"
@@ -179,7 +182,7 @@ def render(table: Result) -> RenderableType:
     elif capture:
         noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
         lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))
-    rows = [*table["masses"], *table["centres"], *table["inertias"], *table["parameters"]]
+    rows = [*table["masses"], *table["centres"], *table["inertias"], *table["parameters"], *table["motions"]]
     for field, otherwise in (("standing", "not answered"), ("leans", "")):
         said: dict[str, list[str]] = {}
         for row in rows:
@@ -204,4 +207,5 @@ _SHOWN: dict[str, dict[str, Any]] = {
     "centre": {"shown_in": "mm", "factor": 1e3, "digits": 2},
     "inertia": {"shown_in": "g m²", "factor": 1e3, "digits": 3},
     "parameter": {},
+    "motion": {},
 }

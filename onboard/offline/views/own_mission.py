@@ -25,8 +25,8 @@ from onboard.recording.reader import LogReader
 from onboard.regressor.friction import COLUMNS
 
 Row = dict[str, Any]
-_UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "kg m^2": ("g m²", 1e3)}
-_SECTIONS = {"kg": "row", "m": "centre", "kg m^2": "inertia"}
+_UNITS = {"kg": ("g", 1e3), "m": ("mm", 1e3), "kg m^2": ("g m²", 1e3), "m/s": ("mm/s", 1e3)}
+_SECTIONS = {"kg": "row", "m": "centre", "kg m^2": "inertia", "m/s": "motion", "rad/s": "motion"}
 _KINDS = {  # units of base parameters, by the first part of their names
     **{"M": "kg", "Ia": "kg m²", "Fv": "N m s", "Fc": "N m"},
     **dict.fromkeys(("MX", "MY", "MZ"), "kg m"),
@@ -70,7 +70,9 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
         kind = _KINDS.get(name.split("_", 1)[0], "SI")
         shown_in, factor = _UNITS.get(answer["unit"], (answer["unit"] or kind, 1.0))
         section = _SECTIONS.get(answer["unit"], "parameter")
-        row = {"quantity": name, "label": name, "value": float(value), "shown_in": shown_in, "factor": factor}
+        row: Row = {"quantity": name, "label": name, "value": float(value), "shown_in": shown_in, "factor": factor}
+        if section == "motion":  # which is about zero: an error relative to it says nothing
+            row |= {"label": name.replace("_before_capture_", " before, "), "absolute": True}
         row["digits"] = _digits(factor * abs(float(value)))
         found[section].append(row)
     if (
