@@ -113,7 +113,13 @@ class CapturedBody:
                 told = float(value), float(sigma), float(value - z * sigma), float(value + z * sigma)
                 found.append(QuantityEstimate(name, unit, *told, float(share), True, ""))
             else:
-                found.append(_untold(name, unit, f"known to {sigma:.2g} {unit} only: it brought too little momentum"))
+                found.append(
+                    _untold(
+                        name,
+                        unit,
+                        f"known to {sigma:.2g} {unit} only: its momentum and the time of the touch tell no more",
+                    )
+                )
         return tuple(found)
 
     @property
