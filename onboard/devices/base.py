@@ -235,7 +235,7 @@ class ImuDevice(DeviceSection):
             self.misalignment_sigma_rad,
             1e-3 * self.delay_sigma_ms,
         )
-        return Roles([role], [], [], [], {name: signal})
+        return Roles([role], [], [], [], [], {name: signal})
 
 
 class JointDevice(BusDevice):
@@ -272,7 +272,7 @@ class JointDevice(BusDevice):
             corrections=roles.corrections(self.gain, 0.0),
         )
         joint = JointRole(self.joint, name, False, self.scale_sigma, self.zero_sigma_rad)
-        return Roles([], [joint], [], [], {name: signal})
+        return Roles([], [joint], [], [], [], {name: signal})
 
 
 class LoadCellDevice(BusDevice, LoadCellKeys):
@@ -286,7 +286,7 @@ class LoadCellDevice(BusDevice, LoadCellKeys):
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
         channel = next(iter(self.channels(name)))
-        return Roles([], [], [LoadCellRole(name, channel, self)], [], {channel: roles.force(self, period_s)})
+        return Roles([], [], [LoadCellRole(name, channel, self)], [], [], {channel: roles.force(self, period_s)})
 
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
         """See ``DeviceSection``."""

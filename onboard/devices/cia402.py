@@ -79,7 +79,7 @@ class Cia402Device(CanopenNodeDevice, DrivenDevice):
                 still_rad_s=self.torque_still_rad_s,
             )
             torque = roles.scalar(0.0, 0.0, period_s, {b"N m": 1.0})
-            found.add(Roles([], [], [LoadCellRole(row, row, keys)], [], {row: torque}))
+            found.add(Roles([], [], [LoadCellRole(row, row, keys)], [], [], {row: torque}))
         return found
 
     def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:

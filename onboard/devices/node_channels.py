@@ -61,7 +61,7 @@ class JointChannel(FilteredChannel):
             zero_count=self.zero_count, absolute=self.absolute
         )
         joint = JointRole(self.joint, channel, False, self.scale_sigma, self.zero_sigma_rad)
-        return Roles([], [joint], [], [], {channel: angle})
+        return Roles([], [joint], [], [], [], {channel: angle})
 
 
 class ForceChannel(ChannelSection, LoadCellKeys):
@@ -71,7 +71,7 @@ class ForceChannel(ChannelSection, LoadCellKeys):
 
     def roles(self, channel: str, period_s: float) -> Roles:
         """See ``ChannelSection``."""
-        return Roles([], [], [LoadCellRole(channel, channel, self)], [], {channel: roles.force(self, period_s)})
+        return Roles([], [], [LoadCellRole(channel, channel, self)], [], [], {channel: roles.force(self, period_s)})
 
     def delay(self, channel: str) -> Delay:
         """See ``ChannelSection``."""
@@ -89,7 +89,7 @@ class InertialChannel(FilteredChannel):
 
     def roles(self, channel: str, period_s: float) -> Roles:
         """See ``ChannelSection``: the IMU is made of all six by their device."""
-        return Roles([], [], [], [], {channel: self.signal(period_s)})
+        return Roles([], [], [], [], [], {channel: self.signal(period_s)})
 
 
 class GyroChannel(InertialChannel):

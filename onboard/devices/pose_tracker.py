@@ -10,6 +10,7 @@ from drivers.pose_tracker.frame import LONG_BYTES, SHORT_BYTES, PoseTrackerConfi
 from drivers.records import POSE
 from onboard.devices.base import Channels, Clock, Surroundings
 from onboard.devices.buses import OpenSerial, PollPeriod, SerialLineDevice
+from onboard.devices.roles import Roles, SmoothedChannel, TrackerRole
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay, on_wire_s
 from onboard.timebase.specs import ChannelClock, FreeChannel
@@ -20,10 +21,12 @@ TICK_NS = 1000.0  # the messages count microseconds
 class PoseTrackerDevice(SerialLineDevice):
     """Position and attitude of ``frame`` in the tracker's own axes: ATT_POS_MOCAP (138) of motion capture bridges.
 
-    Recorded and checked, and a witness only: the estimator does not use it. Noise is that of one pose. A pose that
-    repeats the one before to the bit is not valid: the tracker holds it while it does not see the markers.
+    A free base's ExIDDM predicts it on board, but of a vehicle with thrusters; where the tracker's axes are and how
+    they are turned is unknown to it. Noise is that of one pose. A pose that repeats the one before to the bit is not
+    valid: the tracker holds it while it does not see the markers.
     """
 
+    about_role = "pose of a free base"
     about_clock = (
         "The tracker's time stamps, fitted to the least delayed arrivals; `latency_ms`, the time on the line and half "
         "of `poll_period_ms` are taken off: a tracker may keep step with the reading of its port."
@@ -43,6 +46,16 @@ class PoseTrackerDevice(SerialLineDevice):
     ] = False
     position_noise_m: Annotated[Positive, Field(description="Standard deviation of one pose's position, each axis.")]
     attitude_noise_rad: Annotated[Positive, Field(description="Standard deviation of one pose's attitude, each axis.")]
+    misalignment_sigma_rad: Annotated[
+        Positive, Field(description="Standard deviation of the markers' axes against those of `frame`.")
+    ] = 0.02
+    place_sigma_m: Annotated[
+        Positive, Field(description="Standard deviation of the markers' place against that of `frame`, each axis.")
+    ] = 5e-3
+    scale_sigma: Annotated[Positive, Field(description="Relative standard deviation of the tracker's lengths.")] = 0.03
+    acceleration_sigma_m_s2: Annotated[
+        Positive, Field(description="Standard deviation of a steady acceleration of the tracker's axes in free fall.")
+    ] = 1e-3
     system: int = PoseTrackerConfig.system
     component: int = PoseTrackerConfig.component
     poll_period_ms: PollPeriod = PoseTrackerConfig.poll_period_ms
@@ -65,6 +78,14 @@ class PoseTrackerDevice(SerialLineDevice):
         """See ``DeviceSection``."""
         cause = "tracker: from exposure to message, on the wire, and till the port is read"
         return [Delay(name, "", self._delay_s(around), self._delay_sigma_s, cause)]
+
+    def roles(self, name: str, period_s: float) -> Roles:
+        """See ``DeviceSection``."""
+        noise = (0.5 * self.attitude_noise_rad,) * 4 + (self.position_noise_m,) * 3
+        signal = SmoothedChannel((0.0,) * 7, noise, period_s, {}, is_pose=True)
+        acceleration, turn = self.acceleration_sigma_m_s2, self.misalignment_sigma_rad
+        errors = acceleration, turn, self.place_sigma_m, self.scale_sigma, self._delay_sigma_s
+        return Roles([], [], [], [], [TrackerRole(name, self.frame, *errors, signal)], {})
 
     def driver(self, name: str, open_port: OpenSerial, clock: Clock, baud: int) -> PoseTracker:
         """See ``SerialLineDevice``."""

@@ -35,4 +35,4 @@ class ReactionWheelDevice(MappedObjectDevice):
         """See ``DeviceSection``."""
         rate = roles.scalar(self.delay_ms, self.noise_rad_s, period_s, roles.RATE)
         sigma = {"scale_sigma": self.scale_sigma, "delay_sigma_s": 1e-3 * self.delay_sigma_ms}
-        return Roles([], [JointRole(self.joint, name, is_rate=True, **sigma)], [], [], {name: rate})
+        return Roles([], [JointRole(self.joint, name, is_rate=True, **sigma)], [], [], [], {name: rate})

@@ -56,7 +56,7 @@ class RecordedAngle(RecordedDevice):
             zero_count=self.zero_count, repeats=self.repeats
         )
         joint = JointRole(self.joint, name, False, self.scale_sigma, self.zero_sigma_rad)
-        return Roles([], [joint], [], [], {name: angle})
+        return Roles([], [joint], [], [], [], {name: angle})
 
 
 class RecordedRate(RecordedDevice):
@@ -78,7 +78,7 @@ class RecordedRate(RecordedDevice):
         rate = roles.scalar(0.0, self.noise_rad_s, period_s, roles.RATE)._replace(repeats=self.repeats)
         delay_s = 1e-3 * self.delay_sigma_ms
         joint = JointRole(self.joint, name, True, self.scale_sigma, delay_sigma_s=delay_s)
-        return Roles([], [joint], [], [], {name: rate})
+        return Roles([], [joint], [], [], [], {name: rate})
 
 
 class RecordedLoadCell(RecordedDevice, LoadCellKeys):
@@ -90,7 +90,7 @@ class RecordedLoadCell(RecordedDevice, LoadCellKeys):
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
-        return Roles([], [], [LoadCellRole(name, name, self)], [], {name: roles.force(self, period_s)})
+        return Roles([], [], [LoadCellRole(name, name, self)], [], [], {name: roles.force(self, period_s)})
 
 
 class RecordedTorque(RecordedDevice, TorqueKeys):
@@ -105,7 +105,7 @@ class RecordedTorque(RecordedDevice, TorqueKeys):
         si = {b"N m": 1.0, b"N": 1.0} | ({b"A": self.gain_N_m_A} if self.gain_N_m_A else {})
         noise = 0.0  # of a sample: not stated, sigma_N_m is of the model; equal readings tell nothing without it
         torque = roles.scalar(self.delay_ms, noise, period_s, si)
-        return Roles([], [], [LoadCellRole(name, name, self)], [], {name: torque})
+        return Roles([], [], [LoadCellRole(name, name, self)], [], [], {name: torque})
 
 
 class RecordedValue(RecordedDevice):

@@ -143,6 +143,7 @@ class SmoothedChannel(NamedTuple):
     limit: float = math.inf
     absolute: bool = True
     ripple: tuple[tuple[float, float], ...] = ()
+    is_pose: bool = False  # attitude w, x, y, z and position x, y, z of a tracker
     repeats: bool = False  # its recorder may write a reading again: equal ones do not show that it is stuck
     corrections: tuple[Correction, ...] = ()
 
@@ -207,6 +208,19 @@ class ThrusterRole(NamedTuple):
     scale_sigma: float  # relative, of its force
 
 
+class TrackerRole(NamedTuple):
+    """A pose tracker: its channel, the frame that it sees, 1 sigma of its errors, and what its readings are."""
+
+    channel: str
+    frame: str
+    acceleration_m_s2: float  # of its axes against free fall
+    misalignment_rad: float  # of the frame
+    place_m: float
+    scale: float
+    delay_s: float
+    signal: SmoothedChannel
+
+
 class Roles(NamedTuple):
     """The roles of a device or of a whole vehicle, and the signals by channel that fill them."""
 
@@ -214,12 +228,13 @@ class Roles(NamedTuple):
     joints: list[JointRole]
     cells: list[LoadCellRole]
     thrusters: list[ThrusterRole]
+    trackers: list[TrackerRole]
     signals: dict[str, SmoothedChannel]
 
     @classmethod
     def none(cls) -> "Roles":
         """Roles of a device that is only recorded."""
-        return cls([], [], [], [], {})
+        return cls([], [], [], [], [], {})
 
     def add(self, other: "Roles") -> None:
         """Add those of another device."""
@@ -227,6 +242,7 @@ class Roles(NamedTuple):
         self.joints.extend(other.joints)
         self.cells.extend(other.cells)
         self.thrusters.extend(other.thrusters)
+        self.trackers.extend(other.trackers)
         self.signals.update(other.signals)
 
     @property

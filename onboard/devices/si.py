@@ -18,6 +18,11 @@ def imu(rows: Rows, signal: SmoothedChannel | None = None) -> FloatArray:
     return readings if signal is None else signal.corrected(readings)
 
 
+def pose(rows: Rows) -> FloatArray:
+    """Attitude w, x, y, z and position x, y, z, m, of a tracker's rows, (n, 7)."""
+    return np.hstack([rows["quaternion"], rows["position_m"]]).astype(np.float64)
+
+
 def factors(rows: Rows, signal: SmoothedChannel) -> FloatArray:
     """SI units in the unit of each row, (n,); NaN where that is none that the channel may have."""
     factor = np.full(len(rows), np.nan)

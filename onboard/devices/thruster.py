@@ -44,4 +44,4 @@ class ThrusterDevice(MappedObjectDevice):
         """See ``DeviceSection``."""
         force = roles.scalar(self.delay_ms, 0.0, period_s, roles.FORCE)._replace(repeats=True)
         role = ThrusterRole(name, name, self.frame, self.axis, self.scale_sigma)
-        return Roles([], [], [], [role], {name: force})
+        return Roles([], [], [], [role], [], {name: force})

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.bodies import Bodies
+from onboard.dynamics.centre import centre_by_chi, centre_of
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.joint_errors import Displaced, ErrorsAlong
 from onboard.dynamics.kinematics import Frames, LinkMotion, frames_of, turned
@@ -198,21 +199,13 @@ class _Pushed:
     def __init__(self, push: Push, composite: FloatArray) -> None:
         self.of_each = push.of_each
         self.wrench: FloatArray = push.of_each @ push.gain  # (n, 6)
-        self._mass_kg = composite[:, 0, 0, None]
-        moment = -np.stack([composite[:, 2, 4], composite[:, 0, 5], composite[:, 1, 3]], axis=1)  # -m hat(r) in it
-        self._centre_m = moment / self._mass_kg
+        self._mass_kg, self._centre_m = centre_of(composite)
         self.torque_of_each = self.of_each[:, 3:] - hat(self._centre_m) @ self.of_each[:, :3]  # (n, 3, k)
         self.torque: FloatArray = self.torque_of_each @ push.gain  # (n, 3)
 
     def by_centre(self, free: Columns, X: FloatArray) -> FloatArray:
-        """Derivative of the torque by chi, (n, 3, c): ``F x dr``, ``dr = (d(m r) - r dm) / m``."""
-        n, c = len(X), 10 * len(free.links)
-        along_x, along_y = np.empty((n, 6, c)), np.empty((n, 6, c))
-        for out, unit in ((along_x, 0), (along_y, 1)):  # momentum of unit translations: m, and m r across
-            free.into(out, X, np.broadcast_to(np.eye(6)[unit], X.shape[:-1]))
-        d_mass = along_x[:, :1]
-        d_moment = np.stack([along_y[:, 5], -along_x[:, 5], along_x[:, 4]], axis=1)
-        d_centre = (d_moment - self._centre_m[..., None] * d_mass) / self._mass_kg[..., None]
+        """Derivative of the torque by chi, (n, 3, c): ``F x dr``."""
+        d_centre = centre_by_chi(free, X, self._mass_kg, self._centre_m)
         return np.asarray(hat(self.wrench[:, :3]) @ d_centre, np.float64)
 
 

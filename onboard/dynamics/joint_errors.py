@@ -117,6 +117,18 @@ class JointErrors:
         """Sums over the links beyond each joint, those beyond the frame alone."""
         return bodies.sums(self._beyond)
 
+    def of_moment(self, displaced: Displaced, bodies: Bodies) -> FloatArray:
+        """Derivative of the sum of mass times place of the links, base axes, (n, 3, columns): ``I S`` of those beyond.
+
+        Args:
+            displaced: by the errors.
+            bodies: all links.
+        """
+        I = self.beyond(bodies).inertia[..., :3, :] @ displaced.screws[..., :4]  # noqa: E741  (n, joints, 3, 4)
+        out = np.empty((len(I), 3, self.columns))
+        _put(out, I, I[..., 3].swapaxes(1, 2) @ displaced.functions[:, : I.shape[1]])
+        return out
+
     def into(self, displaced: Displaced, bodies: Bodies, H: FloatArray | None, Y: FloatArray) -> None:
         """Derivatives of momentum and wrench of the links about the base's origin, (n, 6, columns) each.
 
@@ -142,11 +154,11 @@ class JointErrors:
 
 
 def _put(out: FloatArray, still: FloatArray, moving: FloatArray) -> None:
-    """Columns of places and zeros, (n, joints, 6, 4), and of the functions, (n, 6, f), in the order of the errors."""
-    n, joints = still.shape[:2]
-    own, two = out[:, :, : PER_JOINT * joints].reshape(n, 6, joints, PER_JOINT), 2 * joints
+    """Columns of places and zeros, (n, joints, r, 4), and of the functions, (n, r, f), in the order of the errors."""
+    n, joints, rows = still.shape[:3]
+    own, two = out[:, :, : PER_JOINT * joints].reshape(n, rows, joints, PER_JOINT), 2 * joints
     own[..., :4] = still.transpose(0, 2, 1, 3)
-    own[..., 4:] = moving[:, :, :two].reshape(n, 6, 2, joints).swapaxes(2, 3)
+    own[..., 4:] = moving[:, :, :two].reshape(n, rows, 2, joints).swapaxes(2, 3)
     out[:, :, PER_JOINT * joints :] = moving[:, :, two:]
 
 

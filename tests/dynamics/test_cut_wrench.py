@@ -10,7 +10,7 @@ from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.identification import build_model
-from onboard.identification.exiddm.further import CellPrior, Friction, FurtherCell, FurtherImu
+from onboard.identification.exiddm.further import CellPrior, Friction, FurtherCell, FurtherImu, FurtherPose, PosePrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.regressor.rows import joint_torque_row
 from tests.dynamics.free_flyer_twin import twin
@@ -62,22 +62,29 @@ def test_derivatives_of_all_instruments_are_finite_differences():
     cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.03, 1e-4, 0.0025, 2e-4))
     friction = Friction(1, 0.3, 0.2, 0.1)
     torque = FurtherCell("torque", "joint_2", (0, 0, 0, 0, 1, 0), 5, CellPrior(0.1, 0.0, 0.01, 2e-4), friction)
-    further = [cell, torque, FurtherImu("imu_2", "imu_2", 10, prior, 0.003, 1.0)]
+    tracker = FurtherPose("tracker", "imu_2", PosePrior(1e-3, 0.02, 3e-3, 1e-3, 1e-3))
+    further = [tracker, cell, torque, FurtherImu("imu_2", "imu_2", 10, prior, 0.003, 1.0)]
     geometry = geometry_prior(vehicle, model)
     predictor = ImuPredictor(model, "imu_base", PERIOD_s, 10, covariance, prior, geometry, further)
-    assert [own.start for own in predictor.lines] == [0, 6, 12, 13]  # cells come last
+    assert [own.start for own in predictor.lines] == [0, 6, 12, 13, 14]  # IMUs, cells, trackers
     rng = np.random.default_rng(1)
     t, size, pace, phase = PERIOD_s * np.arange(12)[:, None], *rng.uniform(1.0, 3.0, (3, 5))
     joints = 0.3 * size * np.sin(pace * t + phase), 0.3 * size * pace * np.cos(pace * t + phase)
     joints += (-(pace**2) * joints[0],)
     x = np.nan_to_num(predictor.sigma) * rng.normal(size=len(predictor.names))
+    x[predictor.moving] = [0.6, -0.3, 0.7, 0.2, 1.0, 2.0, 3.0, 0.1, 0.2, -0.1]
     x[PAYLOAD], x[RATE] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1], [0.2, -0.3, 0.1]
-    jacobian = predictor.predict(*joints, x).jacobian
+    predicted = predictor.predict(*joints, x)
+    jacobian, moving = predicted.jacobian, predictor.moving
     for k, name in enumerate(predictor.names):
         step = np.zeros(len(x))
         step[k] = 1e-5 if np.isnan(predictor.sigma[k]) else 1e-3 * predictor.sigma[k]
-        up, down = (predictor.predict(*joints, x + sign * step).values for sign in (1.0, -1.0))
+        ends = [predictor.predict(*joints, x + sign * step) for sign in (1.0, -1.0)]
+        up, down = (end.values for end in ends)
         slope = (up - down) / (2.0 * step[k])
+        of_end = (ends[0].state - ends[1].state)[moving] / (2.0 * step[k])
+        of_second_order = 5e-3 * np.abs(of_end).max() + 1e-8 / step[k]
+        assert np.abs(predicted.transition[-moving.size :, k] - of_end).max() < of_second_order, name
         for own in predictor.lines:
             of_second_order = 5e-3 * np.abs(slope[:, own]).max() + 1e-8 / step[k]
             assert np.abs(jacobian[:, own, k] - slope[:, own]).max() < of_second_order, (name, own)

@@ -25,6 +25,7 @@ from onboard.flight.estimate.phases import PhaseTrack
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import SignalSmoother, kernel_of
 from onboard.flight.estimate.torques import TorqueLines
+from onboard.flight.estimate.tracked import TrackedTicks
 from onboard.flight.estimate.witness import RateWitness
 from onboard.flight.estimate.zeroing import Temperatures, Zeroing
 from onboard.identification.exiddm.online import ExiddmIdentifier
@@ -71,7 +72,6 @@ class Estimator:
         self.online: OnlineIdentifier = with_hypotheses(vehicle, fresh) if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
         fitted = METHODS[settings.method].tick_means and vehicle.file.planar is None
-        self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted)
         self._phases = PhaseTrack(settings.phases)
         moving = settings.phases.identify if settings.phases else ()
         self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz, moving)
@@ -88,7 +88,9 @@ class Estimator:
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
         self._temperatures = Temperatures(self._imu)
         further = self.online.further if isinstance(self.online, ExiddmIdentifier | TableRun) else ()
-        self._further = channels_of(roles, further)
+        seen = [one for one in roles.trackers if one.channel in {own.name for own in further}]
+        self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted, trackers=seen)
+        self._further, self._tracked = channels_of(roles, further), [TrackedTicks(one, self._period_ns) for one in seen]
         self._torques = TorqueLines.of(roles, self.model, self.online.row_names)
         self._witness: RateWitness | None = None
         try:
@@ -232,10 +234,9 @@ class Estimator:
     def _means(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """Means over the ticks of the IMU and further instruments, their sigmas, and reasons, (n, rows) each."""
         assert self._imu is not None
-        each = [
-            self._signals.means(names, self._timebase, at_ns, self._period_ns)
-            for names in (self._imu.channels, *self._further)
-        ]
+        own = (self._imu.channels, *self._further)
+        each = [self._signals.means(names, self._timebase, at_ns, self._period_ns) for names in own]
+        each += [one.at(self._signals, self._timebase, at_ns) for one in self._tracked]
         values, sigmas = [one.derivatives[0] for one in each], [one.sigma[0] for one in each]
         refused = [np.repeat(one.refused[:, None], one.derivatives[0].shape[1], axis=1) for one in each]
         return np.hstack(values), np.hstack(sigmas), np.hstack(refused)

@@ -21,9 +21,17 @@ from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.torques import torque_cell
-from onboard.identification.exiddm.further import CellPrior, Further, FurtherCell, FurtherImu
+from onboard.identification.exiddm.further import (
+    CellPrior,
+    Further,
+    FurtherCell,
+    FurtherImu,
+    FurtherPose,
+    PosePrior,
+    Thruster,
+)
 from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.imu_prediction import ImuPredictor, Thruster
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.online import OnlineIdentifier
@@ -119,11 +127,12 @@ def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> Online
     return Hypotheses(lambda: build_identifier(vehicle)[0], redundant)
 
 
-def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleModel]:
+def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[ExiddmIdentifier, VehicleModel]:
     """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
 
     Args:
         vehicle: its file.
+        tracked: a pose tracker takes part, if there is one.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -136,6 +145,7 @@ def build_exiddm(vehicle: config.Vehicle) -> tuple[ExiddmIdentifier, VehicleMode
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
         further = further_instruments(vehicle, model, imu_prior)
+        further += tracker_of(roles) if tracked else []
         priors = covariance, imu_prior, geometry, further
         thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
         predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0], thrusters)
@@ -193,10 +203,24 @@ def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior:
     return found
 
 
+def tracker_of(roles: Roles) -> list[Further]:
+    """The pose tracker, if there is one; thrusters push the centre of mass, which it does not predict."""
+    if roles.thrusters:
+        return []
+    return [
+        FurtherPose(
+            one.channel,
+            one.frame,
+            PosePrior(one.acceleration_m_s2, one.misalignment_rad, one.place_m, one.scale, one.delay_s),
+        )
+        for one in roles.trackers[:1]
+    ]
+
+
 def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...]]:
-    """The channels of each further instrument, by its name."""
+    """The channels of each further instrument but trackers, by its name."""
     names = {imu.channels[0]: imu.channels for imu in roles.imus} | {cell.name: (cell.channel,) for cell in roles.cells}
-    return [names[one.name] for one in further]
+    return [names[one.name] for one in further if not isinstance(one, FurtherPose)]
 
 
 def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows, SampleStatus, Severity
 from onboard import config
 from onboard.devices import si
-from onboard.devices.roles import SmoothedChannel
+from onboard.devices.roles import SmoothedChannel, TrackerRole
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
@@ -63,21 +63,25 @@ class SignalSmoother:
     Args:
         vehicle: its file.
         cyclic_fitted: cyclic errors of encoders are fitted: their functions are wanted, and the noise is what is left.
+        trackers: whose poses are wanted.
     """
 
-    def __init__(self, vehicle: config.Vehicle, *, cyclic_fitted: bool = False) -> None:
+    def __init__(
+        self, vehicle: config.Vehicle, *, cyclic_fitted: bool = False, trackers: Sequence[TrackerRole] = ()
+    ) -> None:
         self._cyclic_fitted = cyclic_fitted
         self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
         self._kernel = kernel_of(vehicle)
         self._response = Response(self.width_s, self._kernel)
-        self._signals = roles_of(vehicle).signals
+        self._signals = {**roles_of(vehicle).signals, **{one.channel: one.signal for one in trackers}}
         self._histories = {
             name: History(int(HISTORY_S / signal.period_s), len(signal.noise)) for name, signal in self._signals.items()
         }
         self._reach_ns = round(1.5e9 * self.width_s)
         self._zero_lost: set[str] = set()
         self._told: set[tuple[str, str]] = set()
-        self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items()}
+        self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items() if not signal.is_pose}
+        self._attitudes = {one.channel: np.zeros(4) for one in trackers}  # the last, of which the next has the sign
 
     def append(self, batches: Mapping[str, Rows]) -> list[tuple[str, Said]]:
         """Take in what a step consumed; returns channels with what there is to say of them."""
@@ -93,6 +97,9 @@ class SignalSmoother:
                     self._zero_lost.add(name)
             rows = arrived[restarts[-1] :] if len(restarts) else arrived
             values, usable = _values(signal, rows)
+            if signal.is_pose:  # one that repeats is not usable already
+                history.append(rows, self._continued(name, values, usable), reasons(~usable, GateReason.SATURATED))
+                continue
             why = ""
             if name in self._zero_lost:
                 usable[:] = False
@@ -111,6 +118,16 @@ class SignalSmoother:
             history.mark(before, GateReason.STUCK)
             history.append(rows, values, reasons(~usable, GateReason.SATURATED) | reasons(stuck, GateReason.STUCK))
         return said
+
+    def _continued(self, name: str, values: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+        """Poses, (n, 7), with the sign of each quaternion next to that of the one before."""
+        values = np.where(usable[:, None], values, 0.0)
+        last = self._attitudes[name]
+        for row in np.flatnonzero(usable):
+            values[row, :4] *= -1.0 if values[row, :4] @ last < 0.0 else 1.0
+            last = values[row, :4]
+        self._attitudes[name] = last.copy()
+        return values
 
     def together(
         self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
@@ -345,6 +362,8 @@ def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:
 def _values(signal: SmoothedChannel, rows: Rows) -> tuple[FloatArray, NDArray[np.bool_]]:
     """SI values, (n, columns), gyro and accelerometer in sensor axes or one scalar; and which may be used, (n,)."""
     usable = si.usable(rows)
+    if signal.is_pose:
+        return si.pose(rows), usable
     if not signal.si:
         return si.imu(rows, signal), usable
     readings: FloatArray = (rows["value_raw"] - signal.zero_count) * rows["scale"] * si.factors(rows, signal)

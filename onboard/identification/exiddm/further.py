@@ -1,4 +1,4 @@
-"""Instruments besides the first IMU that the recursive ExIDDM predicts: further IMUs of the base, load cells.
+"""Instruments besides the first IMU that the recursive ExIDDM predicts: further IMUs, load cells, a tracker.
 
 A load cell shows ``(1 + scale) (u - delay du/dt) + bias + drift t``, u its component of the wrench through its cut
 (:mod:`onboard.dynamics.cut_wrench`): the IMU's error model (:mod:`onboard.identification.exiddm.imu_errors`) for one
@@ -9,14 +9,18 @@ the rotor's inertia in it: ``u + Fc sign(dq) + Fv dq + Ia ddq`` in place of u (L
 does to these three is left out: it is a few hundredths of a torque's stated sigma at most.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.tracked_pose import LINES
+from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.imu_errors import ImuPrior, tick_mean
+from onboard.identification.exiddm.imu_errors import ImuPrior, imu_blocks, tick_mean
 from onboard.identification.exiddm.parameters import Block
 
+_ANYWHERE_m, _ANY_m_s = 20.0, 1.0  # 1 sigma of the centre of mass in a tracker's axes, and of its velocity
 OF_FRICTION = ("Fc", "Fv", "Ia")
 
 
@@ -110,4 +114,80 @@ class FurtherCell(NamedTuple):
         return gain * late[:, 0] + bias + drift * time_s, np.column_stack([*of_cell, gain * late[:, 1:]])
 
 
-Further = FurtherImu | FurtherCell
+class PosePrior(NamedTuple):
+    """Prior on a tracker's errors: standard deviations; zero: exact."""
+
+    acceleration_m_s2: float
+    turn_rad: float
+    place_m: float
+    scale: float
+    delay_s: float
+
+
+class FurtherPose(NamedTuple):
+    """A tracker."""
+
+    name: str
+    frame: str  # fixed in the base
+    prior: PosePrior
+    samples: int = 1  # a reading is that of an instant
+
+    @property
+    def width(self) -> int:
+        """Lines that it has."""
+        return LINES
+
+    def blocks(self) -> dict[str, Block]:
+        """Its unknowns, the first of them what changes in flight."""
+        p = self.prior
+        each = {
+            "attitude": ("wxyz", 1.0),
+            "centre": ("xyz", _ANYWHERE_m),
+            "velocity": ("xyz", _ANY_m_s),
+            "acceleration": ("xyz", p.acceleration_m_s2),
+            "turn": ("xyz", p.turn_rad),
+            "place": ("xyz", p.place_m),
+        }
+        blocks = {
+            f"{kind} {self.name}": Block(tuple(f"{kind}_{axis}_{self.name}" for axis in axes), np.full(len(axes), s))
+            for kind, (axes, s) in each.items()
+        }
+        last = {"scale": p.scale, "delay_s": p.delay_s}
+        return blocks | {f"{k} {self.name}": Block((f"{k}_{self.name}",), np.array([s])) for k, s in last.items()}
+
+
+Further = FurtherImu | FurtherCell | FurtherPose
+
+
+def blocks_of(one: Further) -> dict[str, Block]:
+    """Unknowns of a further instrument, its name after each of theirs."""
+    if isinstance(one, FurtherPose):
+        return one.blocks()
+    if isinstance(one, FurtherCell):
+        return {one.name: one.block()}
+    prior = one.prior._replace(clock_rate_error=0.0)
+    blocks = {
+        f"{kind} {one.name}": Block(tuple(f"{name}_{one.name}" for name in block.names), block.sigma)
+        for kind, block in imu_blocks(prior).items()
+    }
+    places = tuple(f"place_{axis}_{one.name}" for axis in "xyz")
+    return {**blocks, f"place {one.name}": Block(places, np.full(3, one.place_m))}
+
+
+class Thruster(NamedTuple):
+    """A force of known direction on the base."""
+
+    name: str
+    wrench: FloatArray  # (6,) of 1 N: force and moment about the base's origin, base axes
+    scale_sigma: float  # relative
+
+    @staticmethod
+    def of(vehicle: VehicleModel, name: str, frame: str, axis: Sequence[float], scale_sigma: float) -> "Thruster":
+        """Along an axis of a frame, through its origin.
+
+        Raises:
+            UnknownFrameError: a frame that the URDF does not have, or that moves with a joint.
+        """
+        R_BF, p_BoFo_B = vehicle.pose_in_base(frame)
+        force = R_BF @ (np.asarray(axis) / np.linalg.norm(axis))
+        return Thruster(name, np.concatenate([force, np.cross(p_BoFo_B, force)]), scale_sigma)

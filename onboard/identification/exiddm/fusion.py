@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.identification.change import Change
 
@@ -66,6 +67,7 @@ class Fusion:
         self.names, self._lines = tuple(names), tuple(lines)
         self.left_out: list[int] = []
         self._imus = [k for k, own in enumerate(lines) if own.stop - own.start == lines[0].stop]
+        self._trackers = [k for k, own in enumerate(lines) if own.stop - own.start == LINES]
         self.refused: Accusation | None = None
         self._accusing = 0  # batches in a row
         self._refused, self._agreed = [0] * len(self.names), [0] * len(self.names)
@@ -102,7 +104,8 @@ class Fusion:
     def doubted(self, *, longer: bool) -> list[int]:
         """Instruments that may be wrong where a window, or a longer one than before, is not explained by all."""
         imus = self.imus if len(self.imus) > 1 else []
-        return imus + [k for k in self.order if longer and k not in self.left_out and k not in self._imus]
+        others = [k for k in self.order if k not in self.left_out and k not in self._imus]
+        return imus + [k for k in others if longer or k in self._trackers]
 
     def expect(self, measured: FloatArray) -> None:
         """Do without IMUs that have measured in less than half of some ticks, (n, lines), if another has in more."""

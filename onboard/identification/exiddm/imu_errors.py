@@ -86,6 +86,14 @@ def imu_blocks(prior: ImuPrior) -> dict[str, Block]:
     return blocks
 
 
+def drift_of(name: str) -> str:
+    """The drift of a bias, by their names; empty for what is no bias."""
+    for bias, drift in (*zip(BIASES, DRIFTS, strict=True), ("bias_", "drift_")):
+        if name.startswith(bias):
+            return drift + name.removeprefix(bias)
+    return ""
+
+
 class ImuReading(NamedTuple):
     """What the IMU shows, rate then specific force in its axes, and how that depends on its errors."""
 

@@ -22,60 +22,34 @@ from onboard.dynamics.free_flight import BasePrediction, Push, predict_base_from
 from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
 from onboard.dynamics.kinematics import chain_motion, cross
 from onboard.dynamics.spatial import Columns, times
+from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.further import Further, FurtherCell
+from onboard.identification.exiddm.further import Further, FurtherCell, FurtherImu, FurtherPose, Thruster, blocks_of
 from onboard.identification.exiddm.imu_errors import (
-    BIASES,
-    DRIFTS,
     SIZE,
     ImuPrior,
+    drift_of,
     gain_of,
     imu_blocks,
     imu_reading,
     tick_mean,
 )
-from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, Block, GeometryPrior, Layout, UncertainLinks
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.parameters import (
+    EXACT_GEOMETRY,
+    Block,
+    GeometryPrior,
+    Layout,
+    UncertainLinks,
+    kept_of,
+    named,
+    together,
+)
+from onboard.identification.exiddm.ticks import Prediction, Ticks
 
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
-FIRST_TICKS = 10  # for the initial rate
 DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
-_IMMODERATE = 1e12  # of a prediction in SI units
 _POSTURE_TICKS = 10  # over which the arm's posture is constant in the effect of its noise
-
-
-class Prediction(NamedTuple):
-    """Prediction of the ticks 1 .. b of b + 2, from a state at tick 0."""
-
-    values: FloatArray  # (b, m) rate and specific force in the first IMU's axes, then what further instruments show
-    jacobian: FloatArray  # (b, m, p)
-    state: FloatArray  # (p,) propagated to tick b
-    transition: FloatArray  # (c, p) derivative of those of its elements that change: :attr:`ImuPredictor.changing`
-
-    @property
-    def moderate(self) -> bool:
-        """Whether no square of it overflows; else the joints' signals are nonsense."""
-        return all(bool(part.min() > -_IMMODERATE and part.max() < _IMMODERATE) for part in self)  # False for NaN
-
-
-class Thruster(NamedTuple):
-    """A force of known direction on the base."""
-
-    name: str
-    wrench: FloatArray  # (6,) of 1 N: force and moment about the base's origin, base axes
-    scale_sigma: float  # relative
-
-    @staticmethod
-    def of(vehicle: VehicleModel, name: str, frame: str, axis: Sequence[float], scale_sigma: float) -> "Thruster":
-        """Along an axis of a frame, through its origin.
-
-        Raises:
-            UnknownFrameError: a frame that the URDF does not have, or that moves with a joint.
-        """
-        R_BF, p_BoFo_B = vehicle.pose_in_base(frame)
-        force = R_BF @ (np.asarray(axis) / np.linalg.norm(axis))
-        return Thruster(name, np.concatenate([force, np.cross(p_BoFo_B, force)]), scale_sigma)
 
 
 class _Imu(NamedTuple):
@@ -95,6 +69,14 @@ class _Own(NamedTuple):
     of_errors: slice | IndexArray
     place: slice | IndexArray = slice(0)
     of_place: slice | IndexArray = slice(0)
+
+
+class _Pose(NamedTuple):
+    """A tracker: its frame in the base, where its unknowns stand among all, and where what moves in the state."""
+
+    mount: tuple[FloatArray, FloatArray]  # quaternion, place
+    unknown: slice
+    motion: slice
 
 
 class ImuPredictor:
@@ -125,7 +107,9 @@ class ImuPredictor:
         of_further: the same of each further instrument, of a cell its scale alone.
         stated: (p,) as ``sigma``, of biases as they may be after their drift.
         wandering: where the delays stand that wander, and the correlation time of each.
-        changing: where rate and biases stand, the only elements of the state that change from tick to tick.
+        changing: where rate and biases stand, the only elements of the state that change from tick to tick; with a
+            tracker also the base's attitude, and place and velocity of the centre of mass.
+        moving: where these last stand; empty without a tracker.
 
     Raises:
         UnknownFrameError: no payload link, or a name that the URDF does not have.
@@ -146,9 +130,9 @@ class ImuPredictor:
     ) -> None:
         self.vehicle, self.period_s, self.thrusters = vehicle, period_s, tuple(thrusters)
         self._wrenches = np.array([one.wrench for one in thrusters]).reshape(-1, 6).T  # (6, k)
-        self.further = tuple(sorted(further, key=lambda one: isinstance(one, FurtherCell)))
+        self.further = tuple(sorted(further, key=lambda one: (FurtherImu, FurtherCell, FurtherPose).index(type(one))))
         self.instruments = (name, *(one.name for one in self.further))
-        self.imu_frames = imu_frame, *(one.frame for one in self.further if not isinstance(one, FurtherCell))
+        self.imu_frames = imu_frame, *(one.frame for one in self.further if isinstance(one, FurtherImu))
         self._links = UncertainLinks(vehicle, link_covariance)
         halves = [np.asarray(np.linalg.cholesky(block), np.float64) for block in self._links.covariances]
         self._basis = block_diag(*halves) if halves else np.zeros((0, 0))  # of the links, one sigma long each
@@ -164,30 +148,37 @@ class ImuPredictor:
             ),
         }
         for one in self.further:
-            blocks |= _blocks_of(one)
+            blocks |= blocks_of(one)
         layout = Layout(blocks)
         self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
-        first, of_cyclic = slice(PAYLOAD.stop, PAYLOAD.stop + SIZE), geometry.cyclic_joints(vehicle)
-        self._imus = [_Imu(*vehicle.pose_in_base(imu_frame), samples, first, layout["imu_place"])]
-        self._cells: list[tuple[FurtherCell, CutWrench]] = []
-        self.wandering: list[tuple[int, float]] = []
-        for one in self.further:
-            if isinstance(one, FurtherCell):
-                projection = np.array(one.projection, np.float64)
-                self._cells.append((one, CutWrench(vehicle, one.frame, projection, self._links.indices, of_cyclic)))
-                continue
-            at = layout[f"gyro_bias_rad_s {one.name}"].start
-            errors, place = slice(at, at + SIZE), layout[f"place {one.name}"]
-            self._imus.append(_Imu(*vehicle.pose_in_base(one.frame), one.samples, errors, place))
-            if np.isfinite(one.delay_memory_s):
-                self.wandering += [(at, one.delay_memory_s) for at in layout.estimated(f"delay_s {one.name}").tolist()]
+        of_cyclic = geometry.cyclic_joints(vehicle)
+        self._imus = [
+            _Imu(
+                *vehicle.pose_in_base(imu_frame), samples, slice(PAYLOAD.stop, PAYLOAD.stop + SIZE), layout["imu_place"]
+            )
+        ]
+        self._imus += [self._further_imu(one) for one in self.further if isinstance(one, FurtherImu)]
+        self._cells = [
+            (one, CutWrench(vehicle, one.frame, np.array(one.projection, np.float64), self._links.indices, of_cyclic))
+            for one in self.further
+            if isinstance(one, FurtherCell)
+        ]
+        self._poses = [self._pose(one) for one in self.further if isinstance(one, FurtherPose)]
+        self.wandering = [
+            (at, one.delay_memory_s)
+            for one in self.further
+            if isinstance(one, FurtherImu) and np.isfinite(one.delay_memory_s)
+            for at in layout.estimated(f"delay_s {one.name}").tolist()
+        ]
+        moving = [np.arange(one.motion.start, one.motion.stop) for one in self._poses]
+        self.moving: IndexArray = np.concatenate([np.zeros(0, np.intp), *moving]).astype(np.intp)
         self.of_each = [
             layout.estimated(*imu_blocks(imu_prior), "imu_place"),
-            *(_named(layout, f"_{one.name}") for one in self.further),
+            *(np.setdiff1d(named(layout, f"_{one.name}"), self.moving) for one in self.further),
         ]
         self.of_further = [
-            _named(layout, f"scale_{one.name}" if isinstance(one, FurtherCell) else f"_{one.name}")
-            for one in self.further
+            named(layout, f"scale_{one.name}") if isinstance(one, FurtherCell) else own
+            for one, own in zip(self.further, self.of_each[1:], strict=True)
         ]
         ends = np.cumsum([0, 6, *(one.width for one in self.further)]).tolist()
         self.lines = tuple(slice(a, b) for a, b in pairwise(ends))
@@ -201,23 +192,38 @@ class ImuPredictor:
         of_thrusters = columns + layout.kept[in_thrusters] - layout["thrusters"].start
         self._of_motion = [  # places in the state, and among what the base's motion depends on
             (slice(0, PAYLOAD.stop), slice(0, PAYLOAD.stop)),
-            (_together(self._in_links), slice(13, 13 + r)),
-            (_together(self._in_joints), _together(of_joints)),
-            (_together(in_thrusters), _together(of_thrusters)),
+            (together(self._in_links), slice(13, 13 + r)),
+            (together(self._in_joints), together(of_joints)),
+            (together(in_thrusters), together(of_thrusters)),
         ]
-        self._own = [_Own(*_kept(layout, one.errors), *_kept(layout, one.place)) for one in self._imus]
-        self._own += [_Own(*_kept(layout, layout[cell.name])) for cell, _ in self._cells]
+        cells = len(self._imus) + len(self._cells)
+        self._of_cells, self._of_poses = slice(len(self._imus), cells), slice(cells, None)
+        self._own = [_Own(*kept_of(layout, one.errors), *kept_of(layout, one.place)) for one in self._imus]
+        self._own += [_Own(*kept_of(layout, layout[cell.name])) for cell, _ in self._cells]
         self._samples = np.zeros((self.lines[-1].stop, 1))  # see tick_mean
-        samples_of = [*(one.samples for one in self._imus), *(one.samples for one, _ in self._cells)]
+        self._own += [_Own(*kept_of(layout, one.unknown)) for one in self._poses]
+        samples_of = [samples, *(one.samples for one in self.further)]
         for own, count in zip(self.lines, samples_of, strict=True):
             self._samples[own] = (1.0 - 1.0 / count**2) / 24.0
         self.biases = [
-            (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := _drift(name)) in self.names
+            (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
-        self.changing = np.array([*range(3), *(at for at, _ in self.biases)], np.intp)  # but for random walks
+        self.changing = np.array([*range(3), *(at for at, _ in self.biases), *self.moving], np.intp)  # but random walks
         self.stated = self.sigma.copy()
         for bias_at, drift_at in self.biases:
             self.stated[bias_at] = np.hypot(self.sigma[bias_at], DRIFT_MEMORY_s * self.sigma[drift_at])
+        self.stated[self.moving] = np.nan
+
+    def _further_imu(self, one: FurtherImu) -> _Imu:
+        at = self._layout[f"gyro_bias_rad_s {one.name}"].start
+        errors, place = slice(at, at + SIZE), self._layout[f"place {one.name}"]
+        return _Imu(*self.vehicle.pose_in_base(one.frame), one.samples, errors, place)
+
+    def _pose(self, one: FurtherPose) -> _Pose:
+        layout, (R_BM, p_BoMo_B) = self._layout, self.vehicle.pose_in_base(one.frame)
+        own = slice(layout[f"attitude {one.name}"].start, layout[f"delay_s {one.name}"].stop)
+        begin = int(layout.estimated(f"attitude {one.name}")[0])
+        return _Pose((quaternion_of(R_BM), p_BoMo_B), own, slice(begin, begin + MOTION.stop))
 
     @property
     def no_ticks(self) -> Ticks:
@@ -257,7 +263,7 @@ class ImuPredictor:
             force = twist[..., :3] + cross(twist[..., 3:], imu.p_BoSo_B)
             effect[:, :, 0, own.start : own.start + 3] = twist[..., 3:] @ imu.R_BS
             effect[:, :, 1, own.start + 3 : own.stop] = force @ imu.R_BS
-        for (_, cut), own in zip(self._cells, self.lines[len(self._imus) :], strict=True):
+        for (_, cut), own in zip(self._cells, self.lines[self._of_cells], strict=True):
             effect[:, :, 1, own.start] = cut.of_joint_accelerations(bodies, S, twist)
         return effect
 
@@ -301,12 +307,19 @@ class ImuPredictor:
             jacobian[:, own, kept.errors] = shown.d_errors[:, :, kept.of_errors]
             jacobian[:, own, kept.place] = d_place[:, :, kept.of_place]
         for (cell, cut), own, kept in zip(
-            self._cells, self.lines[len(self._imus) :], self._own[len(self._imus) :], strict=True
+            self._cells, self.lines[self._of_cells], self._own[self._of_cells], strict=True
         ):
             reading, errors = cut.predict(base), x[layout[cell.name]]
             values[:, own.start], d_errors = cell.shown(reading.values, self.period_s, errors, dq, ddq)
             by_motion[:, own.start] = cell.gain(errors) * reading.d_values
             jacobian[:, own.start, kept.errors] = d_errors[:, kept.of_errors]
+        moved = []
+        for pose, own, kept in zip(self._poses, self.lines[self._of_poses], self._own[self._of_poses], strict=True):
+            at_joints = self._joint_errors if self._in_joints.size else None
+            shown_pose = predict_pose(base, self.period_s, pose.mount, x[pose.unknown], self._columns, at_joints)
+            values[:, own], by_motion[:, own] = shown_pose.values[1:-1], shown_pose.by_motion
+            jacobian[:, own, kept.errors] = shown_pose.d_own[1:-1][:, :, kept.of_errors]
+            moved.append((pose, kept, shown_pose))
         means = by_motion[2:] + by_motion[:-2]
         means *= self._samples
         means += (1.0 - 2.0 * self._samples) * by_motion[1:-1]
@@ -318,6 +331,12 @@ class ImuPredictor:
         for row, (bias_at, drift_at) in enumerate(self.biases, RATE.stop):
             carried[bias_at] += time_s[-1] * state[drift_at]
             transition[row, drift_at] = time_s[-1]
+        for pose, kept, shown_pose in moved:
+            rows = slice(first := RATE.stop + len(self.biases), first + MOTION.stop)
+            carried[pose.motion] = shown_pose.carried
+            transition[rows, kept.errors] = shown_pose.carried_by_own[:, kept.of_errors]
+            for here, there in self._of_motion:
+                transition[rows, here] = shown_pose.carried_by_motion[:, there]
         return Prediction(values, jacobian, carried, transition)
 
     def carried(
@@ -337,6 +356,15 @@ class ImuPredictor:
         carried = predicted.state + (state - start)
         carried[c] = predicted.state[c] + F @ (state - start)
         return carried, self.aged(P, len(predicted.values))
+
+    def anew(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A mean, (p,), and covariance, (p, p), with nothing known of the pose that a tracker sees."""
+        if not (at := self.moving).size:
+            return mean, covariance
+        mean, covariance = mean.copy(), covariance.copy()
+        mean[at], covariance[at], covariance[:, at] = 0.0, 0.0, 0.0
+        covariance[at, at] = self.sigma[at] ** 2
+        return mean, covariance
 
     def aged(self, covariance: FloatArray, ticks: int) -> FloatArray:
         """The state's covariance, (p, p), after the random walks of so many ticks: of drifts, and of a clock's time."""
@@ -399,63 +427,3 @@ class ImuPredictor:
     def chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""
         return self._links.chi(state[PAYLOAD], self._basis @ state[self._in_links])
-
-
-def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray, imu: int = 0) -> FloatArray:
-    """Rate of the base at the first tick, (3,), by least squares on the first gyro readings, with all else of a state.
-
-    Args:
-        predictor: of the IMU.
-        ticks: in succession, :data:`FIRST_TICKS` + 2 of them at least.
-        state: (p,).
-        imu: whose readings.
-    """
-    rate = slice(predictor.lines[imu].start, predictor.lines[imu].start + 3)
-    state, some = state.copy(), ticks.part(slice(0, FIRST_TICKS + 2))
-    seen = np.isfinite(some.measured[1:-1, rate]).all(axis=1)
-    if not seen.any():
-        return np.zeros(3)
-    state[RATE] = predictor.rate_in_base(some.measured[1:-1, rate][seen].mean(axis=0), imu)
-    predicted = predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic, some.thrust)
-    gap = some.measured[1:-1, rate] - predicted.values[:, rate]
-    J = predicted.jacobian[seen, rate, RATE].reshape(-1, 3)
-    return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)
-
-
-def _blocks_of(one: Further) -> dict[str, Block]:
-    """Unknowns of a further instrument, its name after each of theirs."""
-    if isinstance(one, FurtherCell):
-        return {one.name: one.block()}
-    prior = one.prior._replace(clock_rate_error=0.0)
-    blocks = {
-        f"{kind} {one.name}": Block(tuple(f"{name}_{one.name}" for name in block.names), block.sigma)
-        for kind, block in imu_blocks(prior).items()
-    }
-    places = tuple(f"place_{axis}_{one.name}" for axis in "xyz")
-    return {**blocks, f"place {one.name}": Block(places, np.full(3, one.place_m))}
-
-
-def _named(layout: Layout, end: str) -> IndexArray:
-    """Estimated unknowns whose names end so."""
-    return np.array([at for at, known in enumerate(layout.names) if known.endswith(end)], np.intp)
-
-
-def _kept(layout: Layout, block: slice) -> tuple[slice | IndexArray, slice | IndexArray]:
-    """What is estimated of a block: places in the state, and in the block."""
-    at = np.flatnonzero((layout.kept >= block.start) & (layout.kept < block.stop))
-    return _together(at), _together(layout.kept[at] - block.start)
-
-
-def _together(places: IndexArray) -> slice | IndexArray:
-    """Places as a slice where they are one after the other: what is indexed by it is not copied."""
-    if places.size and (np.diff(places) == 1).all():
-        return slice(int(places[0]), int(places[-1]) + 1)
-    return places
-
-
-def _drift(name: str) -> str:
-    """The drift of a bias, by their names; empty for what is no bias."""
-    for bias, drift in (*zip(BIASES, DRIFTS, strict=True), ("bias_", "drift_")):
-        if name.startswith(bias):
-            return drift + name.removeprefix(bias)
-    return ""

@@ -9,6 +9,7 @@ from scipy.special import ndtri
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian, possible_body
+from onboard.dynamics.tracked_pose import LINES
 from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
@@ -17,7 +18,7 @@ from onboard.identification.capture.before_capture import Payload
 from onboard.identification.capture.captured_body import CapturedBody
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, told, too_large
-from onboard.identification.exiddm.further import Further, FurtherCell
+from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
@@ -32,6 +33,7 @@ from onboard.identification.quantities import (
 )
 from onboard.regressor.signals import Signals
 
+POSE_ROWS = *(f"attitude_{part}" for part in "wxyz"), *(f"position_{axis}" for axis in "xyz")
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
 _EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
@@ -48,7 +50,8 @@ def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
     """Names of the lines of the base IMU and further instruments."""
     names = list(IMU_ROWS)
     for one in further:
-        names += [one.name] if one.width == 1 else [f"{row}_{one.name}" for row in IMU_ROWS]
+        rows = {1: ("",), 6: IMU_ROWS, LINES: POSE_ROWS}[one.width]
+        names += [f"{row}_{one.name}" if row else one.name for row in rows]
     return tuple(names)
 
 
@@ -218,6 +221,7 @@ class ExiddmIdentifier:
             if ratio > _MOST_SLOW
         )
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
+        doubts += self._of_trackers(state)
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
@@ -247,6 +251,12 @@ class ExiddmIdentifier:
         at = at[steady[at]]
         sigmas = state[at] / told(predictor.stated[at] ** 2, np.diag(self.exiddm.covariance)[at])
         return at, sigmas
+
+    def _of_trackers(self, state: FloatArray) -> list[str]:
+        """What the data say against a tracker that is used, before it is enough to do without it."""
+        ends = tuple(f"_{one.name}" for one in self.further if isinstance(one, FurtherPose))
+        off = {name: abs(one) for name, one in self._by_the_data(state).items() if ends and name.endswith(ends)}
+        return [f"{name} is {one:.1f} sigmas off" for name, one in off.items() if one > DOUBTFUL]
 
     def _refusal(self) -> str:
         """Why no answer is to be used, whatever the estimate; empty if nothing says so."""

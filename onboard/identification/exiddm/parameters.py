@@ -157,3 +157,21 @@ class UncertainLinks:
         chi[self._payload] = payload
         chi[self._others] += deviations
         return chi
+
+
+def named(layout: Layout, end: str) -> IndexArray:
+    """Estimated unknowns whose names end so."""
+    return np.array([at for at, known in enumerate(layout.names) if known.endswith(end)], np.intp)
+
+
+def kept_of(layout: Layout, block: slice) -> tuple[slice | IndexArray, slice | IndexArray]:
+    """What is estimated of a block: places in the state, and in the block."""
+    at = np.flatnonzero((layout.kept >= block.start) & (layout.kept < block.stop))
+    return together(at), together(layout.kept[at] - block.start)
+
+
+def together(places: IndexArray) -> slice | IndexArray:
+    """Places as a slice where they are one after the other: what is indexed by it is not copied."""
+    if places.size and (np.diff(places) == 1).all():
+        return slice(int(places[0]), int(places[-1]) + 1)
+    return places

@@ -391,7 +391,7 @@ class RecursiveExiddm(BoundedWork):
         fastest = self._pending.fastest(self.predictor.lines[self.fusion.reference])
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, self._prior)
-        elif gap_s > _LONGEST_HOLE_s or fastest is None:
+        elif gap_s > _LONGEST_HOLE_s or fastest is None or self.predictor.moving.size:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
             both, now = self._pending.part(slice(0, 1)).and_then(after), (self.state, self.covariance)

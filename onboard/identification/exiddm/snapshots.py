@@ -15,7 +15,8 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor, first_rate
+from onboard.identification.exiddm.guesses import first_pose, first_rate
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.ticks import Ticks
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
@@ -78,6 +79,7 @@ class Before(NamedTuple):
         start[PAYLOAD] = now[0][PAYLOAD]
         try:
             start[RATE] = first_rate(predictor, seen, start, imu)
+            start[predictor.moving] = first_pose(predictor, seen, start)
         except np.linalg.LinAlgError:  # a prediction that is not finite
             return (mean, covariance), None
         return (mean, covariance), start

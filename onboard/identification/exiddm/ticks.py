@@ -1,4 +1,4 @@
-"""Consecutive ticks of a flight: joints, and means of the instruments with the noise of each."""
+"""Consecutive ticks of a flight: joints, means of the instruments with the noise of each; a prediction of them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,7 +9,22 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.regressor.signals import Signals
 
+_IMMODERATE = 1e12  # of a prediction in SI units
 _RESTS_rad_s = 0.01  # an arm that is slower shows nothing of what it holds
+
+
+class Prediction(NamedTuple):
+    """Prediction of the ticks 1 .. b of b + 2, from a state at tick 0."""
+
+    values: FloatArray  # (b, m) rate and specific force in the first IMU's axes, then what further instruments show
+    jacobian: FloatArray  # (b, m, p)
+    state: FloatArray  # (p,) propagated to tick b
+    transition: FloatArray  # (c, p) derivative of those of its elements that change: ``ImuPredictor.changing``
+
+    @property
+    def moderate(self) -> bool:
+        """Whether no square of it overflows; else the joints' signals are nonsense."""
+        return all(bool(part.min() > -_IMMODERATE and part.max() < _IMMODERATE) for part in self)  # False for NaN
 
 
 class Ticks(NamedTuple):

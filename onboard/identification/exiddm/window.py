@@ -21,13 +21,11 @@ from onboard.dynamics.payload import standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 from onboard.estimation.maximum_likelihood import Descent, Fit
-from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s, guesses
+from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_pose, first_rate, guesses
 from onboard.identification.exiddm.imu_prediction import (
-    FIRST_TICKS,
     PAYLOAD,
     RATE,
     ImuPredictor,
-    first_rate,
 )
 from onboard.identification.exiddm.pieces import Pieces
 from onboard.identification.exiddm.ticks import Ticks
@@ -198,7 +196,7 @@ class WindowSolve:
             self._settle(self._given)
 
     def _problem_of(self, hypothesis: Hypothesis) -> "_Problem":
-        (mean, covariance), p = self._prior, len(self._prior[0])
+        (mean, covariance), p = self._predictor.anew(*self._prior), len(self._prior[0])
         rest, others, own = slice(PAYLOAD.start, p), np.arange(PAYLOAD.stop, p), np.arange(p)[PAYLOAD]
         mean, information, active = mean.copy(), np.zeros((p, p)), np.arange(p)
         if hypothesis is Hypothesis.SAME:
@@ -221,6 +219,7 @@ class WindowSolve:
             x[PAYLOAD] = self._guesses.pop(0)
             try:
                 x[RATE] = first_rate(self._predictor, self._ticks, x, self._imu)
+                x[self._predictor.moving] = first_pose(self._predictor, self._ticks, x)
             except np.linalg.LinAlgError:  # a prediction that is not finite
                 self._next_guess()
             else:

@@ -26,7 +26,8 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor, first_rate
+from onboard.identification.exiddm.guesses import first_rate
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.whole_flight.blocks import Block, apart, misfit_by_instrument, total_of
 
@@ -241,8 +242,7 @@ class WholeFlight:
     def _found(self, minimum: _Minimum, glitches: int) -> FlightFit:
         found, blocks = minimum.fit, minimum.blocks
         chi, covariance = found.x[:10], found.covariance[:10, :10]
-        known = int(np.isfinite(self.sigma).sum())
-        freedom = sum(block.rows for block in blocks) + known - found.x.size
+        freedom = sum(block.rows for block in blocks) + int(np.isfinite(self.sigma).sum()) - found.x.size
         misfit = found.residual_sum / max(freedom, 1)
         told = found, self.names, chi, covariance, blocks, misfit, misfit_by_instrument(blocks)
         return FlightFit(body_estimate(chi, covariance), *told, np.concatenate(self._left), glitches)

@@ -99,7 +99,7 @@ def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ConfigError: the estimation section does not fit the URDF or the devices.
         ChannelError: a log of another vehicle.
     """
-    online, model = build_exiddm(vehicle)
+    online, model = build_exiddm(vehicle, tracked=False)
     payload = str(model.spec.payload_link)
     recorder = TickRecorder(payload, len(model.joints), online.further)
     estimator = Estimator(vehicle, recorder)

@@ -63,7 +63,7 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
     settings = vehicle.file.parabola
     if settings is None:
         raise config.ConfigError(f"{vehicle.label}: no section [parabola], which says what free flight is")
-    online, model = build_exiddm(vehicle)
+    online, model = build_exiddm(vehicle, tracked=False)
     payload = str(model.spec.payload_link)
     recorder = TickRecorder(payload, len(model.joints), online.further)
     for _ in feed(Estimator(vehicle, recorder), log, _STEP_s):

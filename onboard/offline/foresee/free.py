@@ -80,7 +80,7 @@ def fly(vehicle: config.Vehicle, plan: Plan) -> Flown | None:
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    identifier, model = build_exiddm(vehicle)
+    identifier, model = build_exiddm(vehicle, tracked=False)
     predictor, payload = identifier.exiddm.predictor, plan.payload
     if payload is None or not plan.held.any():
         return None
