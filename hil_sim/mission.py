@@ -17,7 +17,7 @@ import numpy as np
 from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.devices.vehicle_file import scenario_of
-from hil_sim.faults import Fault, FaultError, FaultKind, FaultPlan
+from hil_sim.faults import NEVER, Fault, FaultError, FaultKind, FaultPlan
 from hil_sim.plants.planned import Planned, planned
 from hil_sim.plants.rocket_arm import RocketArmPlant as RocketPlant
 from hil_sim.plants.vehicle_plant import VehiclePlant
@@ -138,6 +138,12 @@ class Mission:
         can, lines = ([b for b in buses.values() if isinstance(b, kind)] for kind in (CanBus, PulseLine))
         self._buses = [*can, *lines, *(b for b in buses.values() if not isinstance(b, CanBus | PulseLine))]
 
+    def known_ns(self) -> int:
+        """``CLOCK_MONOTONIC`` ns before which the plant is computed."""
+        if self.plant.count >= self.plant.rows:
+            return NEVER
+        return self.start_ns + int(1e9 * (self.plant.count - 4) * self.plant.step_s)
+
     def advance(self, now_ns: int) -> None:
         """Everything that happens up to ``now_ns``: physics first, then frames and edges in the order of the wires.
 
@@ -257,6 +263,9 @@ def open_in_process(
         tables = mission.scenario.bus
         ports = stack.enter_context(in_process(tables, Path(directory), lambda: mission.now_ns, seed=seed))
         mission.attach(ports.buses, mission.start_ns)
+        for bus in ports.buses.values():
+            if isinstance(bus, CanBus):
+                bus.know_ahead(mission.known_ns)
         mission.own(stack.pop_all())
     return mission, ports.urls
 

@@ -9,7 +9,7 @@ import os
 import socket
 import struct
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
@@ -203,6 +203,10 @@ class CanBus:
     def due_ns(self) -> int:
         """When something next happens on the bus."""
         return self._wire.due_ns
+
+    def know_ahead(self, known_ns: Callable[[], int]) -> None:
+        """Let the answers to SYNCs be computed as far ahead as ``known_ns()``, before when the plant is known."""
+        self._wire.know_ahead(known_ns)
 
     def add(self, node: CanTalker) -> None:
         """Connect a node."""

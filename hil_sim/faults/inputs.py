@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hil_sim.faults.plan import NEVER, DeviceFaults
 from hil_sim.faults.vocabulary import INPUT_KINDS, FaultKind
-from hil_sim.sensing.analog import ImuAnalog, KnownAhead, ScalarAnalog
+from hil_sim.sensing.analog import ImuAnalog, KnownAhead, ManyValues, ScalarAnalog
 
 _INERTIAL = np.array([0, 1, 2, 4, 5, 6])  # columns of ImuAnalog.counts without the temperature
 
@@ -43,6 +43,12 @@ class FaultyScalar:
         wrong = self._faults.active(FaultKind.WRONG, now_ns)
         self._last = reading if wrong is None else reading * (1.0 + wrong.value)
         return self._last
+
+    def values(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``value`` at each of ``times_s`` (n,), in order."""
+        if not self._is_faulty and isinstance(self._analog, ManyValues):
+            return self._analog.values(times_s)
+        return np.array([self.value(time_s) for time_s in times_s.tolist()])
 
 
 class FaultyImu:

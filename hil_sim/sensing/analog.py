@@ -47,6 +47,14 @@ class ScalarAnalog(Protocol):
         """SI value at a mission time: a joint angle in rad, or a force in N, filtered as the node's front end does."""
 
 
+@runtime_checkable
+class ManyValues(Protocol):
+    """A scalar input that can be asked for many instants at once, with the same answers."""
+
+    def values(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``value`` at each of ``times_s`` (n,)."""
+
+
 class ChipClock(Protocol):
     """A device's oscillator: a few tens of ppm off for a crystal, up to 1 % off for an MPU-6050."""
 

@@ -9,99 +9,13 @@ frames and retransmission are not modelled, nor 29-bit identifiers.
 """
 
 import heapq
-import struct
 from collections import Counter
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-
+from hil_sim.devices.canopen.frame_length import INTERMISSION_BITS, frame_bits
+from hil_sim.devices.canopen.sync_train import SyncTrains, Train
 from hil_sim.faults import NEVER
-
-_CRC_POLYNOMIAL: Final = 0x4599  # ISO 11898-1: CRC-15-CAN
-_TAIL_BITS: Final = 10  # CRC delimiter, ACK slot, ACK delimiter, seven bits of end-of-frame
-_INTERMISSION_BITS: Final = 3
-
-
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        crc = byte << 7
-        for _ in range(8):
-            crc = (crc << 1 ^ _CRC_POLYNOMIAL if crc & 0x4000 else crc << 1) & 0x7FFF
-        table.append(crc)
-    return tuple(table)
-
-
-def _stuff_table() -> tuple[tuple[int, int], ...]:
-    """By state * 256 + byte: the next state and the stuff bits inserted; state = 2 * run length + last bit."""
-    table = []
-    for state in range(10):  # a run is four bits long at most
-        for byte in range(256):
-            run, last, stuffed = state >> 1, state & 1, 0
-            for shift in range(7, -1, -1):
-                bit = byte >> shift & 1
-                run = run + 1 if bit == last and run else 1
-                last = bit
-                if run == 5:  # the stuff bit is the opposite one, and begins a run of its own
-                    stuffed += 1
-                    run, last = 1, 1 - bit
-            table.append((run << 1 | last, stuffed))
-    return tuple(table)
-
-
-def _crc_words() -> list[int]:
-    """CRC of each 16-bit word, by that of its bytes."""
-    table = np.array(_crc_table())
-    first = table[:, None]
-    return list((table[first >> 7 ^ np.arange(256)] ^ (first << 8 & 0x7FFF)).ravel().tolist())
-
-
-def _stuff_words() -> bytes:
-    """By state * 65536 + word: the next state + 16 * the stuff bits inserted, by the table of bytes."""
-    state, stuffed = np.array(_stuff_table()).reshape(10, 256, 2).transpose(2, 0, 1)
-    both = state[state] | (stuffed[:, :, None] + stuffed[state]) << 4  # (10, 256, 256)
-    return bytes(both.astype(np.uint8).tobytes())
-
-
-_CRC: Final = _crc_words()
-_STUFF: Final = _stuff_words()
-_WORDS: Final = tuple(struct.Struct(f">{count}H") for count in range(8))
-
-
-def crc15(bits: int, n_bytes: int) -> int:
-    """CRC-15-CAN of a bit string held in the low ``8 * n_bytes`` bits; leading zero bits do not change it."""
-    crc, count = 0, (n_bytes + 1) // 2
-    for word in _WORDS[count].unpack(bits.to_bytes(2 * count, "big")):
-        crc = _CRC[crc << 1 ^ word]
-    return crc
-
-
-@lru_cache(maxsize=4096)  # SYNCs, and values that rest
-def frame_bits(identifier: int, data: bytes, asked: int | None = None) -> int:
-    """Length of a frame with an 11-bit identifier, start-of-frame to end-of-frame, stuff bits included.
-
-    Args:
-        identifier: Its.
-        data: Its; none in a remote frame.
-        asked: How many bytes a remote frame asks for; None: a data frame.
-    """
-    n = len(data)
-    control = n if asked is None else 1 << 6 | asked  # RTR, IDE, r0, 4 bits DLC
-    head = identifier << 7 | control  # with SOF and 11 identifier bits: 19 bits
-    body = head << 8 * n | int.from_bytes(data, "big")
-    stuffed_bits = 34 + 8 * n
-    stream = body << 15 | crc15(body, n + 3)
-    padding_bits = -stuffed_bits % 16  # to a whole word; alternating bits are never stuffed
-    padding = (0x1555 if stream & 1 else 0x2AAA) >> 14 - padding_bits
-    count = (stuffed_bits + padding_bits) // 16
-    state = stuff_bits = 0
-    for word in _WORDS[count].unpack((stream << padding_bits | padding).to_bytes(2 * count, "big")):
-        found = _STUFF[state << 16 | word]
-        state = found & 15
-        stuff_bits += found >> 4
-    return stuffed_bits + stuff_bits + _TAIL_BITS
 
 
 class WireFrame(NamedTuple):
@@ -154,6 +68,7 @@ _Waiting = tuple[int, int, bytes, int, int | None]
 """Identifier, order, data, sender, bytes that a remote frame asks for; sorts by arbitration."""
 
 _HOST: Final = -1
+_SYNC: Final = 0x080
 
 
 def is_process_data(identifier: int) -> bool:
@@ -182,6 +97,15 @@ class CanWire:
         self._idle_ns = 0
         self._order = 0
         self._received: list[WireFrame] = []
+        self._trains = SyncTrains(self._bit_ns)
+        self._known_ns: Callable[[], int] | None = None
+        self._train: Train | None = None  # the answers to the last SYNC, if nothing else is on the wire
+        self._train_at = 0  # the first of its frames that has not ended
+        self._reached_ns = 0
+
+    def know_ahead(self, known_ns: Callable[[], int]) -> None:
+        """Compute what nodes answer SYNCs with as far ahead as ``known_ns()``, before when the plant is known."""
+        self._known_ns = known_ns
 
     @property
     def due_ns(self) -> int:
@@ -216,6 +140,13 @@ class CanWire:
         """Let everything happen that is due at ``now_ns``; returns what the flight computer's controller received."""
         node_ns = self._nodes_due_ns()  # when the first of them acts; changes when one acts or receives
         while True:
+            if self._train is not None:
+                self._follow(self._train, min(now_ns, node_ns - 1))
+                if self._train is None:
+                    continue
+                if node_ns > now_ns:
+                    break
+                self._dissolve(node_ns - 1)
             wire_ns = self._wire_due_ns() if self._on_wire is None else self._on_wire[0]
             if node_ns <= wire_ns:
                 if node_ns > now_ns:
@@ -230,10 +161,13 @@ class CanWire:
                 self._begin(wire_ns)
             elif self._end():
                 node_ns = self._nodes_due_ns()
+        self._reached_ns = now_ns
         received, self._received = self._received, []
         return received
 
     def _offer(self, identifier: int, data: bytes, ready_ns: int, sender: int, asked: int | None = None) -> None:
+        if self._train is not None:
+            self._dissolve(self._reached_ns)
         self._order += 1
         heapq.heappush(self._later, (ready_ns, (identifier, self._order, data, sender, asked)))
 
@@ -241,6 +175,8 @@ class CanWire:
         return min([node.due_ns for node in self._nodes], default=NEVER)
 
     def _wire_due_ns(self) -> int:
+        if self._train is not None:
+            return self._train.frames[self._train_at].end_ns
         if self._on_wire is not None:
             return self._on_wire[0]
         if self._ready:
@@ -254,7 +190,7 @@ class CanWire:
         self._buffered.discard((frame[0], frame[3]))
         end_ns = start_ns + round(frame_bits(frame[0], frame[2], frame[4]) * self._bit_ns)
         self._on_wire = (end_ns, frame)
-        self._idle_ns = end_ns + round(_INTERMISSION_BITS * self._bit_ns)
+        self._idle_ns = end_ns + round(INTERMISSION_BITS * self._bit_ns)
 
     def _contend(self, frame: _Waiting) -> None:
         identifier, _, data, sender, asked = frame
@@ -281,6 +217,8 @@ class CanWire:
                 if index != sender:
                     node.receive(identifier, data, end_ns)
             return bool(self._hearing)
+        if asked is None and identifier == _SYNC and self._set_off(end_ns, sender):
+            return False
         if asked is None:
             for node in self._others[sender]:
                 node.receive(identifier, data, end_ns)
@@ -291,6 +229,46 @@ class CanWire:
         if identifier >= 0x580:
             self._note_hearing()
         return True
+
+    def _set_off(self, end_ns: int, sender: int) -> bool:
+        """After a SYNC: whether its answers are known, and nothing else waits."""
+        if self._known_ns is None or self._later or self._ready or sender == _HOST:
+            return False
+        train = self._trains.take(end_ns, self._nodes, self._nodes[sender], self._known_ns())
+        if train is not None and train.frames:
+            self._train, self._train_at = train, 0
+        return train is not None
+
+    def _follow(self, train: Train, until_ns: int) -> None:
+        """The frames of the train that end up to then."""
+        frames = train.frames
+        while self._train_at < len(frames) and frames[self._train_at].end_ns <= until_ns:
+            frame = frames[self._train_at]
+            self._received.append(WireFrame(frame.end_ns, frame.identifier, frame.data))
+            self._train_at += 1
+        if self._train_at == len(frames):
+            self._train = None
+            self._idle_ns = frames[-1].end_ns + round(INTERMISSION_BITS * self._bit_ns)
+
+    def _dissolve(self, until_ns: int) -> None:
+        """What is left of the train goes on frame by frame; ``until_ns``: up to when the wire has gone on."""
+        train, self._train = self._train, None
+        if train is None:
+            return
+        begun = False
+        gap_ns = round(INTERMISSION_BITS * self._bit_ns)
+        if self._train_at:
+            self._idle_ns = train.frames[self._train_at - 1].end_ns + gap_ns
+            begun = True
+        for begin_ns, end_ns, identifier, data, sender in train.frames[self._train_at :]:
+            self._order += 1
+            frame: _Waiting = (identifier, self._order, data, sender, None)
+            if begin_ns <= until_ns and self._on_wire is None:
+                self._on_wire, self._idle_ns, begun = (end_ns, frame), end_ns + gap_ns, True
+            elif begun:
+                self._contend(frame)
+            else:
+                heapq.heappush(self._later, (train.ready_ns, frame))
 
     def _note_hearing(self) -> None:
         """Which nodes hear PDOs: what the object dictionary of one says, changed by SDO if at all."""
@@ -313,7 +291,7 @@ class Babbler:
         self.due_ns = start_ns
         self._identifier = identifier
         self._end_ns = end_ns
-        bits = frame_bits(identifier, bytes(8)) + _INTERMISSION_BITS
+        bits = frame_bits(identifier, bytes(8)) + INTERMISSION_BITS
         self._step_ns = bits * 1_000_000_000 // bit_rate  # never later than the frame before it has gone
         self._transmit: TransmitFrame | None = None
 

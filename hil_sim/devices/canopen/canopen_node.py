@@ -12,17 +12,20 @@ reports 8130h and leaves Operational, the default of 1029h.
 from collections import Counter, deque
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hil_sim.devices.canopen.can_wire import TransmitFrame
 from hil_sim.devices.canopen.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 from hil_sim.devices.canopen.sdo_server import serve
-from hil_sim.devices.canopen.tpdo import Tpdo
+from hil_sim.devices.canopen.tpdo import ANSWER_NS, Tpdo
 from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
 
 _BOOT_NS = 50_000_000
 _BOOT_STAGGER_NS = 1_100_000
 _RESET_NS = 5_000_000
 _SDO_NS = 500_000
-_PDO_NS = 40_000
+_SYNC = 0x080
 _TOGGLE = 0x80
 _LIFE_GUARD_ERROR, _COMMUNICATION_ERROR = 0x8130, 0x10
 _FIRST_COMMUNICATION, _LAST_COMMUNICATION = 0x1000, 0x1FFF
@@ -85,6 +88,7 @@ class CanopenNode:
         self._abandoned = False  # by who guarded it
         self._timers: dict[str, tuple[int, Callable[[int], None]]] = {}
         self.due_ns = NEVER  # when it next does something of its own accord
+        self.revision = 0  # changes with all that its answers to SYNCs depend on, but for what it measures
         self._supply = deque(
             event
             for cycle in faults.power_cycles()
@@ -113,6 +117,7 @@ class CanopenNode:
         while self.due_ns <= now_ns:
             name = min(self._timers, key=lambda key: self._timers[key][0])
             due_ns, action = self._timers.pop(name)
+            self.revision += name != "heartbeat"
             self._refresh()
             action(due_ns)
 
@@ -129,13 +134,28 @@ class CanopenNode:
         elif identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node_id):
             self._on_nmt(data[0], now_ns)
 
+    def answers(self) -> list[Tpdo] | None:
+        """TPDOs that it answers each SYNC with, as things stand; None where that is not known."""
+        if self._is_faulty or self._sync_cob_id.value != _SYNC:
+            return None
+        if self.state != OPERATIONAL:
+            return []
+        every_sync = [tpdo.every_sync for tpdo in self._tpdos]
+        if None in every_sync:
+            return None
+        return [tpdo for tpdo, answers in zip(self._tpdos, every_sync, strict=True) if answers]
+
+    def hears(self, identifier: int) -> bool:
+        """Whether a PDO of another node does anything to it."""
+        return identifier == self._sync_cob_id.value
+
     def remote(self, identifier: int, now_ns: int) -> None:
         """A remote frame has ended."""
         if self._guard is None or identifier != 0x700 + self.node_id:
             return
         if self.state in (OFF, BOOTING) or self._is_silent(now_ns):
             return
-        self._send(identifier, bytes([self._toggle | self.state]), now_ns + _PDO_NS)
+        self._send(identifier, bytes([self._toggle | self.state]), now_ns + ANSWER_NS)
         self._toggle ^= _TOGGLE
         if self._abandoned:
             self._abandoned = False
@@ -193,6 +213,10 @@ class CanopenNode:
         """Mission time."""
         return (now_ns - self._start_ns) * 1e-9
 
+    def _times_s(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Mission times, (n,)."""
+        return (times_ns - self._start_ns) * 1e-9
+
     def _timer_ns(self, period_ms: int) -> int:
         """What the node's own oscillator makes of a period."""
         return period_ms * (1_000_000 + 50 * self.node_id)
@@ -238,6 +262,7 @@ class CanopenNode:
             self._stop(name)
 
     def _on_nmt(self, command: int, now_ns: int) -> None:
+        self.revision += 1
         if command == 1:
             self._start_node(now_ns)
         elif command == 2:
@@ -272,10 +297,10 @@ class CanopenNode:
     def _on_sync(self, counter: int | None, now_ns: int) -> None:
         for tpdo in self._tpdos:
             if tpdo.on_sync(counter):
-                self._send(tpdo.cob_id, tpdo.sample(now_ns), now_ns + _PDO_NS)
+                self._send(tpdo.cob_id, tpdo.sample(now_ns), now_ns + ANSWER_NS)
 
     def _send_tpdo(self, tpdo: Tpdo, now_ns: int) -> None:
-        self._send(tpdo.cob_id, tpdo.sample(now_ns), now_ns + _PDO_NS)
+        self._send(tpdo.cob_id, tpdo.sample(now_ns), now_ns + ANSWER_NS)
         if tpdo.inhibit_ns:
             self._at(f"inhibit {tpdo.number}", now_ns + tpdo.inhibit_ns, lambda t: self._after_inhibit(tpdo, t))
         self._arm_event_timer(tpdo, now_ns)
@@ -296,7 +321,9 @@ class CanopenNode:
 
     def _on_sdo(self, request: bytes, now_ns: int) -> None:
         answer, read = serve(self.dictionary, request, now_ns)
-        if read is not None:
+        if read is None:
+            self.revision += 1
+        else:
             self._uploaded(read)
         if answer is not None:
             self._send(0x580 + self.node_id, answer, now_ns + _SDO_NS)

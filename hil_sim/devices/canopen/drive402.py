@@ -152,9 +152,14 @@ class Drive402(CanopenNode):
         if not mine:
             super().receive(identifier, data, now_ns)
         elif self.state == OPERATIONAL and not self._is_silent(now_ns):
+            self.revision += 1
             for rpdo in mine:
                 if not rpdo.take(data, now_ns):
                     self.emergency(_PDO_LENGTH_ERROR, 0x10, b"", now_ns)
+
+    def hears(self, identifier: int) -> bool:
+        """See ``CanopenNode``."""
+        return super().hears(identifier) or any(rpdo.cob_id == identifier for rpdo in self._rpdos)
 
     def statusword(self, now_ns: int) -> int:
         """Object 6041h."""

@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
@@ -55,7 +57,7 @@ class Encoder406(CanopenNode):
         self._operating = add(0x6000, 0, Entry(u16, Access.RW, _SCALING, check=self._check_operating))
         self._units = add(0x6001, 0, Entry(u32, Access.RW, counts_per_revolution, check=self._check_units))
         self._preset = add(0x6003, 0, Entry(u32, Access.RW, 0, changed=self._set_preset))
-        add(0x6004, 0, Entry(u32, Access.RO, read=self.position, mappable=True))
+        add(0x6004, 0, Entry(u32, Access.RO, read=self.position, mappable=True, read_many=self.positions))
         add(0x6200, 0, Entry(u16, Access.RW, read=lambda _: self._tpdo_1.event_timer.value, changed=self._set_cycle))
         add(0x6500, 0, Entry(u16, Access.RO, read=lambda _: self._operating.value))
         add(0x6501, 0, Entry(u32, Access.RO, counts_per_revolution))
@@ -81,11 +83,20 @@ class Encoder406(CanopenNode):
         """Object 6004h at ``now_ns``."""
         return (self._counts(now_ns) + self._offset) & 0xFFFF_FFFF
 
+    def positions(self, times_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """``position`` at each of ``times_ns`` (n,)."""
+        angles = self._analog.values(self._times_s(times_ns))
+        counts = np.rint(angles / math.tau * self._per_revolution).astype(np.int64)
+        signed: NDArray[np.int64] = -counts if self._operating.value & _CODE_SEQUENCE else counts
+        return signed + self._offset & 0xFFFF_FFFF
+
+    @property
+    def _per_revolution(self) -> int:
+        return self._units.value if self._operating.value & _SCALING else self._physical
+
     def _counts(self, now_ns: int) -> int:
-        operating = self._operating.value
-        per_revolution = self._units.value if operating & _SCALING else self._physical
-        counts = round(self._analog.value(self._seconds(now_ns)) / math.tau * per_revolution)
-        return -counts if operating & _CODE_SEQUENCE else counts
+        counts = round(self._analog.value(self._seconds(now_ns)) / math.tau * self._per_revolution)
+        return -counts if self._operating.value & _CODE_SEQUENCE else counts
 
     def _before_start(self) -> None:
         self._offset = self._zero_count

@@ -7,6 +7,9 @@ The converter clips at the cell's capacity. 6150h bit 0 (value not valid) follow
 from collections.abc import Mapping
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hil_sim.devices.canopen.can_emulator import CanNodeEmulator
 from hil_sim.devices.canopen.canopen_node import CanopenNode
 from hil_sim.devices.canopen.object_dictionary import Abort, Access, DataType, DictionaryError, Entry
@@ -63,9 +66,11 @@ class LoadCell404(CanopenNode):
         self._add_channel(0x6125, Entry(DataType.U32, Access.WO, check=self._auto_zero))
         self._add_channel(0x6131, Entry(DataType.U32, Access.RO, _NEWTON))
         self._decimals = self._add_channel(0x6132, Entry(u8, Access.RW, decimals, check=self._check_decimals))
-        self._add_channel(0x6150, Entry(u8, Access.RO, read=self.status, mappable=True))
+        self._add_channel(0x6150, Entry(u8, Access.RO, read=self.status, mappable=True, read_many=self.statuses))
         self._add_channel(0x9100, Entry(i32, Access.RO, read=self.field_value, mappable=True))
-        self._add_channel(0x9130, Entry(i32, Access.RO, read=self.process_value, mappable=True))
+        self._add_channel(
+            0x9130, Entry(i32, Access.RO, read=self.process_value, mappable=True, read_many=self.process_values)
+        )
         self._tpdo_1 = self._add_tpdo(1, 1, (_PROCESS_VALUE, _STATUS))
 
     @property
@@ -77,6 +82,10 @@ class LoadCell404(CanopenNode):
         """Object 9130h:1 at ``now_ns``: force less tare, in units of 10^-decimals N."""
         return round((self._force_n(now_ns) - self._tare_n) * 10.0**self._decimals.value)
 
+    def process_values(self, times_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """``process_value`` at each of ``times_ns`` (n,)."""
+        return np.rint((self._forces_n(times_ns) - self._tare_n) * 10.0**self._decimals.value).astype(np.int64)
+
     def field_value(self, now_ns: int) -> int:
         """Object 9100h:1 at ``now_ns``: counts of the converter."""
         return round(self._force_n(now_ns) / self._capacity_n * (_FIELD_FULL_SCALE - 1))
@@ -84,6 +93,15 @@ class LoadCell404(CanopenNode):
     def status(self, now_ns: int) -> int:
         """Object 6150h:1 at ``now_ns``."""
         return int(self._flags_overload and abs(self._force_n(now_ns)) >= self._capacity_n)
+
+    def statuses(self, times_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """``status`` at each of ``times_ns`` (n,)."""
+        if not self._flags_overload:
+            return np.zeros(len(times_ns), np.int64)
+        return (np.abs(self._forces_n(times_ns)) >= self._capacity_n).astype(np.int64)
+
+    def _forces_n(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        return np.clip(self._analog.values(self._times_s(times_ns)), -self._capacity_n, self._capacity_n)
 
     def _force_n(self, now_ns: int) -> float:
         force_n = self._analog.value(self._seconds(now_ns))

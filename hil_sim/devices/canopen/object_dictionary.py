@@ -5,6 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class Abort(IntEnum):
     """SDO abort codes (CiA 301, table of abort codes)."""
@@ -50,6 +53,7 @@ class Access(StrEnum):
 
 
 Read = Callable[[int], int]
+ReadMany = Callable[[NDArray[np.int64]], NDArray[np.int64]]
 Write = Callable[[int, int], None]
 
 
@@ -65,6 +69,7 @@ class Entry:
         check: Called with (value, now_ns) before a write is stored; refuses by ``DictionaryError``.
         changed: Called with (value, now_ns) after a write was stored.
         mappable: Whether a TPDO may carry it.
+        read_many: ``read`` at many times at once.
     """
 
     data_type: DataType
@@ -74,6 +79,7 @@ class Entry:
     check: Write | None = None
     changed: Write | None = None
     mappable: bool = False
+    read_many: ReadMany | None = None
     _number: struct.Struct = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -91,6 +97,17 @@ class Entry:
     def pack(self, now_ns: int) -> bytes:
         """Value at ``now_ns`` as it goes over the wire."""
         return self._number.pack(self.value if self.read is None else self.read(now_ns))
+
+    def pack_many(self, times_ns: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """``pack`` at each of ``times_ns`` (n,): shape (n, bytes)."""
+        values = np.empty(len(times_ns), self.data_type.value)
+        if self.read is None:
+            values[:] = self.value
+        elif self.read_many is not None:
+            values[:] = self.read_many(times_ns)
+        else:
+            values[:] = [self.read(now_ns) for now_ns in times_ns.tolist()]
+        return values.view(np.uint8).reshape(len(values), -1)
 
 
 class ObjectDictionary:

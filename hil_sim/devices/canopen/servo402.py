@@ -135,6 +135,9 @@ class ServoDrive402(Drive402):
             return
         super().receive(identifier, data, now_ns)
 
+    def answers(self) -> None:
+        """See ``CanopenNode``: where its axis goes depends on what the bus carries."""
+
     def statusword(self, now_ns: int) -> int:
         """Object 6041h."""
         word = super().statusword(now_ns) & ~_REACHED

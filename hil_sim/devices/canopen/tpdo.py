@@ -1,9 +1,13 @@
 """One transmit PDO of a CANopen node (CiA 301, 7.5.2.35 to 7.5.2.38): its objects, and when it is to be sent."""
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hil_sim.devices.canopen.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 
 _INVALID = 0x8000_0000  # COB-ID bit 31: the PDO does not exist
 _MAX_MAPPED = 8
+ANSWER_NS = 40_000  # from the end of a SYNC until the TPDO that answers it is offered to the bus
 _LAST_CYCLIC, _FIRST_EVENT = 240, 254
 
 
@@ -78,6 +82,14 @@ class Tpdo:
         """Shortest time between two event-driven transmissions."""
         return self._inhibit.value * 100_000
 
+    @property
+    def every_sync(self) -> bool | None:
+        """Whether it answers each SYNC from now on, or none; None where it counts them or waits for a first one."""
+        kind = self._type.value
+        if kind > _LAST_CYCLIC or not self.valid:
+            return False
+        return True if kind == 1 and self._started and self._mapped else None
+
     def restart(self) -> None:
         """Forget SYNCs and events; to be called on entering Operational and after the dictionary was reset."""
         self._syncs = 0
@@ -111,6 +123,15 @@ class Tpdo:
         self.pending = False
         mapped = self._mapped
         return mapped[0].pack(now_ns) if len(mapped) == 1 else b"".join([entry.pack(now_ns) for entry in mapped])
+
+    def samples(self, times_ns: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """Contents at each of ``times_ns`` (n,), which do not count as produced before ``answered``: (n, bytes)."""
+        return np.concatenate([entry.pack_many(times_ns) for entry in self._mapped], axis=1)
+
+    def answered(self) -> None:
+        """One of ``samples`` is sent."""
+        self.produced += 1
+        self.pending = False
 
     def _compile(self, value: int, now_ns: int) -> None:
         del value, now_ns

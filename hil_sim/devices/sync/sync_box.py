@@ -152,6 +152,16 @@ class SyncBox:
         self._sync += 1
         self._sync_ns = self._sync_time_ns(self._sync)
 
+    def next_syncs(self, before_ns: int, most: int) -> list[tuple[int, bytes]]:
+        """Times and data of the SYNCs after the last one sent, before ``before_ns``; none where a fault is to come."""
+        found: list[tuple[int, bytes]] = []
+        for sync in range(self._sync, self._sync if self._is_faulty else self._sync + most):
+            time_ns = self._sync_time_ns(sync)
+            if time_ns >= before_ns:
+                break
+            found.append((time_ns, bytes([sync % _COUNTER_MAX + 1])))
+        return found
+
     def _counter(self, now_ns: int) -> bytes:
         if not self._is_faulty:
             return bytes([self._sync % _COUNTER_MAX + 1])

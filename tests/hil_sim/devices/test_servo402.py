@@ -105,6 +105,12 @@ def test_cyclic_position_follows_its_targets(zero, reversed_count):
     assert bench.state == ENABLED
 
 
+def test_what_it_answers_is_not_known_ahead():
+    bench = Bench()
+    assert [tpdo.every_sync for tpdo in bench.drive._tpdos] != []
+    assert bench.drive.answers() is None
+
+
 def test_a_target_waits_for_sync_and_for_operational():
     bench = Bench().enable()
     bench.rig.send(0x300 + NODE, *struct.pack("<i", 5000))
