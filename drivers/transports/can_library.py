@@ -7,7 +7,7 @@ stands in the same process where time is simulated too.
 
 import errno
 from collections.abc import Callable
-from typing import Self
+from typing import Protocol, Self, runtime_checkable
 
 import can
 
@@ -15,6 +15,14 @@ from drivers.errors import UrlError
 from drivers.ports import CanFrame
 from drivers.transports.clock import realtime_minus_monotonic
 from drivers.transports.url import BusUrl
+
+
+@runtime_checkable
+class HasFrames(Protocol):
+    """A bus that has stamped frames, and need not make messages of them: a simulator's."""
+
+    def frames(self) -> list[CanFrame] | None:
+        """All that waits; None where it takes messages to tell. Raises ``can.CanError``."""
 
 
 def queue(bus: can.BusABC, message: can.Message) -> None:
@@ -36,6 +44,7 @@ class LibraryCanPort:
         self._bus = bus
         self._clock = clock
         self._monotonic_stamps = monotonic_stamps
+        self._has_frames = bus if isinstance(bus, HasFrames) and monotonic_stamps else None
         self.foreign_frames = 0
         self._muted_ns: int | None = None
 
@@ -72,6 +81,8 @@ class LibraryCanPort:
         """All frames waiting; waits up to ``timeout_s`` for the first. Raises OSError."""
         messages: list[can.Message] = []
         try:
+            if self._has_frames is not None and (ready := self._has_frames.frames()):
+                return ready if self._muted_ns is None else [one for one in ready if one.host_ns <= self._muted_ns]
             message = self._bus.recv(timeout_s)
             while message is not None:
                 messages.append(message)

@@ -5,6 +5,7 @@ While ``install_can`` is in force, ``can.Bus(interface="virtual")`` makes a ``Pu
 
 import contextlib
 import errno
+import queue
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -12,25 +13,56 @@ import can
 from can.interfaces import BACKENDS
 from can.interfaces.virtual import VirtualBus
 
-from hil_sim.devices.canopen.can_wire import WireFrame
+from drivers.ports import CanFrame
+from hil_sim.devices.canopen.sync_train import WireFrame
 
 _away: set[str] = set()  # channels whose adapter is pulled out
 
 
+class _Frames(queue.Queue[Any]):
+    """The queue of a bus that takes a twin's frames as they are."""
+
+
 class PulledBus(VirtualBus):
-    """A virtual bus that raises ENODEV once its adapter was pulled, also after another one was put in."""
+    """A virtual bus that raises ENODEV once its adapter was pulled, also after another one was put in.
+
+    What a twin sends waits as it is: messages are made for a reader that asks for them, as ``can.BusABC`` has them.
+    """
 
     def __init__(self, channel: str = "channel-0", **options: Any) -> None:
         if channel in _away:
             raise can.CanInitializationError(f"no adapter {channel}", error_code=errno.ENODEV)
         super().__init__(channel, **options)
+        plain, self.queue = self.queue, _Frames(self.queue.maxsize)
+        self.channel[self.channel.index(plain)] = self.queue
+
+    def frames(self) -> list[CanFrame] | None:
+        """All that waits, stamped as it was sent; None where not all of it are frames of a twin, or some are filtered.
+
+        Raises:
+            can.CanOperationError: the adapter was pulled out.
+        """
+        self._check_if_open()
+        waiting = self.queue.queue
+        if self._filters is not None or not all(type(one) is WireFrame for one in waiting):
+            return None
+        frames = [CanFrame(*one) for one in waiting]
+        waiting.clear()
+        return frames
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """See ``can.BusABC``; without its clock and filters where nothing is waited for and nothing filtered."""
         if timeout != 0 or self._filters is not None:
             return super().recv(timeout)
         self._check_if_open()
-        return self.queue.queue.popleft() if self.queue.queue else None
+        return self._message(self.queue.queue.popleft()) if self.queue.queue else None
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        waiting, filtered = super()._recv_internal(timeout)
+        return self._message(waiting), filtered
+
+    def _message(self, waiting: can.Message | WireFrame | None) -> can.Message | None:
+        return _message(waiting, self.channel_id) if isinstance(waiting, WireFrame) else waiting
 
     def shutdown(self) -> None:
         """See ``can.BusABC``; also of one that was pulled."""
@@ -85,15 +117,13 @@ class VirtualCan:
     def give(self, frames: Sequence[WireFrame]) -> None:
         """Send frames with their stamps: what ``VirtualBus.send`` does, but for its deep copy of each message."""
         own = self._bus.queue
-        for queue in self._bus.channel:
-            if queue is not own:
-                messages = [
-                    can.Message(end_ns * 1e-9, identifier, is_extended_id=False, data=data, channel=self._channel)
-                    for end_ns, identifier, data in frames
-                ]
-                with queue.not_empty:
-                    queue.queue.extend(messages)
-                    queue.not_empty.notify(len(messages))
+        for each in self._bus.channel:
+            if each is not own:
+                is_ours = isinstance(each, _Frames)
+                given = frames if is_ours else [_message(frame, self._channel) for frame in frames]
+                with each.not_empty:
+                    each.queue.extend(given)
+                    each.not_empty.notify(len(given))
 
     def give_error(self, end_ns: int, classes: int) -> None:
         """Send an error frame."""
@@ -112,3 +142,9 @@ class VirtualCan:
         """Leave the channel."""
         _away.discard(self._channel)
         self._bus.shutdown()
+
+
+def _message(frame: WireFrame, channel: Any) -> can.Message:
+    """A frame as python-can has it."""
+    end_ns, identifier, data = frame
+    return can.Message(end_ns * 1e-9, identifier, is_extended_id=False, data=data, channel=channel)

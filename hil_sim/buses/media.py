@@ -15,7 +15,8 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from hil_sim.devices.canopen.can_wire import Babbler, CanTalker, CanWire, WireFrame, is_process_data
+from hil_sim.devices.canopen.can_wire import Babbler, CanTalker, CanWire, is_process_data
+from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
@@ -303,14 +304,14 @@ class CanBus:
                 self._link.give_error(time_ns, classes)
 
     def _stamped(self, frames: list[WireFrame]) -> list[WireFrame]:
-        stamp_ns, stamped = self._last_stamp_ns, []
+        stamp_ns, stamps_ns = self._last_stamp_ns, []
         late = self._rng.standard_exponential(len(frames)).tolist()
-        for (end_ns, identifier, data), share in zip(frames, late, strict=True):
-            late_ns = end_ns + self._latency_ns + int(share * self._jitter_ns)
+        for frame, share in zip(frames, late, strict=True):
+            late_ns = frame[0] + self._latency_ns + int(share * self._jitter_ns)
             stamp_ns = late_ns if late_ns > stamp_ns else stamp_ns + 1
-            stamped.append(WireFrame(stamp_ns, identifier, data))
+            stamps_ns.append(stamp_ns)
         self._last_stamp_ns = stamp_ns
-        return stamped
+        return [WireFrame(stamp, frame[1], frame[2]) for stamp, frame in zip(stamps_ns, frames, strict=True)]
 
 
 class EdgeLink(Protocol):

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from hil_sim.devices.canopen.can_wire import WireFrame
+from hil_sim.devices.canopen.sync_train import WireFrame
 
 _OK: Final = b"\r"
 _NO: Final = b"\a"

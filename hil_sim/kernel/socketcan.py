@@ -11,7 +11,7 @@ import struct
 from collections.abc import Sequence
 from typing import Final
 
-from hil_sim.devices.canopen.can_wire import WireFrame
+from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.faults import NEVER
 
 _FRAME: Final = struct.Struct("=IB3x8s")  # struct can_frame: identifier and flags, length, data

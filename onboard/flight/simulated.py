@@ -10,7 +10,7 @@ from onboard.flight.estimate.estimation import EstimationWorker
 from onboard.recording.recorder import Recorder
 
 STEP_NS = 5_000_000  # at most
-RECORDING_STEPS = 10  # the recorder runs every so many
+RECORDING_STEPS = 20  # the recorder runs every so many
 COLLECTED_EVERY = 20_000  # objects made more than given back: a flight makes hardly any cycles
 
 

@@ -89,6 +89,9 @@ class RingSource:
         self._waiting += lost
         if not len(rows):
             return
+        if not (self._waiting or self._rejoining or self.missing):
+            self._last = ChannelProgress(int(rows["sequence"][-1]), int(rows["host_ns"][-1]))
+            return
         sequence, host_ns = rows["sequence"].astype(np.int64), rows["host_ns"].astype(np.int64)
         first_ns = int(host_ns[0])
         if self.missing and self.missing[-1].last + 1 == sequence[0]:

@@ -14,7 +14,7 @@ import serial
 from drivers.ports import CanFrame
 from drivers.transports import open_can, open_serial
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.canopen.can_wire import WireFrame
+from hil_sim.devices.canopen.sync_train import WireFrame
 
 TIOCSETD = 0x5423  # asm-generic/ioctls.h
 N_SLCAN = 17  # linux/tty.h

@@ -11,19 +11,11 @@ frames and retransmission are not modelled, nor 29-bit identifiers.
 import heapq
 from collections import Counter
 from collections.abc import Callable
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 from hil_sim.devices.canopen.frame_length import INTERMISSION_BITS, frame_bits
-from hil_sim.devices.canopen.sync_train import SyncTrains, Train
+from hil_sim.devices.canopen.sync_train import SyncTrains, Train, WireFrame
 from hil_sim.faults import NEVER
-
-
-class WireFrame(NamedTuple):
-    """A frame that has been on the wire, and when its last bit was there."""
-
-    end_ns: int
-    identifier: int
-    data: bytes
 
 
 class TransmitFrame(Protocol):
@@ -85,6 +77,7 @@ class CanWire:
 
     def __init__(self, bit_rate: int = 500_000) -> None:
         self._bit_ns = 1e9 / bit_rate
+        self._gap_ns = round(INTERMISSION_BITS * self._bit_ns)
         self._nodes: list[CanTalker] = []
         self._hearing: list[tuple[int, CanTalker]] = []  # nodes that PDOs are given to
         self._others: dict[int, list[CanTalker]] = {}  # nodes that other frames are given to, by the sender
@@ -190,7 +183,7 @@ class CanWire:
         self._buffered.discard((frame[0], frame[3]))
         end_ns = start_ns + round(frame_bits(frame[0], frame[2], frame[4]) * self._bit_ns)
         self._on_wire = (end_ns, frame)
-        self._idle_ns = end_ns + round(INTERMISSION_BITS * self._bit_ns)
+        self._idle_ns = end_ns + self._gap_ns
 
     def _contend(self, frame: _Waiting) -> None:
         identifier, _, data, sender, asked = frame
@@ -241,14 +234,14 @@ class CanWire:
 
     def _follow(self, train: Train, until_ns: int) -> None:
         """The frames of the train that end up to then."""
-        frames = train.frames
-        while self._train_at < len(frames) and frames[self._train_at].end_ns <= until_ns:
-            frame = frames[self._train_at]
-            self._received.append(WireFrame(frame.end_ns, frame.identifier, frame.data))
-            self._train_at += 1
-        if self._train_at == len(frames):
+        frames, at = train.frames, self._train_at
+        while at < len(frames) and frames[at].end_ns <= until_ns:
+            self._received.append(frames[at])
+            at += 1
+        self._train_at = at
+        if at == len(frames):
             self._train = None
-            self._idle_ns = frames[-1].end_ns + round(INTERMISSION_BITS * self._bit_ns)
+            self._idle_ns = frames[-1].end_ns + self._gap_ns
 
     def _dissolve(self, until_ns: int) -> None:
         """What is left of the train goes on frame by frame; ``until_ns``: up to when the wire has gone on."""
@@ -256,15 +249,15 @@ class CanWire:
         if train is None:
             return
         begun = False
-        gap_ns = round(INTERMISSION_BITS * self._bit_ns)
         if self._train_at:
-            self._idle_ns = train.frames[self._train_at - 1].end_ns + gap_ns
+            self._idle_ns = train.frames[self._train_at - 1].end_ns + self._gap_ns
             begun = True
-        for begin_ns, end_ns, identifier, data, sender in train.frames[self._train_at :]:
+        for at in range(self._train_at, len(train.frames)):
+            end_ns, identifier, data = train.frames[at]
             self._order += 1
-            frame: _Waiting = (identifier, self._order, data, sender, None)
-            if begin_ns <= until_ns and self._on_wire is None:
-                self._on_wire, self._idle_ns, begun = (end_ns, frame), end_ns + gap_ns, True
+            frame: _Waiting = (identifier, self._order, data, train.senders[at], None)
+            if train.begins_ns[at] <= until_ns and self._on_wire is None:
+                self._on_wire, self._idle_ns, begun = (end_ns, frame), end_ns + self._gap_ns, True
             elif begun:
                 self._contend(frame)
             else:

@@ -215,7 +215,7 @@ class CanopenNode:
 
     def _times_s(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Mission times, (n,)."""
-        return (times_ns - self._start_ns) * 1e-9
+        return (times_ns - self._start_ns).astype(np.float64) * 1e-9
 
     def _timer_ns(self, period_ms: int) -> int:
         """What the node's own oscillator makes of a period."""

@@ -7,6 +7,7 @@ ends a train where it stands, and the wire goes on frame by frame; so both ways 
 """
 
 from collections.abc import Sequence
+from itertools import repeat
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -44,22 +45,12 @@ class SendsSyncs(Protocol):
         """Times and data of the SYNCs after the last one sent, before ``before_ns``; none if that is not known."""
 
 
-class Frame(NamedTuple):
-    """A frame of a train.
+class WireFrame(NamedTuple):
+    """A frame that has been on the wire, and when its last bit was there."""
 
-    Attributes:
-        begin_ns: When it begins, if nothing comes between.
-        end_ns: When its last bit has been on the wire.
-        identifier: Its.
-        data: Its.
-        sender: Place of its node on the wire.
-    """
-
-    begin_ns: int
     end_ns: int
     identifier: int
     data: bytes
-    sender: int
 
 
 class Train(NamedTuple):
@@ -67,11 +58,15 @@ class Train(NamedTuple):
 
     Attributes:
         ready_ns: When they are offered to the bus.
-        frames: In the order of the wire.
+        frames: In the order of the wire, as they are if nothing comes between.
+        begins_ns: When each begins.
+        senders: Places of their nodes on the wire.
     """
 
     ready_ns: int
-    frames: list[Frame]
+    frames: Sequence[WireFrame]
+    begins_ns: Sequence[int]
+    senders: Sequence[int]
 
 
 class SyncTrains:
@@ -138,21 +133,22 @@ class SyncTrains:
     def _fill(self, times_ns: NDArray[np.int64], senders: list[tuple[Tpdo, int]]) -> None:
         gap_ns = round(INTERMISSION_BITS * self._bit_ns)
         begin_ns = times_ns + max(gap_ns, ANSWER_NS)
-        columns: list[list[Frame]] = []
-        for tpdo, place in senders:
+        columns: list[list[WireFrame]] = []
+        begins: list[list[int]] = []
+        for tpdo, _ in senders:
             contents = tpdo.samples(times_ns)
             identifier, size = tpdo.cob_id, contents.shape[1]
             end_ns = begin_ns + np.rint(frames_bits(identifier, contents) * self._bit_ns).astype(np.int64)
             whole = contents.tobytes()
-            columns.append(
-                [
-                    Frame(begin, end, identifier, whole[at : at + size], place)
-                    for begin, end, at in zip(
-                        begin_ns.tolist(), end_ns.tolist(), range(0, len(whole), size), strict=True
-                    )
-                ]
-            )
+            pieces = [whole[at : at + size] for at in range(0, len(whole), size)]
+            columns.append(list(map(WireFrame, end_ns.tolist(), repeat(identifier), pieces)))
+            begins.append(begin_ns.tolist())
             begin_ns = end_ns + gap_ns
+        places = [place for _, place in senders]
+        frames = zip(*columns, strict=True) if columns else repeat(())
+        begin = zip(*begins, strict=True) if begins else repeat(())
         ready = (times_ns + ANSWER_NS).tolist()
-        for place, end_ns in enumerate(times_ns.tolist()):
-            self._trains[end_ns] = Train(ready[place], [column[place] for column in columns])
+        self._trains = {
+            sync_end_ns: Train(ready_ns, of_sync, begins_ns, places)
+            for sync_end_ns, ready_ns, of_sync, begins_ns in zip(times_ns.tolist(), ready, frames, begin, strict=False)
+        }

@@ -10,11 +10,13 @@ import can
 import pytest
 import smbus2
 
-from hil_sim.buses.can_virtual import VirtualCan
+from drivers.ports import CanFrame
+from drivers.transports import open_can
+from hil_sim.buses.can_virtual import VirtualCan, install_can
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
-from hil_sim.devices.canopen.can_wire import WireFrame
+from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.twin_bench import BUSES, MS, START_NS, SmallMission
 
@@ -315,6 +317,40 @@ def test_virtual_channel_keeps_stamps_and_ignores_what_is_not_a_base_frame():
         message = near.recv(0)
         assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == (0x182, b"\x01\x02", False)
         assert round(message.timestamp * 1e9) == 123_456_789_012
+    far.close()
+
+
+def test_a_port_in_this_process_gets_the_frames_themselves_and_in_order_with_what_is_none(clock):
+    frames = [WireFrame(123_456_789_012 + k, 0x182, bytes([k])) for k in range(5)]
+    far = VirtualCan("heft-frames")
+    with install_can(), can.Bus("heft-frames", interface="virtual", preserve_timestamps=True) as near:
+        port, messages = open_can("can+virtual://heft-frames?timestamps=monotonic", clock), []
+        far.give(frames[:2])
+        assert port.receive(0.0) == [CanFrame(*frame) for frame in frames[:2]]
+        assert port.receive(0.0) == []
+        far.give(frames[2:3])
+        far.give_error(123_456_789_020, 0x40)
+        far.give(frames[3:4])
+        assert [(f.host_ns, f.identifier, f.is_error) for f in port.receive(0.0)] == [
+            (frames[2].end_ns, 0x182, False),
+            (123_456_789_020, 0x40, True),
+            (frames[3].end_ns, 0x182, False),
+        ]
+        clock.now_ns = 123_456_789_013
+        far.give(frames[:2])
+        port.mute()
+        far.give(frames[4:])
+        assert port.receive(0.0) == [CanFrame(*frame) for frame in frames[:2]]
+        while (message := near.recv(0.01)) is not None:  # another reader, by python-can's own way
+            messages.append(message)
+        assert [round(message.timestamp * 1e9) for message in messages if not message.is_error_frame] == [
+            frame.end_ns for frame in (*frames[:4], *frames[:2], frames[4])
+        ]
+        assert bytes(messages[0].data) == b"\0"
+        far.unplug()
+        with pytest.raises(OSError, match="pulled out"):
+            port.receive(0.0)
+        port.close()
     far.close()
 
 

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.canopen.can_wire import WireFrame
+from hil_sim.devices.canopen.sync_train import WireFrame
 
 
 class Terminal:

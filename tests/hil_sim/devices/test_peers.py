@@ -14,7 +14,7 @@ from hil_sim.buses.can_virtual import VirtualCan
 from hil_sim.buses.i2c_dev import install_i2c
 from hil_sim.buses.media import CanBus, I2cBus, PulseLine
 from hil_sim.buses.slcan import SlcanAdapter
-from hil_sim.devices.canopen.can_wire import WireFrame
+from hil_sim.devices.canopen.sync_train import WireFrame
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, SmallMission, StairImu
 
