@@ -7,7 +7,7 @@ import numpy as np
 
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.sensor_tables import MotorTorqueTable, ThrustTable, WheelRateTable
-from hil_sim.sensing.sensors import interpolate_one
+from hil_sim.sensing.interpolation import interpolate_one
 
 
 class MotorTorqueSensor:

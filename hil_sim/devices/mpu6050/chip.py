@@ -323,12 +323,9 @@ class Mpu6050Twin:
         enabled = self._reg[reg.FIFO_EN]
         if not (self._reg[reg.USER_CTRL] & 0x40 and enabled & 0xF8):
             return
-        if enabled & 0xF8 == 0xF8:
-            data = counts.astype(">i2").tobytes()
-        else:
-            columns = [0, 1, 2] * (enabled >> 3 & 1) + [3] * (enabled >> 7)
-            columns += [4 + axis for axis in range(3) if enabled & 0x40 >> axis]
-            data = counts[:, columns].astype(">i2").tobytes()
+        columns = [0, 1, 2] * (enabled >> 3 & 1) + [3] * (enabled >> 7)
+        columns += [4 + axis for axis in range(3) if enabled & 0x40 >> axis]
+        data = (counts if len(columns) == 7 else counts[:, columns]).astype(">i2").tobytes()
         if self._fifo.fill(data, len(counts), float(times_s[0]), self._last_s, self._period_s()):
             self._reg[reg.INT_STATUS] |= reg.INT_FIFO_OFLOW
 
