@@ -12,7 +12,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.sensor_tables import PoseTable
-from hil_sim.sensing.sensors import interpolate
+from hil_sim.sensing.interpolation import interpolate
 
 _ROOM_m = 2.0  # 1 sigma of each coordinate of where the vehicle's first place lies in the laboratory's axes
 

@@ -9,13 +9,12 @@ from scipy import signal
 from hil_sim.plants.rocket_arm import RocketArmPlant
 from hil_sim.plants.world import Inertial, NotYetComputedError
 from hil_sim.scenario.load import load
+from hil_sim.sensing.interpolation import interpolate, interpolate_column, interpolate_one
 from hil_sim.sensing.sensors import (
     DriftingClock,
     EncoderSensor,
     ImuSensor,
     LoadCellSensor,
-    interpolate,
-    interpolate_one,
     low_pass,
 )
 from hil_sim.sensing.triads import within_limits
@@ -130,6 +129,26 @@ def test_interpolation_is_exact_for_cubics_and_good_at_100_hz() -> None:
     got = np.array([interpolate_one(sine, p) for p in places])
     assert np.abs(got - np.sin(2 * np.pi * 100.0 * STEP_S * places)).max() < 2.5e-4
     np.testing.assert_allclose(interpolate(sine[:, None], places)[:, 0], got, atol=1e-15)
+
+
+def test_many_instants_at_once_give_the_same_bits_as_one_by_one() -> None:
+    scenario = load("rocksat")
+    places = np.random.default_rng(5).uniform(-3.0, 60.0, 500)
+    walk = np.random.default_rng(6).standard_normal(50).cumsum()
+    assert interpolate_column(walk, places).tolist() == [interpolate_one(walk, at) for at in places.tolist()]
+    plant = RocketArmPlant(scenario, np.random.default_rng(1))
+    plant.advance(7.0)
+    cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
+    encoder = EncoderSensor(plant, scenario.sensor["encoder"], np.random.default_rng(4))
+    cell._full_scale_s = (6.2,)
+    times_s = np.sort(np.random.default_rng(7).uniform(0.1, 6.9, 3000))
+    for sensor in (cell, encoder):
+        many = sensor.values(times_s)
+        assert many.std() > 0.0
+        assert many.tolist() == [sensor.value(time_s) for time_s in times_s.tolist()]
+        with pytest.raises(NotYetComputedError):
+            sensor.values(np.array([1.0, 7.5]))
+    assert (cell.values(times_s) == cell.capacity_N).sum() > 0
 
 
 def test_interpolation_clamps_to_the_ends() -> None:
