@@ -30,7 +30,7 @@ class Grid(NamedTuple):
     first_ns: int
     period_ns: int
     clock: ChipClock
-    settings: tuple[int, ...]
+    settings: tuple[object, ...]
 
 
 class SamplesAhead:
@@ -44,7 +44,7 @@ class SamplesAhead:
     def __init__(self, analog: KnownAhead, convert: Callable[[Times, Times, float], Words]) -> None:
         self._analog = analog
         self._convert = convert
-        self._settings: tuple[int, ...] = ()
+        self._settings: tuple[object, ...] = ()
         self._first_ns = 0  # chip time of the first of those converted ahead
         self._times_s: Times = np.zeros(0)  # (m,)
         self._words: Words = np.zeros((0, 7), np.int16)

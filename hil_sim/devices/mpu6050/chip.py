@@ -31,7 +31,7 @@ _SLOW_TICK_NS = 1_000_000
 _HIGHEST_REGISTER = 0x7F
 _LAZY_NS = 50_000_000
 _SECOND_NS = 1_000_000_000
-_CONVERTING = (reg.CONFIG, reg.ACCEL_CONFIG, reg.GYRO_CONFIG, reg.PWR_MGMT_1, reg.PWR_MGMT_2)
+_CONVERTING = slice(reg.CONFIG, reg.ACCEL_CONFIG + 1), slice(reg.PWR_MGMT_1, reg.PWR_MGMT_2 + 1)
 
 
 class Mpu6050Twin:
@@ -280,7 +280,7 @@ class Mpu6050Twin:
             return
         n = (chip_ns - self._next_chip_ns) // self._period_ns + 1
         latest_s = (until_ns - self._start_ns) * 1e-9
-        settings = self._grid, *(self._reg[address] for address in _CONVERTING)
+        settings = self._grid, *(bytes(self._reg[part]) for part in _CONVERTING)
         is_same = not (self._faults or reg.held_columns(self._reg[reg.PWR_MGMT_1], self._reg[reg.PWR_MGMT_2]))
         grid = Grid(self._next_chip_ns, self._period_ns, self._clock, settings if is_same else ())
         times_s, counts = self._ahead.next(int(n), grid, latest_s)  # (n,), (n, 7)

@@ -22,6 +22,7 @@ from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
 
 SEQUENCED = np.dtype([("sequence", "<u8"), ("host_ns", "<i8")])
+_COMPARED_AT_ONCE = 4096  # rows
 _UNANSWERED = 2  # last steps of an interrupted flight with a TICK in the log but no outputs
 
 
@@ -83,52 +84,65 @@ class Pass:
 
 
 class _Said:
-    """Comparison of recorded and recomputed rows of one channel."""
+    """Comparison of recorded and recomputed rows of one channel, of many steps at a time."""
 
     def __init__(self, dtype: np.dtype[np.void]) -> None:
         self.recorded = self.same = 0
         self.until: int | None = None  # rows from here on are of an estimator that has not begun yet
         self.differs = False
-        self._said: Rows = np.empty(0, dtype)
-        self._again: Rows = np.empty(0, dtype)
+        self._dtype = dtype
+        self._said: list[Rows] = []  # not compared yet, or after the first difference
+        self._again: list[Rows] = []
+        self._held = 0  # rows that came since the last comparison
 
     @property
     def replayed(self) -> int:
         """Number of recomputed rows."""
-        return self.same + len(self._again)
-
-    @property
-    def unsaid(self) -> Rows:
-        """Recomputed rows without a recorded one so far."""
-        return self._again[len(self._said) :]
+        return self.same + sum(map(len, self._again))
 
     def add(self, said: Rows, again: Sequence[Rows] = ()) -> None:
-        """Compare further rows; after the first difference they are only counted."""
+        """Further rows, to be compared; after the first difference they are only counted."""
         self.recorded += len(said)
-        self._said = np.concatenate([self._said, said]) if len(self._said) else said
-        self._again = np.concatenate([self._again, *again])
-        count = min(len(self._said), len(self._again))
+        self._said.append(said)
+        self._again += again
+        self._held += len(said)
+        if self._held >= _COMPARED_AT_ONCE:
+            self._compare()
+
+    def _compare(self) -> None:
+        said, again = _joined(self._said, self._dtype), _joined(self._again, self._dtype)
+        self._said, self._again, self._held = [said], [again], 0
+        count = min(len(said), len(again))
         count = count if self.until is None else min(count, self.until - self.same)
         if self.differs or not count:
             return
-        if self._said.dtype != self._again.dtype:
+        if said.dtype != again.dtype:
             self.differs = True
             return
-        equal = (_bytes(self._again[:count]) == _bytes(self._said[:count])).all(axis=1)
+        equal = (_bytes(again[:count]) == _bytes(said[:count])).all(axis=1)
         self.differs = not equal.all()
         count = int(np.argmin(equal)) if self.differs else count
         self.same += count
-        self._said, self._again = self._said[count:], self._again[count:]
+        self._said, self._again = [said[count:]], [again[count:]]
 
     def forget(self, known: int) -> None:
         """Only the first ``known`` recomputed rows had been published before the estimator died."""
-        self._again = self._again[: max(0, known - self.same)]
+        self._compare()
+        self._again = [self._again[0][: max(0, known - self.same)]]
 
     def end(self, answered_ns: int) -> None:
         """End of the flight: outputs of its last steps may be missing in the log."""
-        if len(self._again) and (self.unsaid["host_ns"] > answered_ns).all():
-            self._again = self._again[: len(self._said)]
-        self.differs |= len(self._said) + len(self._again) > 0
+        self._compare()
+        [said], [again] = self._said, self._again
+        if len(again) and (again[len(said) :]["host_ns"] > answered_ns).all():
+            again = again[: len(said)]
+        self.differs |= len(said) + len(again) > 0
+
+
+def _joined(parts: Sequence[Rows], dtype: np.dtype[np.void]) -> Rows:
+    """The rows of some batches, (n,)."""
+    some = [part for part in parts if len(part)]
+    return some[0] if len(some) == 1 else np.concatenate(some) if some else np.empty(0, dtype)
 
 
 def _bytes(rows: Rows) -> NDArray[np.uint8]:
