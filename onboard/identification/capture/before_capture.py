@@ -37,7 +37,7 @@ _CONTACTS_s: Final = (0.25, 0.35, 0.5)  # after the last one, until the grip has
 _BESIDE: Final = 12  # ticks on each side that tell the rate there
 _HOLE: Final = 0.5  # of a tick: later or earlier ones have others missing
 _OTHER: Final = 1e-2  # chance below which two times tell different motions
-_RELATIVE: Final = 0.01  # of a push, or of a change of the rate: scale and misalignment of the IMU, delays, links
+_RELATIVE: Final = 0.015  # of a push, or of a change of the rate: scale and misalignment of the IMU, delays, links
 _STEP: Final = 1e-4  # of a derivative, relative
 _ACTUAL, _FREE = 0, 1  # paths of the base: by the readings, and as it would be without a capture
 

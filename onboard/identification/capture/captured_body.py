@@ -62,9 +62,9 @@ class CapturedBody:
 
     def take(self, ticks: Ticks) -> None:
         """Keep ticks, and follow the changes that the estimator has found meanwhile."""
-        if not len(ticks.time_s):
-            return
         recent = ticks if self._recent is None else self._recent.and_then(ticks)
+        if not len(recent.time_s):
+            return
         changes = self._exiddm.changes
         for change in changes[self._seen :]:
             self._follow(change)

@@ -118,9 +118,7 @@ class ExiddmIdentifier:
             self._attached = held
             self.exiddm.take(Ticks(*(x[first:last] for x in ticks)))
             first = last
-        self._captured.take(ticks)
-        if self._answers and self.exiddm.state is not None and self._captured.due:
-            self._captured.tell(Payload(*self._payload(self.exiddm.state)))
+        self._tell_of_capture(ticks)
         for reason in self.refused:
             self.refused[reason] += int(np.count_nonzero(found & int(reason)))
         self._count(glitches)
@@ -137,6 +135,12 @@ class ExiddmIdentifier:
         glitches = self.exiddm.glitches
         self.exiddm.finish()
         self._count(glitches)
+        self._tell_of_capture(self.exiddm.predictor.no_ticks)
+
+    def _tell_of_capture(self, ticks: Ticks) -> None:
+        self._captured.take(ticks)
+        if self._answers and self.exiddm.state is not None and self._captured.due:
+            self._captured.tell(Payload(*self._payload(self.exiddm.state)))
 
     def _count(self, glitches: int) -> None:
         """Count rows, and outliers since there were so many."""
