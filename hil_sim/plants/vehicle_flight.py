@@ -164,8 +164,11 @@ class VehicleFlight:
         """
         self.show()
         came, (R, _), (rate, _) = self.momenta.outside(self._holder, comes), self._grip(), self._grip_twist()
-        J = self.momenta.jacobian(self._holder, came.at_m)[:, : self._nb]
-        mobility = J @ np.linalg.solve(self._base_inertia()[:, : self._nb], J.T)
+        J = self.momenta.jacobian(self._holder, came.at_m)
+        if self._soft.joints:  # the joints give way too
+            mobility = J @ np.linalg.solve(full_inertia(self.model, self.data), J.T)
+        else:
+            mobility = J[:, : self._nb] @ np.linalg.solve(self._base_inertia()[:, : self._nb], J[:, : self._nb].T)
         spring = comes.payload, frequency_Hz, damping_ratio, np.array(self.model.opt.gravity)
         self.contact = Contact(*spring, R, rate + R @ comes.rate_rad_s, came, mobility)
 

@@ -9,6 +9,7 @@ from hil_sim.plants.body import Body
 from hil_sim.plants.contact import Contact
 from hil_sim.plants.events import events
 from hil_sim.plants.exchange import Released
+from hil_sim.plants.soft_parts import SoftParts
 from hil_sim.plants.urdf_model import UrdfModel, matrix_of
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
@@ -22,10 +23,10 @@ VELOCITY_m_s, RATE_rad_s = np.array([0.03, -0.02, -0.05]), np.array([0.12, 0.04,
 ROWS = round(Contact.lasts_s(*SPRING) / STEP_s)
 
 
-def started(motion, payload=BOX, *, spring, gravity=(0.0, 0.0, 0.0)):
+def started(motion, payload=BOX, *, spring, gravity=(0.0, 0.0, 0.0), soft=None):
     """In flight for 0.2 s, the payload just touched, or caught at once."""
     model = UrdfModel(DYMAFLEX, "free", gravity, PLACES)
-    flight = VehicleFlight(model, motion, PLACES, "payload", STEP_s, np.array([0.01, -0.02, 0.03, *RATE]))
+    flight = VehicleFlight(model, motion, PLACES, "payload", STEP_s, np.array([0.01, -0.02, 0.03, *RATE]), soft=soft)
     flight.advance(100)
     comes = Released(payload, VELOCITY_m_s, RATE_rad_s)
     jolt = flight.touch(comes, *spring) if spring else flight.exchange(comes, None)
@@ -65,6 +66,18 @@ def test_momentum_and_angular_momentum_are_those_of_vehicle_and_payload_together
     flight.close()
     np.testing.assert_allclose(momenta(flight, None), at_touch, atol=2e-6)
     assert np.abs(at_touch).max() > 0.1
+
+
+def test_joints_that_give_way_are_caught_with_too(motion):
+    """The spring's stiffness is that of the wrist as it gives way; by the stiff arm's, joints of 5 Hz swing up."""
+    payload = Body.box(8.0, (0.4, 0.35, 0.3), (0.02, -0.01, 0.2))
+    flight, _ = started(motion, payload, spring=SPRING, soft=SoftParts(np.full(5, 5.0), 0.03, None))
+    at_touch = momenta(flight, flight.contact)
+    rows = flight.advance(ROWS)
+    assert np.isfinite(rows.sensors).all()
+    np.testing.assert_allclose(momenta(flight, flight.contact), at_touch, atol=1e-4)
+    flight.close()
+    np.testing.assert_allclose(momenta(flight, None), at_touch, atol=1e-4)
 
 
 def test_what_the_wrist_has_felt_when_the_grip_closes_is_the_impulse_of_a_plastic_capture():
