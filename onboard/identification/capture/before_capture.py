@@ -11,7 +11,7 @@ payload moves against it. The shortest time from a quarter of a second on is tak
 ones; where the longest has no shorter one that agrees, its noise is taken for as much larger as they differ.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import Final, NamedTuple
 
@@ -39,6 +39,7 @@ _HOLE: Final = 0.5  # of a tick: later or earlier ones have others missing
 _OTHER: Final = 1e-2  # chance below which two times tell different motions
 _RELATIVE: Final = 0.015  # of a push, or of a change of the rate: scale and misalignment of the IMU, delays, links
 _STEP: Final = 1e-4  # of a derivative, relative
+_UNEXPLAINED: Final = "the motion about the capture is not one that can be predicted"
 _ACTUAL, _FREE = 0, 1  # paths of the base: by the readings, and as it would be without a capture
 
 
@@ -110,11 +111,24 @@ def before_capture(
     if not np.linalg.eigvalsh(_spatial(payload.chi)).min() > 0.0:
         raise SignalError("the payload found has no mass or inertia that a body can have")
     rest = ticks.part(slice(max(0, first - round(_ZERO_s / predictor.period_s)), first))
-    about = _About(predictor, state, seen, _told_again(zeros, predictor, state, rest), payload, touched_s)
+    try:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            zeros = _told_again(zeros, predictor, state, rest)
+            about = _About(predictor, state, seen, zeros, payload, touched_s)
+            found = _shortest(about, [_BESIDE + end - first for end in ends])
+    except np.linalg.LinAlgError as error:
+        raise SignalError(_UNEXPLAINED) from error
+    if not (np.isfinite(found.covariance).all() and found.sigma.all()):
+        raise SignalError(_UNEXPLAINED)
+    return found
+
+
+def _shortest(about: "_About", ends: Sequence[int]) -> BeforeCapture:
+    """By the shortest time that tells the same as all longer ones, which end at these ticks."""
     found: list[_Told] = []
     wider = 1.0
     for end in reversed(ends):
-        one = about.until(_BESIDE + end - first)
+        one = about.until(end)
         away = max((_away(one, longer) for longer in found), default=0.0)
         if away > chdtri(6, _OTHER):
             wider = max(1.0, away / 6.0) if len(found) == 1 else 1.0
