@@ -124,6 +124,16 @@ class Descent:
         left = self._iterations - self.iteration
         return self._now.squares - left * self._promised if self._damping <= _MILD else -np.inf
 
+    def short_of_the_minimum(self) -> Fit:
+        """The best point so far as a result: the step that is promised from there is part of its covariance.
+
+        Raises:
+            SingularError: as :func:`inverse_of`.
+        """
+        step = self.at - self.best
+        covariance = inverse_of(self._now.information) + np.outer(step, step)
+        return Fit(self.best, covariance, self._now.squares, self.iteration)
+
     def take(self, predicted: Normal) -> None:
         """Takes the normal equations of the whitened residuals, predicted less measured, at ``at``.
 
@@ -155,11 +165,12 @@ class Descent:
     def _next(self, now: Normal) -> None:
         """The next iteration, from ``at``."""
         self.best, self._now = self.at, now
-        if self.iteration == self._iterations:
+        over = self.iteration == self._iterations
+        self.iteration += not over
+        self._step()
+        if over and self.found is None:
             text = f"not converged after {self._iterations} iterations; the motion may not determine the parameters"
             raise ConvergenceError(text)
-        self.iteration += 1
-        self._step()
 
     def _step(self) -> None:
         scale = np.sqrt(np.diag(self._now.information))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
-from onboard.estimation.maximum_likelihood import covariance_of, fit
+from onboard.estimation.maximum_likelihood import Descent, Normal, covariance_of, fit
 
 
 def exponential(t, y, sigma):
@@ -55,6 +55,30 @@ def test_what_nothing_determines_is_named(rng):
 def test_a_valley_without_an_end_does_not_converge():
     with pytest.raises(ConvergenceError, match="not converged"):
         fit(lambda x: (np.exp(-x) * 1e3, -np.diag(np.exp(-x)) * 1e3), np.zeros(1), np.zeros(1), np.zeros((1, 1)), 5)
+
+
+def run(descent, predict):
+    while descent.found is None:
+        descent.take(predict(descent.at))
+
+
+def test_what_is_short_of_the_minimum_is_as_uncertain_as_the_step_that_is_left_is_long():
+    """From (2, 0), two iterations at most, in a valley along y = x^3 / 3 that falls towards (0, 0)."""
+
+    def predict(x):
+        residual = np.array([10.0 * x[0], 100.0 * (x[1] - x[0] ** 3 / 3.0)])
+        return Normal.of(residual, np.array([[10.0, 0.0], [-100.0 * x[0] ** 2, 100.0]]))
+
+    descent = Descent(np.array([2.0, 8.0 / 3.0]), np.zeros(2), np.zeros((2, 2)), 2)
+    with pytest.raises(ConvergenceError, match="not converged"):
+        run(descent, predict)
+    short = descent.short_of_the_minimum()
+    np.testing.assert_array_equal(short.x, descent.best)
+    step = descent.at - descent.best
+    assert np.abs(step).max() > 0.0
+    there = np.linalg.inv(predict(short.x).information)
+    np.testing.assert_allclose(short.covariance, there + np.outer(step, step), rtol=1e-6)
+    assert short.residual_sum == pytest.approx(predict(short.x).squares)
 
 
 def test_a_start_that_predicts_nothing_is_refused():

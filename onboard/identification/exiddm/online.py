@@ -7,8 +7,8 @@ from scipy.linalg import cholesky
 from scipy.special import ndtri
 
 from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import elements
-from onboard.dynamics.payload import body_jacobian, possible_body
+from onboard.dynamics.inertia import RigidBody, elements
+from onboard.dynamics.payload import body_jacobian, body_of, possible_body
 from onboard.dynamics.tracked_pose import LINES
 from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
@@ -20,7 +20,7 @@ from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, told, too_large
 from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
-from onboard.identification.exiddm.recursive import RecursiveExiddm
+from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.quantities import (
     BODY,
@@ -53,6 +53,11 @@ def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
         rows = {1: ("",), 6: IMU_ROWS, LINES: POSE_ROWS}[one.width]
         names += [f"{row}_{one.name}" if row else one.name for row in rows]
     return tuple(names)
+
+
+def _numbers(body: RigidBody) -> FloatArray:
+    """Mass, centre of mass, inertia about it, (10,)."""
+    return np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
 
 
 def gated(signals: Signals, excluded: ReasonArray) -> ReasonArray:
@@ -148,7 +153,11 @@ class ExiddmIdentifier:
         self.refused[GateReason.RESIDUAL] += 6 * (self.exiddm.glitches - glitches)
 
     def estimate(self, level: float = 0.95) -> Estimate:
-        """The payload's standard parameters, and mass, centre of mass, inertia about it in its link's axes."""
+        """The payload's standard parameters, and mass, centre of mass, inertia about it in its link's axes.
+
+        An estimate that no body has is moved to the most likely one that can exist. Noise that is large against a light
+        payload's inertia makes that one heavier: how far a quantity was moved is a part of its sigma.
+        """
         nothing = np.full(10, np.nan)
         mean, sigma, body, spread, shrinkage = nothing, nothing, nothing, nothing, nothing
         exiddm = self.exiddm
@@ -165,9 +174,8 @@ class ExiddmIdentifier:
             except (SignalError, ConvergenceError) as error:
                 note = str(error)
             else:
-                inertia = elements(possible.inertia_kg_m2)
-                body = np.array([possible.mass_kg, *possible.centre_of_mass_m, *inertia])
-                spread = np.sqrt(np.einsum("ij,jk,ik->i", D, P, D))
+                body, estimated = _numbers(possible), _numbers(body_of(mean))
+                spread = np.hypot(np.sqrt(np.einsum("ij,jk,ik->i", D, P, D)), body - estimated)
                 shrinkage = spread / np.sqrt((D**2) @ exiddm.payload_sigma**2)
                 fine = shrinkage <= SUPPORTED_SHRINKAGE
                 fine[1:] &= spread[0] <= SUPPORTED_SHRINKAGE * mean[0]
@@ -231,7 +239,15 @@ class ExiddmIdentifier:
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         against = too_large(dict(zip((names[k] for k in known), (state[known] / stated[known]).tolist(), strict=True)))
-        return Findings((*swaying, *contradicted(self._by_the_data(state)), *against), tuple(doubts))
+        moved = contradicted(self._by_the_data(state))
+        if not self._is_determined(state):  # far from it the linear test of what the data tell is not exact
+            doubts, moved = [*doubts, *moved], ()
+        return Findings((*swaying, *moved, *against), tuple(doubts))
+
+    def _is_determined(self, state: FloatArray) -> bool:
+        """Whether the mass is known so well that what is known of all else follows from a linear model."""
+        sigma = float(np.sqrt(self.exiddm.covariance[PAYLOAD.start, PAYLOAD.start]))
+        return not self.exiddm.held or sigma < DETERMINED * float(state[PAYLOAD.start])
 
     def _known(self) -> IndexArray:
         """Corrections with a stated sigma, of what is in use."""

@@ -38,7 +38,7 @@ from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 _WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
 _LONGEST_HOLE_s = 1.0  # longest gap of the joints bridged with the momentum kept
-_DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
+DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
 
 class RecursiveExiddm(BoundedWork):
@@ -281,7 +281,7 @@ class RecursiveExiddm(BoundedWork):
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
             self._pending = ticks  # without what was waited out
-        elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= _DETERMINED:
+        elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= DETERMINED:
             self._start, self._grown = solved.growth(self._grown)
             if self._claim.held and self._grown == 1.0:  # is anything held at all?
                 self._hypotheses = (Hypothesis.NOTHING,)

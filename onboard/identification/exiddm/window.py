@@ -152,7 +152,11 @@ class WindowSolve:
         try:
             descent.take(whole.normal)
         except (ConvergenceError, SingularError, RowError) as error:
-            self._failed(nearly=isinstance(error, ConvergenceError))
+            nearly = isinstance(error, ConvergenceError)
+            if nearly and self._stage is not _Stage.SETTLE and self._explains(descent.squares):
+                self._stopped(descent, whole)
+            else:
+                self._failed(nearly=nearly)
             return
         if descent.found is not None:
             self._fitted(descent.found, whole)
@@ -189,6 +193,7 @@ class WindowSolve:
         self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
         self._problem: _Problem = self._problem_of(self._hypothesis)
         self._best: Fit | None = None
+        self._stopped_at: Fit | None = None  # short of a minimum, where no guess leads to one
         if self._given is None:
             self._guesses = list(self._guessed())
             self._next_guess()
@@ -224,8 +229,8 @@ class WindowSolve:
                 self._next_guess()
             else:
                 self._descend(_Stage.GUESS, x, 1.0)
-        elif self._best is not None:
-            self._settle(self._problem.state(self._best.x))
+        elif (best := self._best or self._stopped_at) is not None:
+            self._settle(self._problem.state(best.x))
         else:
             self._begin()
 
@@ -262,6 +267,27 @@ class WindowSolve:
             self._best = fitted
         self._next_guess()
 
+    def _stopped(self, descent: Descent, whole: Pieces) -> None:
+        """The iteration is not at a minimum; where it stopped explains the window, and the minimum does even better.
+
+        Where the ticks tell little of a light payload, the minimum lies in a long flat valley.
+        """
+        try:
+            fitted = descent.short_of_the_minimum()
+        except SingularError:
+            self._failed(nearly=False)
+            return
+        if self._stage is not _Stage.GUESS:
+            self._check(fitted, whole)
+            return
+        if self._stopped_at is None or fitted.residual_sum < self._stopped_at.residual_sum:
+            self._stopped_at = fitted
+        self._next_guess()
+
+    def _explains(self, squares: float) -> bool:
+        """Whether residuals and deviations from the prior of this sum are no worse than chance."""
+        return float(chdtrc(float(self._use.sum()), squares)) > _EXPLAINED
+
     def _check(self, fitted: Fit, whole: Pieces) -> None:
         """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
         if self._leaves_out(whole):
@@ -283,8 +309,7 @@ class WindowSolve:
 
     def _solved(self, fitted: Fit, whole: Pieces) -> None:
         """A result under the hypothesis: the solution if that explains the window."""
-        chance = float(chdtrc(float(self._use.sum()), fitted.residual_sum))
-        if not chance > _EXPLAINED:
+        if not self._explains(fitted.residual_sum):
             self._begin()
             return
         start, F, use = self._problem.state(fitted.x), whole.transition, self._use

@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from onboard.dynamics.inertia import elements
+from onboard.dynamics.payload import body_jacobian, body_of
 from onboard.identification.corrections import contradicted, told
 from onboard.identification.exiddm.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.fusion import Fusion
@@ -106,3 +108,68 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
     quiet.slow.by_sensor = lambda _: {"gyro": 6.5, "accelerometer": 2.0}
     np.testing.assert_allclose(online._payload(state)[1], 6.5 * covariance[PAYLOAD, PAYLOAD])
+
+
+def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIdentifier:
+    """An identifier whose filter holds a payload with these standard parameters, independent of each other.
+
+    ``moved``: a correction, in sigmas of what the data tell of it.
+    """
+    sheet = SimpleNamespace(
+        stated=np.full(PAYLOAD.stop + 1, np.nan),
+        of_each=[np.zeros(0, np.intp)],
+        wandering=[],
+        biases=[],
+        names=tuple(f"unknown_{k}" for k in range(PAYLOAD.stop + 1)),
+        vehicle=SimpleNamespace(spec=SimpleNamespace(payload_link="payload")),
+        further=(),
+        of_further=[],
+        imu_frames=("imu",),
+    )
+    sheet.stated[-1] = 1.0
+    state, covariance = np.zeros(PAYLOAD.stop + 1), np.eye(PAYLOAD.stop + 1)
+    state[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = mean, np.diag(sigma**2)
+    state[-1], covariance[-1, -1] = moved * np.sqrt(0.1), 0.9
+    quiet = SimpleNamespace(strongest=None, by_instrument=dict, slow=SimpleNamespace(by_sensor=lambda _: {}))
+    return ExiddmIdentifier(
+        SimpleNamespace(
+            predictor=sheet,
+            fusion=Fusion(("imu",), (slice(0, 6),)),
+            covariance=covariance,
+            state=state,
+            lines=quiet,
+            misfit=quiet,
+            held=True,
+            holds=True,
+            confirmed=True,
+            payload_sigma=np.full(10, 100.0),
+            glitches=0,
+            changes=[],
+            undecided="",
+            exchanged=False,
+            unexplained=SimpleNamespace(count=0, swings=False, line=None),
+        )
+    )
+
+
+def test_a_payload_that_cannot_exist_is_moved_to_one_that_can_and_its_intervals_hold_both() -> None:
+    """0.2 kg with an inertia known to 0.01 kg m2, and found negative."""
+    mean = np.array([0.2, 0.02, 0.0, 0.0, -0.02, 0.0, 0.01, 0.0, 0.0, 0.01])
+    sigma = np.array([0.02, 1e-3, 1e-3, 1e-3, *[0.01] * 6])
+    answers, D = unsure(mean, sigma).estimate().quantities, body_jacobian(mean)
+    found = body_of(mean)
+    estimated = [found.mass_kg, *found.centre_of_mass_m, *elements(found.inertia_kg_m2)]
+    moved = np.array([one.mean for one in answers]) - estimated
+    assert moved[4] > 0.02
+    spread = np.sqrt(D**2 @ sigma**2)
+    np.testing.assert_allclose([one.sigma for one in answers], np.hypot(spread, moved))
+    possible = np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
+    assert unsure(possible, sigma).estimate().quantities[0].sigma == pytest.approx(0.02)
+
+
+def test_a_contradicted_correction_refuses_where_the_mass_is_known_and_is_a_doubt_where_it_is_not() -> None:
+    mean = np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
+    for relative, refuses in ((0.05, True), (0.3, False)):
+        found = unsure(mean, np.array([0.2 * relative, *[1e-3] * 9]), moved=6.0).findings()
+        assert bool(found.against) is refuses
+        assert any("by 6 sigmas" in one for one in (found.against if refuses else found.doubts))

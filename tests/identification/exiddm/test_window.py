@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from onboard.estimation.maximum_likelihood import Descent
 from onboard.identification.exiddm import pieces
+from onboard.identification.exiddm import window as windows
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.pieces import Pieces
 from onboard.identification.exiddm.window import Hypothesis, WindowSolve
@@ -16,10 +18,10 @@ def held():
     return recorded(twin(1.5).flight, np.random.default_rng(3))
 
 
-def solved(predictor, ticks, hypothesis):
+def solved(predictor, ticks, hypothesis, start=None):
     """The solve at its end, and how many ticks it has predicted."""
     prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
-    solve, predicted = WindowSolve(predictor, WIDE, ticks, prior, (hypothesis,), None), 0
+    solve, predicted = WindowSolve(predictor, WIDE, ticks, prior, (hypothesis,), start), 0
     while not solve.over:
         predicted += solve.advance()
     return solve, predicted
@@ -65,3 +67,25 @@ def test_outliers_do_not_make_a_window_hopeless(held, at):
     assert solve.found is not None
     assert solve.found.glitches == len(at)
     assert solve.found.state[PAYLOAD][0] == pytest.approx(5.0, abs=4.0 * np.sqrt(solve.found.covariance[3, 3]))
+
+
+def test_an_iteration_that_stops_short_of_a_minimum_but_explains_the_window_is_a_result(held, monkeypatch):
+    """Where a motion tells little, the minimum lies in a flat valley; that it is not reached contradicts nothing."""
+    predictor, window = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 100))
+    best = solved(predictor, window, Hypothesis.NEW)[0].found
+
+    def cut(at_most):
+        def descent(start, mean, prior, iterations, tolerance, damping):
+            return Descent(start, mean, prior, min(iterations, at_most), 1e-12, damping)
+
+        return descent
+
+    for at_most, start in ((3, None), (0, best.start)):
+        monkeypatch.setattr(windows, "Descent", cut(at_most))
+        short = solved(predictor, window, Hypothesis.NEW, start)[0].found
+        assert short is not None
+        off = short.state[PAYLOAD] - best.state[PAYLOAD]
+        assert (np.abs(off) < 2.0 * np.sqrt(np.diag(short.covariance)[PAYLOAD])).all()
+    far = best.start.copy()
+    far[PAYLOAD] = 3.0 * far[PAYLOAD] + 1.0
+    assert solved(predictor, window, Hypothesis.NEW, far)[0].found is None
