@@ -26,6 +26,7 @@ Over = str | Path | Mapping[str, Any]  # the path of a scenario file, or its tab
 _REST_S, _REACH_S, _MOVE_S, _END_S = 4.0, 12.0, 24.0, 1.0
 _PLACE_M = 5e-4  # of joints and IMUs of which the file says nothing, each coordinate
 _BURNS = 0.15, 0.6  # of the mission: when each thruster is on for a second
+_TRUSTED = 0.1  # relative sigma of a link, or less: its drawing is trusted, and the link within that
 _GRAVITY = [0.0, 0.0, -9.80665]
 _WIRING = ("canopen_sync", "sync_pulse")  # together the sync box
 _OURS = ("pps", "pulse_generator")  # of the flight computer itself
@@ -227,7 +228,7 @@ def _as_built(estimation: Table, drawing: Drawing) -> Table:
                 found[link] = {key: sigma[key] for key in ("mass_relative", "inertia_relative") if key in sigma}
                 found[link]["centre_mm"] = 1e3 * sigma.get("centre_m", 1e-3)
     for link, relative in prior.get("relative", {}).items():
-        if link in drawing.links and link not in found and relative < 0.01:
+        if link in drawing.links and link not in found and relative <= _TRUSTED:
             found[link] = {"mass_relative": relative, "centre_mm": 1e2 * relative, "inertia_relative": relative}
     if estimation.get("method") == "exiddm":  # links that it does not name are certain to it
         found.setdefault("default", {"mass_relative": 0.0, "centre_mm": 0.0, "inertia_relative": 0.0})

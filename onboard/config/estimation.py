@@ -196,6 +196,8 @@ class Estimation(Section):
     ``block_ms``: distance at which errors of rows are taken as independent; default: five times ``smoothing_ms``.
     ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" only widens intervals;
     "estimated" makes each a parameter, for several cells that measure the same load.
+    ``row_noise``: "white" counts all noise of a row as white; "by_frequency" filters the rows of a base that is not
+    free, so that what differentiated encoders add at high frequencies does not hide slow motion.
     ``base_rows`` are rows of a wrench known to be zero, within the two sigmas after it.
     ``zero_force_sigma_m_s2``: constant error of the specific force, what zeroing leaves of it; estimated if given.
     ``motor``: those of joint torques that turn with more than one joint, by name; each has parameters ``Ia_``, ``Fv_``
@@ -212,6 +214,7 @@ class Estimation(Section):
     smoothing: Literal["spline", "filter", "smoother"] = "spline"
     block_ms: Positive | None = None
     scales: Literal["considered", "estimated"] = "considered"
+    row_noise: Literal["white", "by_frequency"] = "white"
     base_rows: list[Literal["force", "moment"]] = Field(default_factory=list)
     base_force_sigma_N: Positive = 0.1  # noqa: N815
     base_moment_sigma_N_m: Positive = 5e-4  # noqa: N815

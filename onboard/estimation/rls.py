@@ -170,6 +170,13 @@ class SquareRootRls:
         self._absorb(rows)
         self.rows = self.rows * factor + y.shape[0]
 
+    def tried(self, Y: FloatArray, y: FloatArray, sigma: FloatArray) -> "SquareRootRls":
+        """Another one with these rows taken in, (m, p), (m,), (m,); considered parameters do not move them."""
+        other = SquareRootRls(self.parameters, self.considered)
+        other.restore(self.state())
+        other.update(Y, y, sigma, np.zeros((len(y), self.considered)))
+        return other
+
     def _weighted(self, Y: FloatArray, y: FloatArray, sigma: FloatArray, C: FloatArray | None) -> FloatArray | None:
         """Checked rows ``[Y C y] / sigma``, in Fortran's order; None for no rows."""
         m, p = y.shape[0], self.parameters

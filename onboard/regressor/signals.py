@@ -1,5 +1,6 @@
 """Smoothed signals, input of the rows."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,13 @@ from onboard.estimation.arrays import FloatArray
 from onboard.regressor.rows import BaseMotion
 
 _AT_REST = 1e-7  # rad/s, rad/s^2 or m: beyond rounding of a kernel over equal samples
+
+
+class OfSamples(NamedTuple):
+    """The part of the signals' noise that is of independent samples, sources in the order of :class:`SignalNoise`."""
+
+    share: FloatArray  # (n, 3 joints + 9) of the variance
+    order: NDArray[np.intp]  # (3 joints + 9,) how often the samples were differentiated
 
 
 class SignalNoise(NamedTuple):
@@ -21,6 +29,7 @@ class SignalNoise(NamedTuple):
     acceleration: FloatArray  # (n, 3)
     specific_force: FloatArray  # (n, 3)
     inflation: float = 1.0  # for the correlation of neighbouring rows
+    of_samples: OfSamples | None = None  # none of it is, where not given
 
 
 def noise_of_joints(sigma: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -39,6 +48,17 @@ def noise_of_joints(sigma: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple
     """
     at_rest = (np.abs(dq) < _AT_REST) & (np.abs(ddq) < _AT_REST)
     return sigma[0], np.where(at_rest, 0.0, sigma[1]), np.where(at_rest, 0.0, sigma[2])
+
+
+def orders_of(rate_sensors: Sequence[bool]) -> NDArray[np.intp]:
+    """How often the samples of each source of noise were differentiated, (3 joints + 9,): :class:`OfSamples`.
+
+    Args:
+        rate_sensors: of each joint, whether its sensor reads rates.
+    """
+    lowest = np.array(rate_sensors, np.intp)
+    joints = [np.maximum(order - lowest, 0) for order in range(3)]
+    return np.concatenate([*joints, np.repeat([0, 1, 0], 3)])
 
 
 class Signals(NamedTuple):

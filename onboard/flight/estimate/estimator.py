@@ -21,6 +21,7 @@ from onboard.flight.clocks import timebase_of
 from onboard.flight.estimate.answers import Answers, change_event
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.identification import METHODS, build_online, channels_of, with_hypotheses
+from onboard.flight.estimate.joint_signals import JointSignals
 from onboard.flight.estimate.phases import PhaseTrack
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import SignalSmoother, kernel_of
@@ -35,7 +36,7 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.table.run import TableRun
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, base_motion, standing
-from onboard.regressor.signals import SignalNoise, Signals, noise_of_joints
+from onboard.regressor.signals import OfSamples, SignalNoise, Signals, noise_of_joints
 
 
 class _Base(NamedTuple):
@@ -47,6 +48,7 @@ class _Base(NamedTuple):
         FloatArray, FloatArray, FloatArray
     ]  # (n, 3) each: rate, angular acceleration, specific force; IMU axes
     refused: NDArray[np.int64]  # (n,)
+    of_samples: FloatArray  # (n, 9) share of the variances of these
 
 
 class Estimator:
@@ -98,10 +100,7 @@ class Estimator:
                 self._witness = RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
         except UnknownFrameError as error:
             raise config.ConfigError(f"{vehicle.label}: the IMU of {roles.imus[1].channels[0]}: {error}") from error
-        self._joints = {joint.joint: joint for joint in roles.joints}
-        self._functions = {  # of cyclic errors that are fitted
-            joint.channel: 2 * len(roles.signals[joint.channel].ripple) if fitted else 0 for joint in roles.joints
-        }
+        self._at_joints = JointSignals(roles, self.model, fitted=fitted)
         self._cells = {cell.name: cell for cell in roles.cells}
         self._thrusters = [thruster.channel for thruster in roles.thrusters]
         motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
@@ -188,7 +187,7 @@ class Estimator:
 
     def _rows(self, now_ns: int, at_ns: NDArray[np.int64], *, final: bool) -> list[Batch]:
         made: list[Batch] = []
-        joints, spread, refused, cyclic = self._at_joints(at_ns)
+        joints, spread, refused, cyclic, of_joints = self._at_joints.at(self._signals, self._timebase, at_ns)
         q, dq, ddq = joints
         time_s = (at_ns * 1e-9).astype(np.float64)
         if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
@@ -210,7 +209,8 @@ class Estimator:
             friction = None if self._friction is None else self._friction.follow(q, dq)
             measured, measured_rate, sigma, of_rows = self._measured(at_ns, dq, friction)
             refused |= base.refused | self._gates(at_ns, joints, base.sensed_m_s2)
-            noise = SignalNoise(*noise_of_joints(spread, dq, ddq), *base.sigma, self.inflation)
+            own = OfSamples(np.hstack([*of_joints, base.of_samples]), self._at_joints.orders)
+            noise = SignalNoise(*noise_of_joints(spread, dq, ddq), *base.sigma, self.inflation, own)
             friction = None if friction is None else np.nan_to_num(friction)
             rest = measured_rate, noise, friction, of_rows if of_rows.any() else None
             signals = Signals(time_s, q, dq, ddq, base.motion, measured, sigma, *rest)
@@ -252,7 +252,8 @@ class Estimator:
         n, made = len(at_ns), list[Batch]()
         if self._imu is None:
             motion, still = standing(self.model, n), np.zeros((n, 3))
-            return _Base(motion, motion.specific_force_m_s2, (still, still, still), np.zeros(n, np.int64)), made
+            none = np.zeros(n, np.int64), np.zeros((n, 9))
+            return _Base(motion, motion.specific_force_m_s2, (still, still, still), *none), made
         imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
         values, rates = imu.derivatives
         rest = self._phases.at(at_ns), imu.refused == 0, self._temperatures.at(at_ns)
@@ -260,25 +261,8 @@ class Estimator:
         made += self._zeroing.news(now_ns, self._imu.channels[0])
         motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
         sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
-        return _Base(motion, specific_force, sigma, imu.refused), made
-
-    def _at_joints(self, at_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.int64], FloatArray]:
-        """Angles, rates, accelerations and sigmas, (3, n, joints); reasons (n,); of cyclic errors (n, 3, m)."""
-        joints, sigma = np.zeros((2, 3, len(at_ns), len(self.model.joints)))
-        refused = np.zeros(len(at_ns), np.int64)
-        sensors = [self._joints[joint.name] for joint in self.model.joints]
-        cyclic = [np.full((len(at_ns), 3, self._functions[sensor.channel]), np.nan) for sensor in sensors]
-        for lowest in (0, 1):
-            columns = [column for column, sensor in enumerate(sensors) if sensor.is_rate == bool(lowest)]
-            names = [sensors[column].channel for column in columns]
-            parts = self._signals.each(names, self._timebase, at_ns, 2 - lowest)
-            for column, smoothed in zip(columns, parts, strict=True):
-                for order, (value, spread) in enumerate(zip(smoothed.derivatives, smoothed.sigma, strict=True), lowest):
-                    joints[order, :, column], sigma[order, :, column] = value[:, 0], spread[:, 0]
-                refused |= smoothed.refused
-                if smoothed.cyclic is not None:
-                    cyclic[column][:] = smoothed.cyclic
-        return joints, sigma, refused, np.concatenate(cyclic, axis=2)
+        share = np.hstack([imu.of_samples[0][:, :3], imu.of_samples[1][:, :3], imu.of_samples[0][:, 3:]])
+        return _Base(motion, specific_force, sigma, imu.refused, share), made
 
     def _measured(
         self, at_ns: NDArray[np.int64], dq: FloatArray, friction: FloatArray | None

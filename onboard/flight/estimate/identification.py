@@ -17,9 +17,11 @@ from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSp
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
+from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
+from onboard.flight.estimate.signals import kernel_of
 from onboard.flight.estimate.torques import torque_cell
 from onboard.identification.exiddm.further import (
     CellPrior,
@@ -40,6 +42,7 @@ from onboard.identification.rows.considered import Considered
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier, Start
+from onboard.identification.rows.whitening import Whitening
 from onboard.identification.table.run import TableRun
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
 from onboard.regressor.friction import Motor
@@ -304,10 +307,20 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             imu_frame=roles.imu.frame if roles.imus else None,
             instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
             start=_start(vehicle, base.names) if settings.carried else None,
+            whitening=_whitening(vehicle, model, len(rows), len(base.names) + 1 + len(considered)),
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
     return identifier, model
+
+
+def _whitening(vehicle: config.Vehicle, model: VehicleModel, rows: int, columns: int) -> Whitening | None:
+    """Of the rows of a base that is not free, where it is asked for."""
+    settings = vehicle.file.estimation
+    if model.spec.base is BaseKind.FREE or settings.row_noise == "white":
+        return None
+    width_s = settings.smoothing_ms * 1e-3
+    return Whitening(rows, columns, 1.0 / settings.row_rate_hz, width_s, Response(width_s, kernel_of(vehicle)))
 
 
 def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:

@@ -34,6 +34,7 @@ class ChannelAtTicks(NamedTuple):
     sigma: tuple[FloatArray, ...]  # each (n, columns): noise of the above
     refused: NDArray[np.int64]  # (n,) GateReason
     cyclic: FloatArray | None = None  # (n, derivatives, 2 x errors) smoothed cosine and sine of each cyclic error
+    of_samples: tuple[FloatArray, ...] = ()  # each (n, columns): share of the noise's variance by independent samples
 
 
 def cyclic_functions(angle_rad: FloatArray, ripple: Sequence[tuple[float, float]]) -> FloatArray:
@@ -225,6 +226,7 @@ class SignalSmoother:
                 out[order][:, where] = smoothed.values
                 sigma[order][:, where] = smoothed.noise_gain[:, None] * noise[where]
             gaps |= reasons(~window.valid, GateReason.GAP)
+        of_samples = sigma * sigma
         # wrong by dt in time is wrong by dt times the next derivative, of which its own noise is no part
         change, of_change = np.empty_like(out), np.empty_like(sigma)
         change[:-1], change[-1] = out[1:], _rate_of_change(out[-1], at_s)
@@ -233,6 +235,7 @@ class SignalSmoother:
         sigma = np.hypot(sigma, moved)
         if derivatives:
             self._ripple(group, out[1], sigma)
+        of_samples /= np.maximum(sigma * sigma, _TINY)
         found, column, cyclic = {}, 0, self._cyclic(group, window, derivatives)
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])
@@ -240,7 +243,8 @@ class SignalSmoother:
             for reason in _reasons_in(recent.wrong):
                 held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
                 refused = refused | reasons(held, reason)
-            found[name] = ChannelAtTicks(tuple(out[:, :, part]), tuple(sigma[:, :, part]), refused, cyclic.get(name))
+            signal = tuple(out[:, :, part]), tuple(sigma[:, :, part])
+            found[name] = ChannelAtTicks(*signal, refused, cyclic.get(name), tuple(of_samples[:, :, part]))
         return found
 
     def _ripple(self, group: Mapping[str, "_Recent"], rate: FloatArray, sigma: FloatArray) -> None:
@@ -311,7 +315,7 @@ class SignalSmoother:
             values[:, mine] = (weights[:, None] @ recent.values[index][:, :, mine])[:, 0]
             sigma[:, mine] = noise[mine] * np.sqrt((weights * weights).sum(axis=1, keepdims=True))
         values[refused != 0] = sigma[refused != 0] = np.nan
-        return ChannelAtTicks((values,), (sigma,), refused)
+        return ChannelAtTicks((values,), (sigma,), refused, of_samples=(np.ones_like(values),))
 
 
 class _Recent(NamedTuple):
@@ -336,17 +340,18 @@ def _reasons_in(wrong: NDArray[np.int64]) -> Iterable[GateReason]:
 
 def _nothing(columns: int, ticks: int, derivatives: int, reason: GateReason) -> ChannelAtTicks:
     nothing = (np.full((ticks, columns), np.nan),) * (derivatives + 1)
-    return ChannelAtTicks(nothing, nothing, np.full(ticks, int(reason)))
+    return ChannelAtTicks(nothing, nothing, np.full(ticks, int(reason)), of_samples=nothing)
 
 
 def _side_by_side(parts: Sequence[ChannelAtTicks]) -> ChannelAtTicks:
     if len(parts) == 1:
         return parts[0]
-    values, sigma = (
+    values, sigma, of_samples = (
         tuple(np.hstack(columns) for columns in zip(*sides, strict=True))
-        for sides in ([part.derivatives for part in parts], [part.sigma for part in parts])
+        for sides in zip(*((part.derivatives, part.sigma, part.of_samples) for part in parts), strict=True)
     )
-    return ChannelAtTicks(values, sigma, np.bitwise_or.reduce([part.refused for part in parts]))
+    refused = np.bitwise_or.reduce([part.refused for part in parts])
+    return ChannelAtTicks(values, sigma, refused, of_samples=of_samples)
 
 
 def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:

@@ -40,6 +40,7 @@ from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.prediction import prediction
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.scales import fill_scales
+from onboard.identification.rows.whitening import NoisyRows, Whitening
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
 from onboard.regressor.rows import BaseMotion, RowModel
@@ -76,6 +77,7 @@ class Identifier:
             predicted from what was measured so long ago shares no noise with what is measured. Plain least squares
             where not given.
         start: warm start; default: the prior.
+        whitening: of the rows' noise, for a base that is not free; none is whitened where not given.
 
     Raises:
         UnknownFrameError: something considered that the model lacks, or an IMU frame that the base lacks.
@@ -96,6 +98,7 @@ class Identifier:
         imu_frame: str | None = None,
         instruments_lag_s: float | None = None,
         start: Start | None = None,
+        whitening: Whitening | None = None,
     ) -> None:
         rows = [row.name for row in model.rows]
         check(considered, model)
@@ -104,6 +107,7 @@ class Identifier:
         self.quantities = tuple(quantities)
         self.considered = tuple(considered)
         self.memory = memory
+        self.whitening = whitening
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
@@ -197,7 +201,7 @@ class Identifier:
         found[~whole] |= GateReason.GAP
         if signals.noise is not None:
             self._inflation = signals.noise.inflation
-            whole &= _finite(signals.noise[:-1])
+            whole &= _finite(signals.noise[:6])
             found[~whole] |= GateReason.GAP
         found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
         for first in range(0, n, _BATCH_TICKS):
@@ -226,7 +230,7 @@ class Identifier:
             fill_scales(self.rls, self._scales, Y, signals.measured[at], signals.sigma[at], use)
         rows, y = Y[..., :-1][use], (signals.measured[at] - Y[..., -1])[use]  # (r, p), (r,)
         sigma = signals.sigma[at][use]
-        doubt, changes, group = None, None, np.zeros(at.size, np.intp)
+        doubt, changes, group, effect = None, None, np.zeros(at.size, np.intp), np.zeros((len(y), 0))
         if signals.noise is not None:
             mean = self.rls.solve().mean if self._scales else None
             changes, group = self._noise.changes(signals, signals.noise, at, attached, mean)
@@ -236,8 +240,7 @@ class Identifier:
         innovation, spread = self.rls.innovation(rows, y, sigma)
         verdict = self.gate.check(innovation, spread)
         kept = verdict == 0
-        widening = self.gate.widening(innovation, spread)
-        sigma = sigma * widening
+        sigma = sigma * (widening := self.gate.widening(innovation, spread))
         block = reasons[ticks]
         block[use] |= verdict
         reasons[ticks] = block
@@ -250,8 +253,11 @@ class Identifier:
         doubt = None if doubt is None else doubt[kept]
         mean = self._on_trial(rows, y, sigma) if self._of_motion else np.zeros(0)
         C = columns(self.considered, self.model, signals, at, use, lambda of: self._expected(of, at, attached, mean))
+        noisy = NoisyRows(rows, y, C, sigma, signals.sigma[at][use] * widening[kept], doubt)
+        if self.whitening is not None:
+            noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
+        rows, y, C, sigma, own, doubt = noisy
         self._recursion.add(times, rows, y, sigma, C, doubt)
-        own = signals.sigma[at][use] * widening[kept]
         if self._instruments is not None:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
@@ -263,12 +269,7 @@ class Identifier:
 
     def _on_trial(self, rows: FloatArray, y: FloatArray, sigma: FloatArray) -> FloatArray:
         """The estimate, (p,); of a free base with these rows taken in, as that before them may be the prior's."""
-        if self._corrections is None:
-            return self.rls.solve().mean
-        trial = SquareRootRls(self.rls.parameters, self.rls.considered)
-        trial.restore(self.rls.state())
-        trial.update(rows, y, sigma, np.zeros((len(y), len(self.considered))))
-        return trial.solve().mean
+        return (self.rls if self._corrections is None else self.rls.tried(rows, y, sigma)).solve().mean
 
     def _expected(
         self, each: Sequence[Signals], at: NDArray[np.intp], attached: BoolArray, mean: FloatArray

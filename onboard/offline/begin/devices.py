@@ -106,6 +106,8 @@ lever_sigma_m = 1e-4
 capacity_N = 50.0              # yours: larger samples are saturated
 scale_sigma = 0.0025           # relative, of its calibration
 noise_N = 0.0025               # one sample
+delay_ms = 0.5                 # yours: of its filter, against the joints'
+delay_sigma_ms = 0.05
 """,
         bus,
     )

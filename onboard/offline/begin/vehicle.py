@@ -171,6 +171,7 @@ def _bus(name: str, wanted: Wanted) -> str:
     return f'\n[bus.{name}]\nurl = "{wanted.urls.get(name, usual)}"\n'
 
 
+_DRAWN = 0.02  # of a link: screws and cables are in no drawing
 _CALIBRATED = """
 [estimation.imu_prior]         # 1 sigma by axis of what calibration leaves of the IMU: yours. As it comes it is useless
 gyro_bias_rad_s = 2e-3         # here: an MPU-6050 is off by up to 0.3 rad/s and 0.8 m/s^2
@@ -212,13 +213,15 @@ delay_s = 1e-4
     own = {f"{part}_{wanted.payload_link}": sigma for part, sigma in sigmas.items()}
     own |= _torque_sigmas(wanted, 5.0, 1.0) if wanted.by_torque else {"bias_load_cell": 5.0}
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
-    relative = "".join(f"{json.dumps(link)} = 1.0\n" for link in (*wanted.links, wanted.payload_link))
+    relative = "".join(f"{json.dumps(link)} = {_DRAWN}\n" for link in wanted.links)
+    relative += f"{json.dumps(wanted.payload_link)} = 1.0\n"
     calibrated = _CALIBRATED if wanted.base == "prescribed" else ""
     return f"""
 [estimation]
 smoothing_ms = 100             # of both sides of every row
+row_noise = "by_frequency"     # what differentiated encoders add at high frequencies hides no slow motion
 {calibrated}
-[estimation.prior.relative]    # 1 sigma about the URDF: as wide as you trust it
+[estimation.prior.relative]    # 1 sigma about the URDF: yours, as wide as you trust it; 1.0 of a link that is not known
 {relative}
 [estimation.prior.absolute]    # 1 sigma about none: how large a payload could be, and what the instruments add
 {held}"""

@@ -7,12 +7,13 @@ from onboard.offline.foresee.planar import foresee_planar
 from onboard.offline.foresee.rows import foresee_rows
 
 
-def foresee(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
+def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> Foreseen:
     """What a vehicle can determine with a planned motion.
 
     Args:
         vehicle: its file.
         plan: the motion, at the estimator's ticks.
+        coarse: the ticks are fewer than the estimator's, and stand for as many as it has.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -21,4 +22,6 @@ def foresee(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     """
     if vehicle.file.planar is not None:
         return foresee_planar(vehicle, plan)
-    return foresee_free(vehicle, plan) if vehicle.file.estimation.method == "exiddm" else foresee_rows(vehicle, plan)
+    if vehicle.file.estimation.method == "exiddm":
+        return foresee_free(vehicle, plan)
+    return foresee_rows(vehicle, plan, coarse=coarse)

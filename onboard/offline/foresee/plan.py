@@ -183,6 +183,11 @@ class JointNoise:
                 out[order, :, column] = np.hypot(out[order, :, column], passed)
         return out
 
+    def of_samples(self, dq: FloatArray) -> FloatArray:
+        """Share of the squares of :meth:`at` that is of independent samples, (3, n, joints)."""
+        steady, whole = self._steady[:, None, :] ** 2, self.at(dq) ** 2
+        return np.divide(np.broadcast_to(steady, whole.shape), whole, out=np.ones_like(whole), where=whole > 0.0)
+
     def cyclic(self, q: FloatArray, dq: FloatArray) -> FloatArray:
         """Cosine and sine of each cyclic error and two derivatives as smoothed at a steady rate, (n, 3, 2 x errors).
 

@@ -1,8 +1,12 @@
 """Bound of base parameters by rows: the identifier that flies takes in the rows of the planned motion.
 
-Rows ``y = Y chi`` are made by the vehicle's own regressor at nominal parameters, with white noise of the stated sigmas
-on every signal, and go to a fresh identifier. What it then reports as sigma has noise, regressor noise, prior and
-considered calibrations in it; the draw of the noise moves the values, which are not used, and hardly the sigmas.
+Rows ``y = Y chi`` are made by the vehicle's own regressor at nominal parameters, with noise of the stated sigmas behind
+the smoothing kernel on every signal, and go to a fresh identifier. What it then reports as sigma has noise, regressor
+noise, prior and considered calibrations in it; the draw of the noise moves the values, which are not used, and hardly
+the sigmas.
+
+Where rows are filtered (:mod:`onboard.identification.rows.whitening`), coarse ticks stand for the many that fit between
+them: their noise is white, smaller by that number, and without what differentiated samples add.
 """
 
 from itertools import pairwise
@@ -18,7 +22,7 @@ from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons
-from onboard.estimation.smoothing import correlation_inflation
+from onboard.estimation.smoothing import Kernel, SmoothingWindow, correlation_inflation
 from onboard.flight.estimate.identification import build_identifier
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
@@ -37,17 +41,19 @@ from onboard.offline.foresee.plan import (
 )
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, standing
-from onboard.regressor.signals import SignalNoise, Signals, noise_of_joints
+from onboard.regressor.signals import OfSamples, SignalNoise, Signals, noise_of_joints, orders_of
 
 _SEED = 1
+_FINE = 20  # steps, or more, in a kernel's width
 
 
-def foresee_rows(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
+def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> Foreseen:
     """Expected intervals of base parameters and quantities of a vehicle whose method is rows.
 
     Args:
         vehicle: its file.
         plan: the motion, at the estimator's ticks.
+        coarse: at fewer, each for as many.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -59,7 +65,7 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
     if plan.payload is not None:
         chi[model.payload_columns()] = standard_of(plan.payload)
     motion = _base_motion(model, plan, chi)
-    signals = _signals(vehicle, identifier, plan, motion, chi)
+    signals = _signals(vehicle, identifier, plan, motion, chi, coarse=coarse)
     excluded = reasons(~plan.used(vehicle), GateReason.PHASE)
     identifier.update(signals, plan.held, excluded)
     found = identifier.stated_estimate()  # nothing is suspected of readings that were made up
@@ -103,38 +109,79 @@ def _base_motion(model: VehicleModel, plan: Plan, chi: FloatArray) -> BaseMotion
 
 
 def _signals(
-    vehicle: config.Vehicle, identifier: Identifier, plan: Plan, motion: BaseMotion, chi: FloatArray
+    vehicle: config.Vehicle, identifier: Identifier, plan: Plan, motion: BaseMotion, chi: FloatArray, *, coarse: bool
 ) -> Signals:
     """Smoothed signals of the motion as the estimator makes them of noisy instruments."""
-    settings, roles, rng = vehicle.file.estimation, roles_of(vehicle), np.random.default_rng(_SEED)
-    row_model, n = identifier.model, len(plan.time_s)
-    inflation = correlation_inflation(settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz, kernel_of(vehicle))
-    joints = [joint.name for joint in row_model.vehicle.joints]
-    friction = CoulombFriction(row_model.motors, joints).follow(plan.q, plan.dq) if row_model.motors else None
+    settings, roles, n = vehicle.file.estimation, roles_of(vehicle), len(plan.time_s)
+    row_model, width_s, period_s = identifier.model, settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz
+    filtered = identifier.whitening is not None
+    noises = _Noises(plan.time_s, width_s, kernel_of(vehicle), coarse=coarse and filtered)
+    names = [joint.name for joint in row_model.vehicle.joints]
+    friction = CoulombFriction(row_model.motors, names).follow(plan.q, plan.dq) if row_model.motors else None
     flowing = None if friction is None else np.nan_to_num(friction)
     zero = np.zeros((n, len(row_model.rows)))
     Y = row_model.regressor(plan.q, plan.dq, plan.ddq, motion, plan.held, predicted=zero, friction=flowing)
     true = Y @ chi
     sigma, refused = _of_rows(vehicle, identifier, plan, friction)
-    sigma *= inflation
-    period_s = 1.0 / settings.row_rate_hz
-    noise = noise_of_joints(JointNoise(vehicle, row_model.vehicle).at(plan.dq), plan.dq, plan.ddq)
-    of_base = np.zeros((3, 3))
-    if roles.imus:
-        of_base = np.stack(_imu_noise(vehicle))
-    spread = [np.broadcast_to(part, (n, 3)) for part in of_base]
-    shaken = [signal + part * rng.standard_normal(signal.shape) for signal, part in zip(motion, spread, strict=True)]
-    q, dq, ddq = (
-        signal + part * rng.standard_normal(signal.shape)
-        for signal, part in zip((plan.q, plan.dq, plan.ddq), noise, strict=True)
+    joint_noise = JointNoise(vehicle, row_model.vehicle)
+    stated = noise_of_joints(joint_noise.at(plan.dq), plan.dq, plan.ddq)
+    of_base = np.stack(_imu_noise(vehicle)) if roles.imus else np.zeros((3, 3))
+    sources = np.hstack([*stated, *(np.broadcast_to(part, (n, 3)) for part in of_base)])  # (n, 3 joints + 9)
+    by_joint = {joint.joint: joint.is_rate for joint in roles.joints}
+    orders = orders_of([by_joint[name] for name in names])
+    share = np.hstack([*joint_noise.of_samples(plan.dq), np.ones((n, 9))])
+    if coarse and filtered:
+        sources = sources * np.where(orders > 0, np.sqrt(1.0 - share), 1.0)
+    ends = np.cumsum([len(names)] * 3 + [3] * 2)
+    drawn = np.split(sources * noises.of(orders), ends, axis=1)
+    q_sigma, dq_sigma, ddq_sigma, *of_motion = np.split(sources, ends, axis=1)
+    q, dq, ddq, *shaken = (
+        signal + part for signal, part in zip((plan.q, plan.dq, plan.ddq, *motion), drawn, strict=True)
     )
+    measured = true + sigma * noises.of(np.zeros(true.shape[1], np.intp))
+    own = None if coarse else OfSamples(share, orders)
     return Signals(
         *(plan.time_s, q, dq, ddq, BaseMotion(*shaken)),
-        *(true + sigma * rng.standard_normal(true.shape), sigma, np.gradient(true, period_s, axis=0)),
-        SignalNoise(*noise, spread[0], spread[1], spread[2], inflation),
+        *(measured, sigma * noises.inflation, np.gradient(true, period_s, axis=0)),
+        SignalNoise(q_sigma, dq_sigma, ddq_sigma, of_motion[0], of_motion[1], of_motion[2], noises.inflation, own),
         flowing,
         refused if refused.any() else None,
     )
+
+
+class _Noises:
+    """Noise of unit variance behind the smoothing kernel.
+
+    Args:
+        time_s: of the ticks.
+        width_s: of the kernel.
+        kernel: it.
+        coarse: white, each tick for as many as fit between it and the next.
+
+    Attributes:
+        inflation: of the sigmas, for the correlation of neighbouring ticks.
+    """
+
+    def __init__(self, time_s: FloatArray, width_s: float, kernel: Kernel, *, coarse: bool) -> None:
+        self._rng, self._count = np.random.default_rng(_SEED), len(time_s)
+        period_s = float(time_s[1] - time_s[0])
+        self._window: SmoothingWindow | None = None
+        if coarse:
+            fine_s = width_s / _FINE
+            self.inflation = correlation_inflation(width_s, fine_s, kernel) * float(np.sqrt(fine_s / period_s))
+            return
+        self.inflation = correlation_inflation(width_s, period_s, kernel)
+        steps_s = min(period_s, width_s / _FINE)
+        self._times_s = np.arange(time_s[0] - width_s, time_s[-1] + width_s, steps_s)
+        self._window = SmoothingWindow(self._times_s, time_s, width_s, kernel=kernel)
+
+    def of(self, orders: NDArray[np.intp]) -> FloatArray:
+        """Of sources whose samples were differentiated so often, (k,): (n, k)."""
+        if self._window is None:
+            return self.inflation * self._rng.standard_normal((self._count, len(orders)))
+        found = self._window.derivatives(self._rng.standard_normal((len(self._times_s), len(orders))), range(3))
+        unit = np.stack([one.values / one.noise_gain[:, None] for one in found])  # (3, n, k)
+        return np.asarray(np.choose(orders, unit), np.float64)
 
 
 def _imu_noise(vehicle: config.Vehicle) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -148,7 +148,7 @@ class RowsBound(Bound):
         self._chi = self._model.chi.copy()
         if plan.payload is not None:
             self._chi[self._model.payload_columns()] = standard_of(plan.payload)
-        found = _answers(foresee(vehicle, plan))
+        found = _answers(foresee(vehicle, plan, coarse=True))
         self.names = tuple(one.name for one in found)
         body = dict(zip((f"{kind}_{self._model.spec.payload_link}" for kind in BODY), range(10), strict=True))
         of_payload = np.ones(10) if plan.payload is None else body_scales(plan.payload)
@@ -186,7 +186,8 @@ class RowsBound(Bound):
         for signal, own in zip(signals, moved, strict=True):
             signal[self._ticks] = own
         plan = self._plan._replace(q=signals[0], dq=signals[1], ddq=signals[2])
-        return np.array([one.sigma for one in _answers(foresee(self._vehicle, plan.part(slice(0, end))))])
+        found = foresee(self._vehicle, plan.part(slice(0, end)), coarse=True)
+        return np.array([one.sigma for one in _answers(found)])
 
 
 def _answers(found: Foreseen) -> tuple[Expected, ...]:

@@ -10,7 +10,9 @@ from hil_sim.devices.registry import read as read_devices
 from hil_sim.devices.vehicle_file import rehearsal, scenario_of
 from hil_sim.mission import Mission, open_in_process
 from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import Tolerance
 from onboard import config
+from onboard.cli import main
 from tests.flight import mixed
 
 SHORT = """
@@ -279,3 +281,18 @@ def test_joints_imus_and_zeros_are_off_the_drawing_as_stated_or_by_a_default(tmp
     assert scenario.as_built["link_1"].mass_relative == 0.03  # as the file states of the link
     assert [scenario.sensor[f"joint_{n}"].zero_sigma_mrad for n in (1, 2, 3)] == [2.0, 1.0, 1.0]
     assert all(not table.place_mm for table in rehearsal(copied(tmp_path / "fixed", "fixed_arm")).as_built.values())
+
+
+@pytest.mark.parametrize(("stated", "drawn"), [(0.02, 0.02), (0.1, 0.1), (1.0, 0.01)])
+def test_a_link_whose_drawing_is_trusted_is_within_what_is_stated_of_it(tmp_path, stated, drawn):
+    main(["init", str(tmp_path / "own"), "--base", "fixed", "--joints", "2", "--load-cell", "cia404"])
+    path = tmp_path / "own" / "vehicle.toml"
+    text = path.read_text()
+    assert '"link_1" = 0.02' in text
+    assert 'row_noise = "by_frequency"' in text
+    path.write_text(text.replace('"link_1" = 0.02', f'"link_1" = {stated}'))
+    scenario = rehearsal(path)
+    tolerance = scenario.as_built.get("link_1", Tolerance())
+    assert (tolerance.mass_relative, tolerance.inertia_relative) == (drawn, drawn)
+    assert tolerance.centre_mm == pytest.approx(100.0 * drawn)
+    assert scenario.sensor["load_cell"].delay_ms == 0.5

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rich.console import Console
 
 from hil_sim.devices.vehicle_file import scenario_of
@@ -79,6 +80,7 @@ def test_the_bound_of_rows_is_that_of_weighted_least_squares(tmp_path):
         ("noise_rad = 4e-6", "noise_rad = 1e-12\nzero_sigma_rad = 0.0"),
         ("scale_sigma = 0.0025", "scale_sigma = 0.0"),
         ("lever_sigma_m = 1e-4", "lever_sigma_m = 0.0"),
+        ("delay_sigma_ms = 0.05", "delay_sigma_ms = 0.0"),
     )
     vehicle, plan = made(tmp_path, "--base", "fixed", "--joints", "2", "--load-cell", "cia404", edits=edits)
     found = foresee(vehicle, plan)
@@ -92,6 +94,24 @@ def test_the_bound_of_rows_is_that_of_weighted_least_squares(tmp_path):
     least = np.sqrt(np.diag(np.linalg.inv(information)))
     ratio = np.array([one.sigma for one in found.parameters]) / least
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)  # the scatter of this draw is in it too
+
+
+def test_the_noise_of_differentiated_encoders_hides_no_slow_motion(tmp_path):
+    """And coarse ticks, with which motions are searched, promise what the estimator's own do."""
+    edits = (("scale_sigma = 0.0025", "scale_sigma = 0.0"), ("lever_sigma_m = 1e-4", "lever_sigma_m = 0.0"))
+    edits += (("delay_sigma_ms = 0.05", "delay_sigma_ms = 0.0"),)
+    sigmas = []
+    for name, noise in (("white", 'row_noise = "white"'), ("by_frequency", 'row_noise = "by_frequency"')):
+        own = (*edits, ('row_noise = "by_frequency"', noise))
+        vehicle, plan = made(tmp_path / name, "--base", "fixed", "--joints", "2", "--load-cell", "cia404", edits=own)
+        coarse = vehicle.with_row_rate(5.0)
+        every = round(vehicle.file.estimation.row_rate_hz / 5.0)
+        for one in (foresee(vehicle, plan), foresee(coarse, plan.part(slice(None, None, every)), coarse=True)):
+            sigmas.append({own.name: own.sigma for own in one.parameters})
+    white, _, filtered, few = sigmas
+    for name in ("MX_payload_R", "XX_payload_R", "ZZ_payload_R"):
+        assert filtered[name] < 0.3 * white[name]
+        assert few[name] == pytest.approx(filtered[name], rel=0.3)
 
 
 def _independent(identifier):

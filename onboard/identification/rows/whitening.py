@@ -1,0 +1,149 @@
+"""Whitens the noise of rows in time, so that slow motion is weighed by what noise there is at its frequencies.
+
+White noise of samples behind the smoothing kernel K has the spectrum ``|K(w)|^2``; differentiated k times, ``w^2k`` of
+it. A row has all of it: of its reading and of angles (k = 0), of rates (k = 1), of accelerations (k = 2),
+
+    S(w) = |K(w)|^2 (a + b w^2 + c w^4) = |K(w)|^2 a / |H(w)|^2,    H(s) = 1 / (1 + beta s + gamma s^2),
+    gamma = (c / a)^(1/2),    beta = (b / a + 2 gamma)^(1/2).
+
+Rows are linear in the parameters, so both of their sides may go through the same filter H, which leaves noise of the
+spectrum ``|K|^2 a``: generalised least squares (Aitken, 1935), by a low pass of each row's own. It is taken in backward
+differences, which are stable for every beta and gamma. Noise of a known rhythm (cyclic errors, errors of time) is none
+of samples: it counts in a as before.
+
+Known limits: beta and gamma are those of the last second or so; a hole of a kernel or more begins the filter anew.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.smoothing import Response
+from onboard.regressor.signals import Signals
+
+ORDERS = 3  # of derivatives
+_MEMORY_S = 1.0  # of the noise's levels
+_PER_WIDTH = 1.0  # longest time constant of the filter, in widths of the kernel: blocks are five
+_PHASES = np.arange(0.05, 60.0, 0.1)  # phases over the kernel's width at which spectra are summed
+
+
+class NoisyRows(NamedTuple):
+    """Rows of some ticks, r in all."""
+
+    Y: FloatArray  # (r, p)
+    y: FloatArray  # (r,)
+    C: FloatArray | None  # (r, k) of considered parameters
+    sigma: FloatArray  # (r,)
+    own: FloatArray  # (r,) of the readings by themselves
+    noise: FloatArray | None  # (r, s, p + 1) change of row and reading per sigma of a signal
+
+
+class Whitening:
+    """Filters of a model's rows.
+
+    Args:
+        rows: m.
+        columns: c, of both sides together.
+        period_s: of the ticks.
+        width_s: of the kernel.
+        response: of the kernel.
+    """
+
+    def __init__(self, rows: int, columns: int, period_s: float, width_s: float, response: Response) -> None:
+        self._period_s, self._width_s = period_s, width_s
+        self._rates = _PHASES / width_s  # rad/s
+        self._spectra = np.stack([response.gain(self._rates, order) ** 2 for order in range(ORDERS)])  # (3, f)
+        self._power = self._spectra.sum(axis=1)  # (3,)
+        self._levels: FloatArray | None = None  # (m, 3) variances by order, means of late
+        self._before = np.zeros((3, rows, columns))  # last input, last output, the one before it
+        self._last_s = np.full(rows, -np.inf)
+
+    def filter(
+        self,
+        signals: Signals,
+        at: IndexArray,
+        use: BoolArray,
+        rows: NoisyRows,
+        effect: FloatArray,
+        widening: FloatArray,
+    ) -> NoisyRows:
+        """The rows of new ticks, behind the filter; as they are where nothing is known of their noise.
+
+        Args:
+            signals: smoothed.
+            at: the ticks, (n,), going on from those before.
+            use: which rows are good, (n, m), r in all; the filter goes over others as if they repeated the last one.
+            rows: these; of equal weight behind the filter, whatever their sigma.
+            effect: of a sigma of each signal on the rows, correlation inflation included, (r, s).
+            widening: of the rows' sigmas, (r,).
+        """
+        if signals.noise is None or signals.noise.of_samples is None:
+            return rows
+        of_samples, tick = signals.noise.of_samples, np.nonzero(use)[0]
+        share = of_samples.share[at][tick] * (of_samples.order > 0)  # (r, s)
+        variance = np.zeros((*use.shape, ORDERS))
+        square = effect * effect
+        own = [(rows.own / widening) ** 2 + (square * (1.0 - share)).sum(axis=1)]
+        own += [(square * share)[:, of_samples.order == order].sum(axis=1) for order in range(1, ORDERS)]
+        variance[use] = np.stack(own, axis=1)
+        beta, gamma, white = self._shaped(use, variance)
+        both = [rows.Y, rows.y[:, None], *(() if rows.C is None else (rows.C,))]
+        columns = np.zeros((*use.shape, self._before.shape[2]))
+        columns[use] = np.concatenate(both, axis=1)
+        made = self._filtered(signals.time_s[at], use, columns, beta, gamma)[use]
+        left = 1.0 / np.abs(1.0 + 1j * beta[:, None] * self._rates - gamma[:, None] * self._rates**2) ** 2  # (m, f)
+        passed = np.sqrt((left @ self._spectra.T) / self._power)[np.nonzero(use)[1]]  # (r, 3)
+        p = rows.Y.shape[1]
+        noise = None
+        if rows.noise is not None:
+            of_share = share * passed[:, of_samples.order] ** 2 + (1.0 - share) * passed[:, :1] ** 2
+            noise = rows.noise * np.sqrt(of_share)[..., None]
+        C = None if rows.C is None else made[:, p + 1 :]
+        sigma = np.sqrt(white)[np.nonzero(use)[1]] * widening
+        return NoisyRows(made[:, :p], made[:, p], C, sigma, rows.own * passed[:, 0], noise)
+
+    def _filtered(
+        self, time_s: FloatArray, use: BoolArray, columns: FloatArray, beta: FloatArray, gamma: FloatArray
+    ) -> FloatArray:
+        """Columns of both sides behind the filter, (n, m, c)."""
+        T, out = self._period_s, np.zeros_like(columns)
+        fresh, one, two = 1.0 + beta / T + gamma / T**2, beta / T + 2.0 * gamma / T**2, gamma / T**2  # (m,) each
+        for k, now_s in enumerate(time_s.tolist()):
+            mine = np.flatnonzero(use[k])
+            steps = np.round((now_s - self._last_s[mine]) / T)
+            anew = (steps < 1.0) | (steps * T > self._width_s)
+            self._before[:, mine[anew]] = 0.0
+            holes = np.where(anew, 0.0, steps - 1.0)
+            a, b, c = (part[mine, None] for part in (fresh, one, two))
+            held, last, other = self._before[:, mine]
+            for hole in range(int(holes.max(initial=0.0))):
+                due = (hole < holes)[:, None]
+                last, other = np.where(due, (held + b * last - c * other) / a, last), np.where(due, last, other)
+            made = (columns[k, mine] + b * last - c * other) / a
+            self._before[:, mine] = columns[k, mine], made, last
+            self._last_s[mine] = now_s
+            out[k, mine] = made
+        return out
+
+    def _shaped(self, use: BoolArray, variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """beta, gamma, and the variance of white rows, (m,) each; by the levels with these ticks taken in."""
+        count = use.sum(axis=0)
+        own = variance.sum(axis=0) / np.maximum(count, 1)[:, None]
+        if self._levels is None:
+            self._levels = np.zeros_like(own)
+        weight = 1.0 - np.exp(-count * self._period_s / _MEMORY_S)
+        weight = np.where(self._levels.any(axis=1), weight, np.minimum(count, 1))
+        self._levels = self._levels + weight[:, None] * (own - self._levels)
+        a, b, c = (self._levels * (self._power[0] / self._power)).T
+        safe, slowest = np.where(a > 0.0, a, 1.0), (_PER_WIDTH * self._width_s) ** 2
+        of_rates, of_accelerations = np.where(a > 0.0, b / safe, 0.0), np.where(a > 0.0, c / safe, 0.0)
+        gamma = np.minimum(np.sqrt(of_accelerations), slowest)
+        square = np.minimum(of_rates, slowest)  # beta^2 - 2 gamma
+        # what a filter that may not be slower leaves besides
+        more = np.maximum(_over(of_accelerations, gamma**2), _over(of_rates, square))
+        return np.sqrt(square + 2.0 * gamma), gamma, a * np.maximum(more, 1.0)
+
+
+def _over(wanted: FloatArray, given: FloatArray) -> FloatArray:
+    return np.divide(wanted, given, out=np.ones_like(wanted), where=given > 0.0)

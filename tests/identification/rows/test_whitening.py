@@ -1,0 +1,113 @@
+"""The filter of rows: what holds of rows holds of filtered ones, and stated, formal and real errors agree."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from onboard.estimation.smoothing import Response, SmoothingWindow, correlation_inflation
+from onboard.identification.rows.whitening import NoisyRows, Whitening
+from onboard.regressor.signals import OfSamples, orders_of
+
+WIDTH_S, PERIOD_S, SECONDS = 0.1, 0.01, 10.0
+AT = np.arange(0.2, SECONDS, PERIOD_S)
+INFLATION = correlation_inflation(WIDTH_S, PERIOD_S)
+OWN = 0.002  # of a smoothed reading
+LOUD = 50.0  # times as much by the acceleration's noise
+MOTION = np.column_stack([np.sin(2.0 * AT), np.cos(3.1 * AT), np.ones(len(AT))])
+TRUE = np.array([1.0, -0.5, 0.1])
+
+
+def fresh(columns: int = 4) -> Whitening:
+    return Whitening(1, columns, PERIOD_S, WIDTH_S, Response(WIDTH_S))
+
+
+def kernel_noise(rng, order: int):
+    """Of unit variance, differentiated so often."""
+    times = np.arange(-WIDTH_S, SECONDS + WIDTH_S, 0.0025)
+    smoothed = SmoothingWindow(times, AT, WIDTH_S).apply(rng.standard_normal(len(times)), order)
+    return smoothed.values[:, 0] / smoothed.noise_gain
+
+
+def filtered(whitening, y, order: int, share: float = 1.0, use=None, loud: float = LOUD):
+    """Rows whose reading has noise of one source besides its own; 64 ticks at a time."""
+    n = len(AT)
+    used = np.ones((n, 1), bool) if use is None else use
+    parts = []
+    for first in range(0, n, 64):
+        now = slice(first, first + 64)
+        mine = used[now, 0]
+        count = int(mine.sum())
+        effect = np.full((count, 1), loud * OWN * INFLATION)
+        own = np.full(count, OWN * INFLATION)
+        rows = NoisyRows(MOTION[now][mine], y[now][mine], None, own, own, None)
+        samples = OfSamples(np.full((len(mine), 1), share), np.array([order]))
+        parts.append(whitening.filter(AT[now], used[now], rows, effect, samples))
+    return [np.concatenate(column) for column in zip(*((p.Y, p.y, p.sigma) for p in parts), strict=True)]
+
+
+def estimate(Y, y, sigma):
+    information = (Y / sigma[:, None]).T @ (Y / sigma[:, None])
+    covariance = np.linalg.inv(information)
+    return covariance @ (Y / sigma[:, None] ** 2).T @ y, np.sqrt(np.diag(covariance))
+
+
+@pytest.mark.parametrize(("order", "loud"), [(0, 3.0), (1, 8.0), (2, LOUD)])
+def test_stated_errors_are_real_ones(rng, order, loud):
+    errors, sigmas = [], []
+    for _ in range(20):
+        noise = OWN * kernel_noise(rng, 0) + loud * OWN * kernel_noise(rng, order)
+        found, sigma = estimate(*filtered(fresh(), MOTION @ TRUE + noise, order, loud=loud))
+        errors.append(found - TRUE)
+        sigmas.append(sigma)
+    ratio = np.sqrt(np.mean(np.square(errors) / np.square(sigmas), axis=0))
+    assert (ratio > 0.6).all()
+    assert (ratio < 1.4).all()
+
+
+def test_slow_motion_is_not_hidden_by_the_noise_of_its_accelerations(rng):
+    noise = OWN * kernel_noise(rng, 0) + LOUD * OWN * kernel_noise(rng, 2)
+    white = np.full(len(AT), np.hypot(1.0, LOUD) * OWN * INFLATION)
+    _, before = estimate(MOTION, MOTION @ TRUE + noise, white)
+    found, sigma = estimate(*filtered(fresh(), MOTION @ TRUE + noise, 2))
+    assert (sigma < 0.1 * before).all()
+    assert (np.abs(found - TRUE) < 4.0 * sigma).all()
+
+
+def test_noise_that_is_not_of_samples_counts_as_white():
+    Y, y, sigma = filtered(fresh(), MOTION @ TRUE, 2, share=0.0)
+    np.testing.assert_allclose(Y, MOTION)
+    assert y == pytest.approx(MOTION @ TRUE)
+    assert sigma == pytest.approx(np.hypot(1.0, LOUD) * OWN * INFLATION)
+
+
+def test_what_holds_of_rows_holds_of_filtered_ones(rng):
+    use = rng.random((len(AT), 1)) > 0.1
+    use[500:560] = False
+    Y, y, _ = filtered(fresh(), MOTION @ TRUE, 2, use=use)
+    assert len(y) == use.sum() > 700
+    assert y == pytest.approx(Y @ TRUE, abs=1e-12)
+    assert np.abs(Y - MOTION[use[:, 0]]).max() > 0.1  # and it is a filter
+
+
+def test_a_hole_begins_it_anew():
+    use = np.ones((len(AT), 1), bool)
+    use[500:560] = False
+    Y, _, _ = filtered(fresh(), MOTION @ TRUE, 2, use=use)
+    other = fresh()
+    other._levels = np.array([[OWN**2, 0.0, (LOUD * OWN) ** 2]]) * INFLATION**2
+    again, _, _ = filtered(other, MOTION @ TRUE, 2, use=use & (np.arange(len(AT)) > 559)[:, None])
+    assert Y[-len(again) :] == pytest.approx(again)
+
+
+def test_it_can_be_pickled(rng):
+    one = fresh()
+    filtered(one, MOTION @ TRUE, 2)
+    other = pickle.loads(pickle.dumps(one))
+    rows = [filtered(which, MOTION @ TRUE, 2) for which in (copy.deepcopy(one), other)]
+    assert all(np.array_equal(a, b) for a, b in zip(*rows, strict=True))
+
+
+def test_how_often_samples_were_differentiated():
+    assert orders_of([False, True]).tolist() == [0, 0, 1, 0, 2, 1, 0, 0, 0, 1, 1, 1, 0, 0, 0]
