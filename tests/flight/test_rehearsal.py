@@ -114,7 +114,7 @@ def test_a_six_joint_arm_on_a_bench_by_the_currents_of_its_motors(tmp_path):
     assert {f"Fc_a{n}" for n in (1, 2, 3)} <= told
     assert len(told) > 20
     assert abs(rows["Fc_a1"]["our_error_percent"]) < 5.0
-    assert not rows["m_payload"]["supported"]  # the last link and what it holds turn together
+    assert abs(rows["m_payload"]["our_error_percent"]) < 3.0  # told from the last link, which is stated to 2 %
 
 
 def test_a_spinning_body_with_a_mass_on_a_boom(tmp_path):

@@ -11,7 +11,12 @@ spectrum ``|K|^2 a``: generalised least squares (Aitken, 1935), by a low pass of
 differences, which are stable for every beta and gamma. Noise of a known rhythm (cyclic errors, errors of time) is none
 of samples: it counts in a as before.
 
-Known limits: beta and gamma are those of the last second or so; a hole of a kernel or more begins the filter anew.
+beta and gamma follow the noise at once where it grows, as when a joint begins to move, and within a second where it
+falls: too large ones cost information, too small ones let noise pass that nothing states. Where they double, and after
+a hole of a kernel or more, the filter begins anew. Of noise that is differentiated it then passes its integral at the
+start, times the impulse response h; the sigma of these rows contains that, with a bound of h:
+
+    h(t) <= t / gamma exp(-beta t / 2 gamma),  or 1.5 / beta exp(-t / beta) where beta^2 > 4 gamma.
 """
 
 from typing import NamedTuple
@@ -23,7 +28,8 @@ from onboard.estimation.smoothing import Response
 from onboard.regressor.signals import Signals
 
 ORDERS = 3  # of derivatives
-_MEMORY_S = 1.0  # of the noise's levels
+_MEMORY_S = 1.0  # of the noise's levels, as they fall
+_GROWN = 2.0  # times as slow: the filter begins anew
 _PER_WIDTH = 1.0  # longest time constant of the filter, in widths of the kernel: blocks are five
 _PHASES = np.arange(0.05, 60.0, 0.1)  # phases over the kernel's width at which spectra are summed
 
@@ -55,9 +61,10 @@ class Whitening:
         self._rates = _PHASES / width_s  # rad/s
         self._spectra = np.stack([response.gain(self._rates, order) ** 2 for order in range(ORDERS)])  # (3, f)
         self._power = self._spectra.sum(axis=1)  # (3,)
-        self._levels: FloatArray | None = None  # (m, 3) variances by order, means of late
+        self._levels = np.zeros((rows, ORDERS))  # variances, the largest of late
         self._before = np.zeros((3, rows, columns))  # last input, last output, the one before it
-        self._last_s = np.full(rows, -np.inf)
+        self._last_s, self._first_s = np.full(rows, -np.inf), np.zeros(rows)  # its rows since it began
+        self._slowness = np.zeros((2, rows))  # beta and gamma when it began
 
     def filter(
         self,
@@ -91,7 +98,9 @@ class Whitening:
         both = [rows.Y, rows.y[:, None], *(() if rows.C is None else (rows.C,))]
         columns = np.zeros((*use.shape, self._before.shape[2]))
         columns[use] = np.concatenate(both, axis=1)
-        made = self._filtered(signals.time_s[at], use, columns, beta, gamma)[use]
+        grown = (np.stack([beta, gamma]) > _GROWN * self._slowness).any(axis=0)
+        self._last_s[grown], self._slowness[:, grown] = -np.inf, np.stack([beta, gamma])[:, grown]
+        made, age_s = (part[use] for part in self._filtered(signals.time_s[at], use, columns, beta, gamma))
         left = 1.0 / np.abs(1.0 + 1j * beta[:, None] * self._rates - gamma[:, None] * self._rates**2) ** 2  # (m, f)
         passed = np.sqrt((left @ self._spectra.T) / self._power)[np.nonzero(use)[1]]  # (r, 3)
         p = rows.Y.shape[1]
@@ -100,14 +109,17 @@ class Whitening:
             of_share = share * passed[:, of_samples.order] ** 2 + (1.0 - share) * passed[:, :1] ** 2
             noise = rows.noise * np.sqrt(of_share)[..., None]
         C = None if rows.C is None else made[:, p + 1 :]
-        sigma = np.sqrt(white)[np.nonzero(use)[1]] * widening
+        row = np.nonzero(use)[1]
+        variance_of_start = self._levels[:, 1:] @ (self._power[:-1] / self._power[1:])  # of the noise's integral
+        started = variance_of_start[row] * _impulse(age_s, beta[row], gamma[row]) ** 2
+        sigma = np.sqrt(white[row] + started) * widening
         return NoisyRows(made[:, :p], made[:, p], C, sigma, rows.own * passed[:, 0], noise)
 
     def _filtered(
         self, time_s: FloatArray, use: BoolArray, columns: FloatArray, beta: FloatArray, gamma: FloatArray
-    ) -> FloatArray:
-        """Columns of both sides behind the filter, (n, m, c)."""
-        T, out = self._period_s, np.zeros_like(columns)
+    ) -> tuple[FloatArray, FloatArray]:
+        """Columns of both sides behind the filter, (n, m, c), and how long it had run, (n, m)."""
+        T, out, age_s = self._period_s, np.zeros_like(columns), np.zeros(use.shape)
         fresh, one, two = 1.0 + beta / T + gamma / T**2, beta / T + 2.0 * gamma / T**2, gamma / T**2  # (m,) each
         for k, now_s in enumerate(time_s.tolist()):
             mine = np.flatnonzero(use[k])
@@ -122,19 +134,14 @@ class Whitening:
                 last, other = np.where(due, (held + b * last - c * other) / a, last), np.where(due, last, other)
             made = (columns[k, mine] + b * last - c * other) / a
             self._before[:, mine] = columns[k, mine], made, last
-            self._last_s[mine] = now_s
-            out[k, mine] = made
-        return out
+            self._last_s[mine], self._first_s[mine[anew]] = now_s, now_s
+            out[k, mine], age_s[k, mine] = made, now_s - self._first_s[mine]
+        return out, age_s
 
     def _shaped(self, use: BoolArray, variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """beta, gamma, and the variance of white rows, (m,) each; by the levels with these ticks taken in."""
-        count = use.sum(axis=0)
-        own = variance.sum(axis=0) / np.maximum(count, 1)[:, None]
-        if self._levels is None:
-            self._levels = np.zeros_like(own)
-        weight = 1.0 - np.exp(-count * self._period_s / _MEMORY_S)
-        weight = np.where(self._levels.any(axis=1), weight, np.minimum(count, 1))
-        self._levels = self._levels + weight[:, None] * (own - self._levels)
+        fade = np.exp(-use.sum(axis=0) * self._period_s / _MEMORY_S)
+        self._levels = np.maximum(fade[:, None] * self._levels, variance.max(axis=0, initial=0.0))
         a, b, c = (self._levels * (self._power[0] / self._power)).T
         safe, slowest = np.where(a > 0.0, a, 1.0), (_PER_WIDTH * self._width_s) ** 2
         of_rates, of_accelerations = np.where(a > 0.0, b / safe, 0.0), np.where(a > 0.0, c / safe, 0.0)
@@ -143,6 +150,16 @@ class Whitening:
         # what a filter that may not be slower leaves besides
         more = np.maximum(_over(of_accelerations, gamma**2), _over(of_rates, square))
         return np.sqrt(square + 2.0 * gamma), gamma, a * np.maximum(more, 1.0)
+
+
+def _impulse(t: FloatArray, beta: FloatArray, gamma: FloatArray) -> FloatArray:
+    """A bound of the impulse response after t; zero of a filter that passes all."""
+    none = np.zeros_like(t)
+    rate = np.divide(beta, 2.0 * gamma, out=none.copy(), where=gamma > 0.0)
+    swinging = np.divide(t, gamma, out=none.copy(), where=gamma > 0.0) * np.exp(-rate * t)
+    slow = np.divide(1.5, beta, out=none.copy(), where=beta > 0.0)
+    falling = slow * np.exp(-np.divide(t, beta, out=none.copy(), where=beta > 0.0))
+    return np.where(beta**2 > 4.0 * gamma, falling, swinging)
 
 
 def _over(wanted: FloatArray, given: FloatArray) -> FloatArray:

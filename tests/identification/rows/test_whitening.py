@@ -8,7 +8,8 @@ import pytest
 
 from onboard.estimation.smoothing import Response, SmoothingWindow, correlation_inflation
 from onboard.identification.rows.whitening import NoisyRows, Whitening
-from onboard.regressor.signals import OfSamples, orders_of
+from onboard.regressor.rows import BaseMotion
+from onboard.regressor.signals import OfSamples, SignalNoise, Signals, orders_of
 
 WIDTH_S, PERIOD_S, SECONDS = 0.1, 0.01, 10.0
 AT = np.arange(0.2, SECONDS, PERIOD_S)
@@ -30,20 +31,23 @@ def kernel_noise(rng, order: int):
     return smoothed.values[:, 0] / smoothed.noise_gain
 
 
-def filtered(whitening, y, order: int, share: float = 1.0, use=None, loud: float = LOUD):
-    """Rows whose reading has noise of one source besides its own; 64 ticks at a time."""
+def filtered(whitening, y, order: int, share: float = 1.0, use=None, loud=LOUD, step=64):
+    """Rows whose reading has noise of one source besides its own; so many ticks at a time."""
     n = len(AT)
     used = np.ones((n, 1), bool) if use is None else use
+    samples = OfSamples(np.full((n, 1), share), np.array([order]))
+    none = np.zeros((n, 0))
+    nothing = SignalNoise(*[none] * 6, INFLATION, samples)
+    signals = Signals(AT, none, none, none, BaseMotion(none, none, none), none, none, None, nothing)
     parts = []
-    for first in range(0, n, 64):
-        now = slice(first, first + 64)
+    for first in range(0, n, step):
+        now = slice(first, first + step)
         mine = used[now, 0]
         count = int(mine.sum())
-        effect = np.full((count, 1), loud * OWN * INFLATION)
+        effect = np.broadcast_to(loud, n)[now][mine][:, None] * OWN * INFLATION
         own = np.full(count, OWN * INFLATION)
         rows = NoisyRows(MOTION[now][mine], y[now][mine], None, own, own, None)
-        samples = OfSamples(np.full((len(mine), 1), share), np.array([order]))
-        parts.append(whitening.filter(AT[now], used[now], rows, effect, samples))
+        parts.append(whitening.filter(signals, np.arange(n)[now], used[now], rows, effect, np.ones(count)))
     return [np.concatenate(column) for column in zip(*((p.Y, p.y, p.sigma) for p in parts), strict=True)]
 
 
@@ -80,6 +84,16 @@ def test_noise_that_is_not_of_samples_counts_as_white():
     np.testing.assert_allclose(Y, MOTION)
     assert y == pytest.approx(MOTION @ TRUE)
     assert sigma == pytest.approx(np.hypot(1.0, LOUD) * OWN * INFLATION)
+
+
+def test_noise_that_begins_is_stated_from_its_first_row_on(rng):
+    """An encoder at rest repeats its count: rows of rest are good, and those of the first motion are not as good."""
+    whitening, moves = fresh(), (AT > 4.0) * 1.0
+    noise = OWN * kernel_noise(rng, 0) + moves * LOUD * OWN * kernel_noise(rng, 2)
+    Y, y, sigma = filtered(whitening, MOTION @ TRUE + noise, 2, loud=LOUD * moves, step=5)
+    after = (AT[: len(y)] > 4.0) & (AT[: len(y)] < 4.5)
+    assert after.sum() > 40
+    assert np.sqrt(np.mean(((y - Y @ TRUE) / sigma)[after] ** 2)) < 1.5
 
 
 def test_what_holds_of_rows_holds_of_filtered_ones(rng):
