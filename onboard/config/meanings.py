@@ -137,11 +137,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             'Scales of load cells: "considered" widens intervals by scale_sigma; "estimated" makes each a parameter.',
             "several cells see the same load",
         ),
-        "row_noise": _M(
-            'Noise of the rows of a base that is not free: "white"; "by_frequency" filters them, so that what '
-            "differentiated encoders add at high frequencies hides no slow motion.",
-            '"white" where gears, friction or flexing leave more than the stated noise',
-        ),
+        "row_noise": _M('"by_frequency" filters rows by their noise: no free base.', "no gear is in the residuals"),
         "base_rows": _M("Components of the base's wrench that are known to be zero and make rows.", "the base is free"),
         "base_force_sigma_N": _M("How well that force is known to be zero, 1 sigma.", "thrusters, drag or cables act"),
         "base_moment_sigma_N_m": _M("The same of the moment.", "as above"),
