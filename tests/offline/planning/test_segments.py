@@ -111,6 +111,26 @@ def test_the_payload_is_handed_over_as_it_was_last_answered(flown, flyer):
     assert len(events(flown, "handed_over")) == 1 + withdrawn
 
 
+def test_what_is_let_go_in_mid_segment_is_asked_about_no_more(flyer, library, capsys):
+    """The segment is played to its end; nothing is held then, and nothing is asked for."""
+    (flyer / "lost.toml").write_text(
+        f"payload.mass_kg = [3.0, 3.0]\nrelease.rate_rad_s = 0.02\nejection.at_s = 28.0\n{SCENARIO}"
+    )
+    log, own = flyer / "lost.mcap", str(flyer / "mine" / "vehicle.toml")
+    asked = ["hil", own, "--scenario", str(flyer / "lost.toml"), "--most", "36", "--log", str(log)]
+    main([*asked, "--until", "mass 0.1 %", "--segments", str(library)])
+    start_ns = truth.read(log)["start_ns"]
+    [gone] = events(log, "ejection")
+    assert 0.0 < 1e-9 * (gone["host_ns"] - start_ns) - 28.0 < 6.0
+    requests = LogReader(log).read("request")
+    segments = requests[requests["act"] == Act.SEGMENT]
+    assert len(segments) >= 2
+    assert segments["host_ns"].max() < gone["host_ns"]
+    assert events(log, "goal_waits")[-1]["host_ns"] >= gone["host_ns"]
+    assert not events(log, "goal_met")
+    assert main(["replay", str(log)]) == 0
+
+
 def test_a_library_comes_back_as_it_was_written(library, tmp_path):
     own = read(library)
     (tmp_path / "again.npz").write_bytes(to_bytes(own))
