@@ -58,7 +58,8 @@ class CapturedBody:
         self._suspected: _Touch | None = None  # not classified
         self._captured: _Touch | None = None
         self._told: BeforeCapture | None = None
-        self._failure, self._next, self._once = "", 0.0, False
+        self._failure, self._once = "", False
+        self._used, self._next = 0, 0.0  # ticks at which it was told last, and is to be told again
 
     def take(self, ticks: Ticks) -> None:
         """Keep ticks, and follow the changes that the estimator has found meanwhile."""
@@ -87,24 +88,26 @@ class CapturedBody:
                 early_s, late_s = (at_s - ANNOUNCED_s, at_s + ANNOUNCED_s) if announced else (change.since_s, at_s)
                 self._suspected = _Touch(early_s, late_s)
             self._captured, self._suspected = self._suspected, None
-            self._told, self._failure, self._next, self._once = None, "", 0.0, True
+            self._told, self._failure, self._once = None, "", True
+            self._used, self._next = 0, 0.0
         elif change.kind in ("ejection", "capture_contradicted"):
             self._captured = self._suspected = self._told = None
         else:
             self._suspected = None
 
-    def quantities(self, level: float) -> tuple[QuantityEstimate, ...]:
+    def quantities(self, level: float, *, known: bool) -> tuple[QuantityEstimate, ...]:
         """Velocity of its centre of mass against the gripper, rate in space, gripper's axes; none before a capture.
 
         Args:
             level: of the intervals.
+            known: the payload is.
         """
         if not self._once:
             return ()
         if self._captured is None:
             return _unknown("nothing is held")
-        if self._told is None:
-            return _unknown(self._failure or "not determined by the data so far")
+        if self._told is None or not known:
+            return _unknown(self._failure if known and self._failure else "the payload is not known")
         values = np.concatenate([self._told.velocity_m_s, self._told.rate_rad_s])
         shrinkage, z = self._told.sigma / _EXPECTED, float(ndtri(0.5 + 0.5 * level))
         found = []
@@ -126,8 +129,9 @@ class CapturedBody:
     def due(self) -> bool:
         """It is to be told, if the payload is known."""
         used, longest = self._exiddm.ticks_used, _LONGEST_s / self._exiddm.predictor.period_s
-        ready = self._captured is not None and self._captured.ticks is not None and used >= self._next
-        return ready and (self._told is None or used <= longest)
+        ready = self._captured is not None and self._captured.ticks is not None
+        anew = used < self._used  # the payload has been found again
+        return ready and (anew or (used >= self._next and (self._told is None or used <= longest)))
 
     def tell(self, payload: Payload) -> None:
         """Tell it.
@@ -138,7 +142,7 @@ class CapturedBody:
         touch, exiddm = self._captured, self._exiddm
         assert touch is not None
         assert touch.ticks is not None
-        self._next = _AGAIN * exiddm.ticks_used
+        self._used, self._next = exiddm.ticks_used, _AGAIN * exiddm.ticks_used
         if 0 in exiddm.fusion.left_out:
             self._told, self._failure = None, f"{exiddm.fusion.names[0]} is left out"
             return

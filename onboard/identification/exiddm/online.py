@@ -197,7 +197,7 @@ class ExiddmIdentifier:
             tuple(quantities),
             self.rows_used,
             dict(self.refused),
-            self._captured.quantities(level),
+            self._captured.quantities(level, known=self._answers),
         )
 
     @property

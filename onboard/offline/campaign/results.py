@@ -100,7 +100,7 @@ class Done(NamedTuple):
 def of_mission(table: Mapping[str, Any]) -> FlightResult:
     """From the result table of ``heft hil``."""
     answers = [
-        _answer(row, _UNITS.get(section, str(row.get("shown_in", ""))))
+        _answer(row, _UNITS.get(section, str(row.get("unit") or row.get("shown_in", ""))))
         for section in ("masses", "centres", "inertias", "parameters", "motions")
         for row in table[section]
     ]

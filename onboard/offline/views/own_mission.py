@@ -72,7 +72,7 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
         section = _SECTIONS.get(answer["unit"], "parameter")
         row: Row = {"quantity": name, "label": name, "value": float(value), "shown_in": shown_in, "factor": factor}
         if section == "motion":  # which is about zero: an error relative to it says nothing
-            row |= {"label": name.replace("_before_capture_", " before, "), "absolute": True}
+            row |= {"label": name.replace("_before_capture_", " before, "), "unit": answer["unit"], "absolute": True}
         row["digits"] = _digits(factor * abs(float(value)))
         found[section].append(row)
     if (
