@@ -24,7 +24,7 @@ from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.inertia import RigidBody, elements
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation, smooth
+from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation, filtered_inflation, smooth
 from onboard.flight.estimate.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import CYCLIC_LEFT, cyclic_functions
@@ -202,7 +202,8 @@ def _wrist(truth: free_flyer.FreeFlightSignals, rng: np.random.Generator) -> Fli
     assert isinstance(keys, LoadCellKeys)
     assert keys.zero_sigma_N is not None
     assert keys.zero_drift_N_s is not None
-    t, noise_N = truth.time_s, keys.noise_N * np.sqrt(SAMPLES / CELL_SAMPLES)
+    alike = filtered_inflation(1e-3 * keys.delay_ms, TICK_s / CELL_SAMPLES)
+    t, noise_N = truth.time_s, alike * keys.noise_N * np.sqrt(SAMPLES / CELL_SAMPLES)
     force = (1.0 + keys.scale_sigma * rng.standard_normal()) * truth.wrist_force_n @ np.array(keys.axis)
     force += keys.zero_sigma_N * rng.standard_normal() + keys.zero_drift_N_s * rng.standard_normal() * (t - t[0])
     force += noise_N * rng.standard_normal(len(t))

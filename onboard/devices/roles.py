@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.smoothing import filtered_inflation
 from onboard.section import NotNegative, Positive, Real, Section, Vector3
 
 STANDARD_GRAVITY_M_S2 = 9.80665
@@ -133,6 +134,7 @@ class SmoothedChannel(NamedTuple):
         absolute: it keeps its zero over a reset of its device.
         ripple: its cyclic errors: periods of each in a radian of what it measures, times 2 pi, and its rms, SI.
         corrections: its calibration, of its columns in their order: gyro and accelerometer, or one value; or none.
+        inflation: of the sigma of a mean of its samples: its own filter makes neighbours alike.
     """
 
     delays_s: tuple[float, ...]
@@ -146,6 +148,7 @@ class SmoothedChannel(NamedTuple):
     is_pose: bool = False  # attitude w, x, y, z and position x, y, z of a tracker
     repeats: bool = False  # its recorder may write a reading again: equal ones do not show that it is stuck
     corrections: tuple[Correction, ...] = ()
+    inflation: float = 1.0
 
     def corrected(self, readings: FloatArray) -> FloatArray:
         """True values from readings, SI, (n, columns)."""
@@ -261,5 +264,7 @@ def force(keys: LoadCellKeys, period_s: float) -> SmoothedChannel:
     direct = keys.measures == "moment" and keys.lever_m == 1.0
     si = {b"N m": 1.0} if direct else {b"N": 1.0, b"kg": keys.gravity_m_s2}
     return scalar(keys.delay_ms, keys.noise_N, period_s, si)._replace(
-        limit=keys.capacity_N, corrections=corrections(keys.gain, keys.offset_N)
+        limit=keys.capacity_N,
+        corrections=corrections(keys.gain, keys.offset_N),
+        inflation=filtered_inflation(keys.delay_ms * 1e-3, period_s),
     )

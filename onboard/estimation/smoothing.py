@@ -29,6 +29,7 @@ ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, needed fo
 _MU2 = 1.0 / (12.0 * ORDER)  # second moment of B on a full width of one
 _MIN_SAMPLES = 5
 _CHUNK_CELLS = 200_000
+_FORGOTTEN = 12.0  # delays of a filter after which a sample tells nothing of another
 
 
 class Smoothed(NamedTuple):
@@ -374,4 +375,27 @@ def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = 
     auto = np.correlate(h, h, mode="full")[u.size - 1 :] * step  # lag 0, step, ...
     lags = np.arange(1, int(width_s / row_period_s) + 1) * (row_period_s / width_s)
     rho = np.interp(lags, np.arange(auto.size) * step, auto / auto[0], right=0.0)
+    return float(np.sqrt(max(1.0 + 2.0 * rho.sum(), 1.0)))
+
+
+def filtered_inflation(delay_s: float, period_s: float) -> float:
+    """Factor on the sigma of a mean of samples that a device's own low-pass filter makes alike.
+
+    White noise through a filter of second order (Butterworth) with group delay d has the autocorrelation
+    ``rho(t) = exp(-t/d) (cos(t/d) + sin(t/d))``. A mean of many samples then has the variance of a mean of independent
+    ones times ``sum_k rho(k T)``; so have neighbouring means together, which a fit takes for independent.
+
+    Args:
+        delay_s: of the filter; zero: no filter.
+        period_s: between samples.
+
+    Raises:
+        RowError: a negative delay, or a period that is not positive.
+    """
+    if not (delay_s >= 0.0 and period_s > 0.0):
+        raise RowError("a filter's delay must not be negative, and a sample's period must be positive")
+    if delay_s == 0.0:
+        return 1.0
+    x = np.arange(1, 2 + int(_FORGOTTEN * delay_s / period_s)) * (period_s / delay_s)
+    rho = np.exp(-x) * (np.cos(x) + np.sin(x))
     return float(np.sqrt(max(1.0 + 2.0 * rho.sum(), 1.0)))

@@ -6,9 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 from scipy.interpolate import BSpline
+from scipy.signal import butter, lfilter
 
 from onboard.estimation.errors import RowError
-from onboard.estimation.smoothing import ORDER, SPLINE, Response, SmoothingWindow, correlation_inflation, smooth
+from onboard.estimation.smoothing import (
+    ORDER,
+    SPLINE,
+    Response,
+    SmoothingWindow,
+    correlation_inflation,
+    filtered_inflation,
+    smooth,
+)
 
 WIDTH = 0.1
 A_BILLIONTH = 1e-9
@@ -187,3 +196,22 @@ def test_rows_further_apart_than_the_kernel_are_independent():
     assert correlation_inflation(0.1, 0.2) == 1.0
     with pytest.raises(RowError):
         correlation_inflation(0.1, 0.0)
+
+
+@pytest.mark.parametrize("delay_s", [0.002, 0.01])
+def test_samples_behind_a_filter_weigh_what_they_are_worth(rng, delay_s):
+    """A mean of samples of SciPy's Butterworth filter; 5 of one tick, as of ticks that a fit takes for independent."""
+    step_s, period_s = 1e-4, 0.002
+    b, a = butter(2, np.sqrt(2.0) / delay_s, fs=2.0 * np.pi / step_s)
+    filtered = lfilter(b, a, rng.normal(size=(40_000, 200)), axis=0)[2000 :: round(period_s / step_s)]
+    claimed = filtered.std() * filtered_inflation(delay_s, period_s) / np.sqrt(len(filtered))
+    assert filtered.mean(axis=0).std() == pytest.approx(claimed, rel=0.15)
+
+
+def test_no_filter_makes_no_samples_alike():
+    assert filtered_inflation(0.0, 0.002) == 1.0
+    assert filtered_inflation(1e-4, 0.002) == 1.0
+    with pytest.raises(RowError):
+        filtered_inflation(0.001, 0.0)
+    with pytest.raises(RowError):
+        filtered_inflation(-0.001, 0.002)

@@ -69,7 +69,7 @@ MEANING = {  # of keys that belong to no one driver
     "capacity_N": "A sample as large as this is saturated.",
     "scale_sigma": "Relative standard deviation of its calibration.",
     "zero_sigma_rad": "Standard deviation of the angle at its zero.",
-    "noise_N": "Standard deviation of one sample.",
+    "noise_N": "Standard deviation of one sample; that its filter makes neighbours alike is known by `delay_ms`.",
     "delay_ms": "Delay of its own filter, removed from its times.",
     "delay_sigma_ms": "Standard deviation of that delay.",
     "gravity_m_s2": "Newton per kilogram of its readings, if its unit is kg.",

@@ -295,7 +295,7 @@ class SignalSmoother:
         }
         at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
         refused = np.zeros(n, np.int64)
-        delays_s, noise = np.array(channel.delays_s), np.array(channel.noise)
+        delays_s, noise = np.array(channel.delays_s), channel.inflation * np.array(channel.noise)
         for delay_s in dict.fromkeys(channel.delays_s):
             mine = delays_s == delay_s
             t = recent.times_s - delay_s

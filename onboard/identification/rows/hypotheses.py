@@ -9,7 +9,9 @@ with the payload released, and still held. Rules:
 - Where either is so and of exactly one of the others nothing is doubtful, that one is selected and its left-out
   instrument named.
 - A release is accepted when the model with the payload held is contradicted, and rejected when only the model without
-  it is, or when the payload's estimated mass is near zero (the arm moves as before).
+  it is, or when the payload's estimated mass is near zero (the arm moves as before). Where an instrument lies, those
+  without one decide: accepted, or rejected, is what exactly one of them finds with nothing that is doubtful, and none
+  is rejected while one of them agrees with it.
 """
 
 import copy
@@ -181,9 +183,15 @@ class Hypotheses:
     def _judge_release(self, findings: dict[Member, Findings]) -> None:
         """Accepts or rejects the reported release, or leaves it undecided."""
         told, held = findings[_AS_TOLD], findings[Member(still_held=True)]
-        if held.against and not told.against:
+        alone = [member for member in findings if member.left_out and not member.still_held]
+        agree = [one for one in alone if self._is_clean(one, findings[one])]
+        gone = {one: self._payload_share(one) for one in (_AS_TOLD, *alone)}
+        without = [one for one in agree if gone[one] >= _NOTHING and findings[one._replace(still_held=True)].against]
+        moves_on = [one for one in alone if gone[one] < _NOTHING and self._agrees_held(one, findings)]
+        doubted = any(not gone[one] < _NOTHING for one in agree)
+        if (held.against and not told.against) or len(without) == 1:
             accepted = True
-        elif held.against or not (told.against or self._nothing_has_gone()):
+        elif len(moves_on) != 1 and (held.against or doubted or not (told.against or gone[_AS_TOLD] < _NOTHING)):
             return
         else:
             accepted = False
@@ -198,15 +206,20 @@ class Hypotheses:
         findings |= {member: identifier.findings() for member, identifier in kept.items()}
         self._members, self._told_rows, self._released = kept, None, accepted
 
-    def _nothing_has_gone(self) -> bool:
-        """Whether, as told, the payload is known to weigh next to nothing."""
-        identifier = self._members[_AS_TOLD]
+    def _agrees_held(self, member: Member, findings: dict[Member, Findings]) -> bool:
+        """Whether nothing is doubtful where the same instruments hold the payload still."""
+        held = member._replace(still_held=True)
+        return self._is_clean(held, findings[held])
+
+    def _payload_share(self, member: Member) -> float:
+        """Mass of what was released, by one that takes the release as reported, in that drawn; NaN: not known."""
+        identifier = self._members[member]
         payload = identifier.model.vehicle.spec.payload_link
         drawn = identifier.base.value(identifier.model.chi)
         for quantity, found in zip(identifier.quantities, identifier.estimate().quantities, strict=False):
             if quantity.name == f"m_{payload}" and found.supported:
-                return bool(found.mean < _NOTHING * float(quantity.weights @ drawn))
-        return False
+                return float(found.mean / (quantity.weights @ drawn))
+        return np.nan
 
     def _contradiction(self, members: Sequence[Member]) -> str:
         """Two that leave one instrument out each, and whose answers lie apart; empty if there are none."""

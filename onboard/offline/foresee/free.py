@@ -152,7 +152,7 @@ class Noise:
         names = [name for own in (roles.imu.channels, *channels_of(roles, further)) for name in own]
         signals = [roles.signals[name] for name in names]
         per_tick = [max(1.0, np.rint(1.0 / (one.period_s * settings.row_rate_hz))) for one in signals]
-        means = [np.array(one.noise) / np.sqrt(count) for one, count in zip(signals, per_tick, strict=True)]
+        means = [one.inflation * np.array(one.noise) / np.sqrt(n) for one, n in zip(signals, per_tick, strict=True)]
         self._of_lines: FloatArray = np.concatenate(means)
         self._torques = TorqueLines.of(roles, model, rows_of(further))
         self._joints = JointNoise(vehicle, model, CYCLIC_LEFT)

@@ -6,9 +6,9 @@ import pytest
 from onboard.config import packaged
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
-from onboard.identification.quantities import mass_quantities
+from onboard.identification.quantities import Findings, mass_quantities
 from onboard.identification.rows.agreement import instrument_fits, judged_fit
-from onboard.identification.rows.hypotheses import Hypotheses
+from onboard.identification.rows.hypotheses import Hypotheses, Member
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
@@ -17,6 +17,7 @@ from onboard.regressor.signals import Signals
 
 PHYSICAL = np.array([True, True, False])
 NOISE_N, TIP_KG = 0.002, 0.06627  # table 4.6
+CELLS = ("cell_1", "cell_2")
 TRUTH = np.array([0.5, -0.2, 3.0])  # two of bodies, and a bias
 
 
@@ -276,6 +277,45 @@ def test_a_release_that_does_not_happen_is_not_believed_and_the_true_one_is(rng,
     assert told.supported is (again_s < 99.0)
     if told.supported:
         assert told.mean == pytest.approx(TIP_KG, rel=0.02)
+
+
+BAD, FINE = Findings(("contradicted",)), Findings()
+
+
+@pytest.mark.parametrize(
+    ("told", "held", "gone", "accepted"),
+    [
+        (FINE, BAD, 1.0, True),
+        (BAD, BAD, 1.0, True),  # cell_2 lies: cell_1 knows that the payload has gone
+        (BAD, FINE, 1.0, None),
+        (BAD, FINE, np.nan, None),  # cell_1 does not know yet, but does not contradict it either
+        (BAD, FINE, 0.0, False),
+        (BAD, BAD, 0.0, False),  # cell_2 lies: by cell_1 the arm moves as before
+    ],
+)
+def test_a_release_is_judged_without_the_cell_that_lies(monkeypatch, told, held, gone, accepted):
+    """As both cells tell it, and as cell_1 alone does, with which a release or none agrees."""
+    found = Hypotheses(identifier, CELLS)
+    found._divide()
+    honest = {False: FINE if gone != 0.0 else BAD, True: BAD if gone == 1.0 and held == BAD else FINE}
+    of = {Member("", False): told, Member("", True): held}
+    of |= {Member("cell_2", still): honest[still] for still in (False, True)}
+    of |= {Member("cell_1", still): BAD for still in (False, True)}
+    monkeypatch.setattr(found, "_is_clean", lambda _, findings: findings == FINE)
+    monkeypatch.setattr(found, "_payload_share", lambda member: np.nan if member.left_out == "cell_1" else gone)
+    found._judge_release(of)
+    assert found._released is bool(accepted)
+    assert (found._told_rows is None) is (accepted is not None)
+    assert [change.kind for change in found.news()] == ["release_contradicted"] * (accepted is False)
+
+
+@pytest.mark.parametrize("lies", CELLS)
+def test_of_a_false_release_and_a_cell_that_jumps_both_are_told(rng, lies):
+    found = Hypotheses(identifier, CELLS)
+    assert (
+        len(fly(found, rng, gone_s=99.0, scale=lambda t: [1.6 if t >= 8.5 and n == lies else 1.0 for n in CELLS])) == 1
+    )
+    assert found.chosen is found._members[Member(lies)]
 
 
 def test_a_release_that_happens_is_believed(rng):
