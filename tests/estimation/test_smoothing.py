@@ -210,7 +210,7 @@ def test_samples_behind_a_filter_weigh_what_they_are_worth(rng, delay_s):
 
 def test_no_filter_makes_no_samples_alike():
     assert filtered_inflation(0.0, 0.002) == 1.0
-    assert filtered_inflation(1e-4, 0.002) == 1.0
+    assert filtered_inflation(1e-4, 0.002) == pytest.approx(1.0, abs=1e-6)
     with pytest.raises(RowError):
         filtered_inflation(0.001, 0.0)
     with pytest.raises(RowError):
