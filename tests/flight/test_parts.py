@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import butter, lfilter
 
 from drivers import records
 from drivers.records import Batch, Severity, event
 from onboard import config
 from onboard.config.estimation import Estimation
+from onboard.devices.cia404 import Cia404Device
 from onboard.devices.cia406 import Cia406Device
 from onboard.estimation.gates import GateReason
 from onboard.flight.acquire.publisher import Publisher, joined
@@ -263,6 +265,24 @@ def test_the_functions_of_cyclic_errors_are_smoothed_as_the_joint_is(rate_rad_s:
         left = scatter - smoothed.cyclic[:, order] @ gears
         told = np.sqrt(np.mean(smoothed.sigma[order] ** 2))
         assert np.sqrt(np.mean(left**2)) < 1.25 * told < 0.5 * np.sqrt(np.mean(scatter**2))
+
+
+def test_means_of_a_cell_behind_its_filter_scatter_as_their_sigma_says(rng: np.random.Generator) -> None:
+    """DYMAFLEX's cell: half of what a sample reads of its noise is in the next one too."""
+    vehicle = config.load(config.packaged("dymaflex"))
+    device, signals = vehicle.file.device["load_cell"], SignalSmoother(vehicle)
+    assert isinstance(device, Cia404Device)
+    b, a = butter(2, np.sqrt(2.0) / (1e-3 * device.delay_ms), fs=2.0 * np.pi * 1e4)
+    noise = lfilter(b, a, rng.normal(size=120_000))[::20][500:]  # every 2 ms
+    rows = np.zeros(len(noise), records.SCALAR)
+    rows["host_ns"], rows["unit"], rows["scale"] = 2_000_000 * np.arange(len(noise)), b"N", 1e-5
+    rows["value_raw"] = np.rint(device.noise_N * noise / noise.std() / 1e-5)
+    signals.append({"load_cell": rows})
+    at_ns = np.arange(8_000, 10_500, 10) * 1_000_000
+    found = signals.means(["load_cell"], recorded("load_cell"), at_ns, 10_000_000)
+    kept = found.refused == 0  # of the history
+    assert kept.sum() > 100
+    assert found.derivatives[0][kept].std() == pytest.approx(found.sigma[0][kept].mean(), rel=0.15)
 
 
 def test_a_hole_and_a_saturated_sample_refuse_the_ticks_around_them(tmp_path: Path) -> None:

@@ -17,14 +17,12 @@ from onboard import cli, config
 from onboard.flight.estimate.answers import change_event
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.identification import build_exiddm, build_model
+from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import ChannelAtTicks
 from onboard.flight.estimate.witness import RateWitness
 from onboard.identification.change import Change
-from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.verdict import Level
-from onboard.offline.estimate_again.exiddm_log import TickRecorder
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.report import theme
@@ -58,21 +56,6 @@ SEQUENCE = [
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
     path = tmp_path_factory.mktemp("witness") / "flight.mcap"
     return fly(path, 12, vehicle="dymaflex", sequence=SEQUENCE, capture={"earliest_s": 4.0, "latest_s": 5.0})
-
-
-def test_at_rest_the_cell_scatters_as_its_ticks_say(flown: Result) -> None:
-    """Its filter makes neighbouring samples alike, so their mean scatters more than by one over the root of five."""
-    vehicle = config.load(config.packaged("dymaflex"))
-    online, model = build_exiddm(vehicle)
-    recorder = TickRecorder("payload", len(model.joints), online.further)
-    for _ in feed(Estimator(vehicle, recorder), flown.log, 1.0):
-        pass
-    ticks = Ticks.joined(recorder.ticks).part(slice(35, 95))
-    assert ticks.rest
-    read = np.diff(ticks.measured[:, recorder.row_names.index("load_cell")])
-    assert np.isfinite(read).all()
-    expected = np.sqrt(2.0) * ticks.sigma[:, recorder.row_names.index("load_cell")].mean()
-    assert np.std(read) == pytest.approx(expected, rel=0.2)
 
 
 def told(log: Path, channel: str, spoil: Callable[[Rows], None]) -> tuple[list[str], np.void]:
