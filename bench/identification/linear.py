@@ -81,7 +81,7 @@ def part(signals: Signals, which: slice) -> Signals:
     noise = signals.noise
     arrays = {name: getattr(signals, name)[which] for name in ("time_s", "q", "dq", "ddq", "measured", "sigma")}
     if noise is not None:
-        own = {name: value[which] for name, value in noise._asdict().items() if name != "inflation"}
+        own = {name: value[which] for name, value in noise._asdict().items() if isinstance(value, np.ndarray)}
         noise = noise._replace(**own)
     return signals._replace(**arrays, motion=BaseMotion(*(v[which] for v in signals.motion)), noise=noise)
 

@@ -55,7 +55,10 @@ class LoadCellKeys(Section):
     ] = None
     zero_drift_N_s: Annotated[  # noqa: N815
         Positive | None,
-        Field(description="ExIDDM: 1 sigma of its zero's drift; 1e-5 of capacity_N a second if silent."),
+        Field(
+            description="1 sigma of its zero's drift. ExIDDM: 1e-5 of capacity_N a second if silent; intervals by rows "
+            "carry it where it is stated."
+        ),
     ] = None
     delay_ms: NotNegative = 0.0
     delay_sigma_ms: NotNegative = 0.0

@@ -29,7 +29,7 @@ ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, needed fo
 _MU2 = 1.0 / (12.0 * ORDER)  # second moment of B on a full width of one
 _MIN_SAMPLES = 5
 _CHUNK_CELLS = 200_000
-_FORGOTTEN = 12.0  # delays of a filter after which a sample tells nothing of another
+_FORGOTTEN = 40.0  # delays of a filter after which a sample tells nothing of another
 
 
 class Smoothed(NamedTuple):
@@ -394,8 +394,8 @@ def filtered_inflation(delay_s: float, period_s: float) -> float:
     """
     if not (delay_s >= 0.0 and period_s > 0.0):
         raise RowError("a filter's delay must not be negative, and a sample's period must be positive")
-    if delay_s == 0.0:
+    apart = period_s / delay_s if delay_s > 0.0 else np.inf
+    if apart > _FORGOTTEN:
         return 1.0
-    x = np.arange(1, 2 + int(_FORGOTTEN * delay_s / period_s)) * (period_s / delay_s)
-    rho = np.exp(-x) * (np.cos(x) + np.sin(x))
-    return float(np.sqrt(max(1.0 + 2.0 * rho.sum(), 1.0)))
+    following = ((1.0 - 1.0j) / np.expm1((1.0 - 1.0j) * apart)).real  # sum_k rho(k T) from 1 on, a geometric series
+    return float(np.sqrt(max(1.0 + 2.0 * following, 1.0)))

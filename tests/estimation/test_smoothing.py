@@ -208,6 +208,15 @@ def test_samples_behind_a_filter_weigh_what_they_are_worth(rng, delay_s):
     assert filtered.mean(axis=0).std() == pytest.approx(claimed, rel=0.15)
 
 
+@pytest.mark.parametrize("delay_s", [3e-4, 0.002, 0.05])
+def test_what_a_filter_lets_pass_is_the_sum_of_its_correlation_and_costs_no_memory(delay_s):
+    x = np.arange(1, 100_000) * (0.002 / delay_s)
+    summed = 1.0 + 2.0 * (np.exp(-x) * (np.cos(x) + np.sin(x))).sum()
+    assert filtered_inflation(delay_s, 0.002) == pytest.approx(np.sqrt(max(summed, 1.0)), rel=1e-9)
+    an_absurd_delay_s = 1e9
+    assert filtered_inflation(an_absurd_delay_s, 0.002) == pytest.approx(np.sqrt(2.0 * an_absurd_delay_s / 0.002))
+
+
 def test_no_filter_makes_no_samples_alike():
     assert filtered_inflation(0.0, 0.002) == 1.0
     assert filtered_inflation(1e-4, 0.002) == pytest.approx(1.0, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Consider parameters (Schmidt): scales, zeros, biases, axes, delays of known sigma, which are not estimated.
+"""Consider parameters (Schmidt): scales, zeros, drifts, biases, axes, delays of known sigma, which are not estimated.
 
 They are part of the intervals. One of a load cell changes its reading. One of a joint's sensor or of the base's IMU
 changes the regressor; its effect is the change of the predicted rows at the present estimate.
@@ -15,7 +15,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.regressor.rows import RowModel, base_motion
 from onboard.regressor.signals import Signals
 
-OfRow = Literal["scale", "delay"]
+OfRow = Literal["scale", "delay", "drift"]
 OfJoint = Literal["joint_scale", "joint_zero", "joint_delay"]
 OfImu = Literal[
     "gyro_scale",
@@ -28,6 +28,7 @@ OfImu = Literal[
     "accelerometer_bias",
 ]
 Effect = OfRow | OfJoint | OfImu
+_OF_ROW = ("scale", "delay", "drift")
 _OF_JOINT = ("joint_scale", "joint_zero", "joint_delay")
 _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
 _STEP_S = 1e-4  # of a delay
@@ -39,7 +40,7 @@ class Considered(NamedTuple):
     name: str
     row: str  # of a load cell; of a joint, its name; of the IMU, its frame
     effect: Effect
-    sigma: float  # relative for a scale, rad for a zero or a misalignment, s for a delay, rad/s or m/s^2 for a bias
+    sigma: float  # relative for a scale, rad for a zero or misalignment, s for a delay, rad/s or m/s^2 for a bias, N/s
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
     axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
 
@@ -50,6 +51,8 @@ class Considered(NamedTuple):
             value = f"{1e3 * self.sigma:.3g} ms"
         elif self.effect.endswith(("zero", "misalignment")):
             value = f"{1e3 * self.sigma:.3g} mrad"
+        elif self.effect == "drift":
+            value = f"{self.sigma:.3g} N/s"
         elif self.effect.endswith("bias"):
             value = f"{self.sigma:.3g} {'rad/s' if self.effect.startswith('gyro') else 'm/s^2'}"
         else:
@@ -65,7 +68,7 @@ def check(considered: Sequence[Considered], model: RowModel) -> None:
     """
     rows, joints = [row.name for row in model.rows], [joint.name for joint in model.vehicle.joints]
     for cause in considered:
-        if cause.effect in ("scale", "delay") and cause.row not in rows:
+        if cause.effect in _OF_ROW and cause.row not in rows:
             raise UnknownFrameError(f"considered {cause.name!r} names row {cause.row!r}; there are {rows}")
         if cause.effect in _OF_JOINT and cause.row not in joints:
             raise UnknownFrameError(f"considered {cause.name!r} names joint {cause.row!r}; there are {joints}")
@@ -73,7 +76,7 @@ def check(considered: Sequence[Considered], model: RowModel) -> None:
 
 def of_motion(considered: Sequence[Considered]) -> bool:
     """Whether any changes the regressor: an error of a joint's sensor or of the base's IMU."""
-    return any(cause.sigma > 0.0 and cause.effect not in ("scale", "delay") for cause in considered)
+    return any(cause.sigma > 0.0 and cause.effect not in _OF_ROW for cause in considered)
 
 
 def columns(
@@ -105,6 +108,8 @@ def columns(
     for k, cause in enumerate(considered):
         if cause.effect == "scale":
             C[:, names.index(cause.row), k] = signals.measured[at, names.index(cause.row)]
+        elif cause.effect == "drift":
+            C[:, names.index(cause.row), k] = signals.time_s[at]
         elif cause.effect == "delay":
             if signals.measured_rate is None:
                 raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")

@@ -311,6 +311,23 @@ def test_a_delay_is_considered_by_the_rate_of_the_reading(rng):
         feed(identifier(considered=delay), signals._replace(measured_rate=None), held)
 
 
+@pytest.mark.parametrize("since_boot_s", [0.0, 1e5])
+def test_a_drift_of_a_cells_zero_is_considered_whenever_the_computer_was_started(rng, since_boot_s):
+    signals, held, _ = flight(rng)
+    signals = signals._replace(noise=None, time_s=signals.time_s + since_boot_s)
+    who = identifier(considered=(Considered("drift", "load_cell", "drift", 1e-3, "load_cell zero_drift_N_s"),))
+    feed(who, signals, held)
+    since_start_s = signals.time_s - signals.time_s[0]
+    drifting, steady = identifier(considered=()), identifier(considered=())
+    feed(drifting, signals._replace(measured=signals.measured + 1e-3 * since_start_s[:, None]), held)
+    feed(steady, signals, held)
+    zz = setup()[3][0].weights
+    moved = zz @ (drifting.rls.solve().mean - steady.rls.solve().mean)
+    assert abs(moved) > 1e-9
+    assert zz @ who.rls.solve().sensitivity[:, 0] * 1e-3 == pytest.approx(moved, rel=1e-3)
+    assert who.considered[0].stated == "load_cell zero_drift_N_s 0.001 N/s"
+
+
 def test_reasons_and_counts(rng):
     signals, held, _ = flight(rng)
     excluded = np.zeros(held.size, np.int64)
