@@ -34,6 +34,7 @@ _KINDS = {  # units of base parameters, by the first part of their names
 }
 _UNDETERMINED = "weak: not determined by the data"
 _DIGITS = 5  # significant, of a truth
+_FEWER = 2  # digits, of what is about zero and has those of its interval
 
 
 def is_own(truth: Truth) -> bool:
@@ -73,7 +74,10 @@ def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) 
         row: Row = {"quantity": name, "label": name, "value": float(value), "shown_in": shown_in, "factor": factor}
         if section == "motion":  # which is about zero: an error relative to it says nothing
             row |= {"label": name.replace("_before_capture_", " before, "), "unit": answer["unit"], "absolute": True}
-        row["digits"] = _digits(factor * abs(float(value)))
+            size = max(abs(float(value)), *(abs(answer.get(end) or 0.0) for end in ("low", "high")))
+            row["digits"] = max(_digits(factor * size) - _FEWER, 0)
+        else:
+            row["digits"] = _digits(factor * abs(float(value)))
         found[section].append(row)
     if (
         vehicle.file.estimation.method == "exiddm" and vehicle.file.planar is None

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from onboard import config
 from onboard.identification.verdict import Level, Verdict
 from onboard.offline.estimate_again.identified import Answer
 from onboard.offline.views import own_mission
@@ -33,3 +34,16 @@ def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
     assert rows["m_box"]["standing"] == "good"
     assert rows["I_zz_box"]["standing"] == "weak: its interval contains zero"
     assert rows["c_z_box"]["standing"] == rows["I_xx_box"]["standing"] == "weak: not determined by the data"
+
+
+def test_what_is_about_zero_has_the_digits_of_its_interval():
+    names = [f"velocity_before_capture_{axis}" for axis in "xyz"]
+    truth = {"quantities": dict.fromkeys(names, 1.2371e-4) | {"m_payload": 5.0}, "pucks": {}}
+    told, untold = {"unit": "m/s", "low": -0.02416, "high": 0.04098}, {"unit": "m/s", "low": None, "high": None}
+    answers = {"m_payload": {"unit": "kg", "low": 4.9, "high": 5.1}} | dict(
+        zip(names, (told, untold, told), strict=True)
+    )
+    found = own_mission.compared(config.load(config.packaged("dymaflex")), answers, truth)
+    assert [row["digits"] for row in found["motion"]] == [1, 3, 1]
+    [mass] = [row for rows in found.values() for row in rows if row["quantity"] == "m_payload"]
+    assert f"{mass['factor'] * mass['value']:.{mass['digits']}f}" == "5000.0"
