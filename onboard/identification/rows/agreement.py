@@ -38,7 +38,7 @@ STEP_CHANCE, DOUBTFUL_CHANCE = 1e-4, 1e-3  # that a step comes of the scatter of
 _SUSPECTED_CHANCE = 0.05  # from which on intervals contain a step
 _FEWEST = 2  # blocks on each side of a step
 _SCALE_INFORMATION = 1.0  # on a constant error of an instrument's gain: 1 sigma is 100 %
-_ABSORBED = 1e-6  # of a step's information, left by the parameters: rounding
+_ABSORBED = 0.01  # of a step's information, left by the parameters: one where a payload goes is hardly told from it
 _MOST_SHARE = 0.9  # of the information on a step that one block may have in its leverage
 
 

@@ -100,6 +100,21 @@ def test_of_two_cells_one_that_jumps_at_the_release_is_seen(rng):
         assert any("from one time on" in said for said in judged_fit(fit, 1.0)[0])
 
 
+def test_a_step_that_a_released_payload_would_take_up_is_none(rng):
+    """A twentieth of the readings, which hardly tells a gain, is another one after the release: no jump of the gain."""
+    t = 0.01 * np.arange(2000)
+    held, one = t < 10.0, np.ones(t.size)
+    swing, faint = np.sin(5.0 * t), 0.02 * np.cos(7.0 * t)
+    Y = np.column_stack([swing, held * swing, faint, one])
+    y = Y @ [0.5, 0.8, 1.0, 3.0] - np.where(held, 0.0, 1.5) * faint + 0.002 * rng.normal(size=t.size)
+    seen = RowBlocks(4, 0.5, ("cell",))
+    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, 0.002 * one, 0.002 * one, None)
+    mean, physical = np.linalg.lstsq(Y, y, rcond=None)[0], np.array([True, True, True, False])
+    [fit] = instrument_fits(seen, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
+    assert fit.step is None or abs(fit.step.time_s - 10.0) > 0.5
+    assert judged_fit(fit, 1.0)[0] == []
+
+
 @pytest.mark.parametrize("scale", [1.0, 1.05])
 def test_a_long_rest_before_the_motion_hides_no_jump_and_makes_none(rng, scale):
     """Rows of rest are exact: 100 times as large a signal, were it one."""
