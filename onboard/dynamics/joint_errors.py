@@ -124,9 +124,9 @@ class JointErrors:
             displaced: by the errors.
             bodies: all links.
         """
-        I = self.beyond(bodies).inertia[..., :3, :] @ displaced.screws[..., :4]  # noqa: E741  (n, joints, 3, 4)
-        out = np.empty((len(I), 3, self.columns))
-        _put(out, I, I[..., 3].swapaxes(1, 2) @ displaced.functions[:, : I.shape[1]])
+        moved = self.beyond(bodies).inertia[..., :3, :] @ displaced.screws[..., :4]  # (n, joints, 3, 4)
+        out = np.empty((len(moved), 3, self.columns))
+        _put(out, moved, moved[..., 3].swapaxes(1, 2) @ displaced.functions[:, : moved.shape[1]])
         return out
 
     def into(self, displaced: Displaced, bodies: Bodies, H: FloatArray | None, Y: FloatArray) -> None:

@@ -1,5 +1,7 @@
 """An adapter that is read every 10 ms, as the tests of its driver fly it."""
 
+import numpy as np
+
 from drivers.qsb import Qsb, QsbConfig
 from tests.drivers.batches import whole
 from tests.drivers.qsb_model import QsbModel
@@ -35,3 +37,9 @@ class Flight(SerialFlight):
 
     def rows(self):
         return whole(self.batches, "joint")
+
+
+def model_counts(flight, rows):
+    """What the model counted at the ticks of the rows."""
+    qsb = flight.qsb
+    return np.array([qsb.encoder(qsb.zero_ns + int(tick) * qsb.tick_ns) - qsb.zero_count for tick in rows["tick"]])

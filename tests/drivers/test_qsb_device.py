@@ -10,7 +10,7 @@ from drivers.marks import MARK
 from drivers.qsb import Qsb, QsbConfig
 from drivers.records import SCALAR, SampleStatus
 from tests.drivers.batches import codes, of, texts, whole
-from tests.drivers.qsb_flight import Flight, S
+from tests.drivers.qsb_flight import Flight, S, model_counts
 from tests.drivers.qsb_model import QsbModel
 from tests.drivers.serial_script import MS, Pty
 
@@ -20,12 +20,6 @@ def flight(clock):
     flight = Flight(clock)
     flight.start()
     return flight
-
-
-def model_counts(flight, rows):
-    """What the model counted at the ticks of the rows."""
-    qsb = flight.qsb
-    return np.array([qsb.encoder(qsb.zero_ns + int(tick) * qsb.tick_ns) - qsb.zero_count for tick in rows["tick"]])
 
 
 def test_it_is_set_up_with_the_manuals_commands_and_streams(flight):

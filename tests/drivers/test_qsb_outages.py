@@ -5,7 +5,7 @@ import pytest
 
 from drivers.records import SampleStatus
 from tests.drivers.batches import codes, of, texts
-from tests.drivers.qsb_flight import Flight, S
+from tests.drivers.qsb_flight import Flight, S, model_counts
 from tests.drivers.serial_script import fault_at_any_call
 
 
@@ -14,12 +14,6 @@ def flight(clock):
     flight = Flight(clock)
     flight.start()
     return flight
-
-
-def model_counts(flight, rows):
-    """What the model counted at the ticks of the rows."""
-    qsb = flight.qsb
-    return np.array([qsb.encoder(qsb.zero_ns + int(tick) * qsb.tick_ns) - qsb.zero_count for tick in rows["tick"]])
 
 
 @pytest.mark.parametrize("greets", [True, False])

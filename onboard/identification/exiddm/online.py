@@ -14,10 +14,10 @@ from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.identification.capture.before_capture import Payload
-from onboard.identification.capture.captured_body import CapturedBody
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, told, too_large
+from onboard.identification.exiddm.before_capture import Payload
+from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm

@@ -23,14 +23,14 @@ from onboard.flight.estimate.answers import change_of, instrument_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
-from onboard.identification.capture.before_capture import (
+from onboard.identification.change import Change, CONTACT_s
+from onboard.identification.exiddm.before_capture import (
     ANNOUNCED_s,
     BeforeCapture,
     Payload,
     Zeros,
     before_capture,
 )
-from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.further import Further
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE

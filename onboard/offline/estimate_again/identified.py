@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.vehicle import STANDARD
-from onboard.identification.capture.before_capture import BeforeCapture
+from onboard.identification.exiddm.before_capture import BeforeCapture
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut

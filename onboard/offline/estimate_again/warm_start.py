@@ -22,7 +22,7 @@ from drivers.records import Rows
 from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.identification import build_online
-from onboard.identification.capture.captured_body import NAMES
+from onboard.identification.exiddm.captured_body import NAMES
 from onboard.identification.rows.identifier import Identifier, Start
 from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader

@@ -2,7 +2,7 @@
 
 Ticks about a change that may be a capture are kept until it is classified. Once the payload is known, its momentum is
 what vehicle and payload have together after the capture, less what the vehicle alone would have
-(:mod:`onboard.identification.capture.before_capture`). As the payload becomes better known it is told again, each time
+(:mod:`onboard.identification.exiddm.before_capture`). As the payload becomes better known it is told again, each time
 half as many more ticks have been used, for up to a minute: the zeros of the IMU at the capture are known only so long.
 """
 
@@ -13,7 +13,8 @@ from scipy.special import ndtri
 
 from onboard.dynamics.errors import SignalError
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.capture.before_capture import (
+from onboard.identification.change import Change
+from onboard.identification.exiddm.before_capture import (
     ANNOUNCED_s,
     BeforeCapture,
     Payload,
@@ -21,7 +22,6 @@ from onboard.identification.capture.before_capture import (
     before_capture,
     margins_s,
 )
-from onboard.identification.change import Change
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks

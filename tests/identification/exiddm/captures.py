@@ -6,7 +6,7 @@ from hil_sim.plants import free_flyer
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.payload import standard_covariance, standard_of
-from onboard.identification.capture.before_capture import Payload, Zeros, before_capture
+from onboard.identification.exiddm.before_capture import Payload, Zeros, before_capture
 from tests.identification.exiddm.recorded_flights import BIASED, online, recorded, ticks_of
 
 PERIOD_s = 0.01

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from onboard.identification.capture.before_capture import Payload
-from onboard.identification.capture.captured_body import NAMES, CapturedBody
 from onboard.identification.change import Change
+from onboard.identification.exiddm.before_capture import Payload
+from onboard.identification.exiddm.captured_body import NAMES, CapturedBody
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
-from tests.identification.capture.captures import LARGE, Case
+from tests.identification.exiddm.captures import LARGE, Case
 
 CAPTURE_s, END_s, BATCH = 3.0, 9.0, 10
 SMALL = free_flyer.Body.box(1.0, (0.12, 0.11, 0.10), (0.01, -0.01, 0.05))
