@@ -6,7 +6,8 @@
 #
 # It installs twice (the second time must change nothing), checks the unit with systemd-analyze, boots the root where this
 # machine allows it, lets the service fly as systemd starts it for HEFT_TRY_FLIGHT_S (15), kills it, lets it go on with the
-# flight, reads the logs it made, uninstalls, and compares the files of the root with those before.
+# flight, stops its supervisor (SIGSTOP) until the watchdog of systemd starts it again, reads the logs it made, uninstalls,
+# and compares the files of the root with those before.
 # HEFT_TRY_ROOT=FILE.tar keeps the fresh root for the next run. PIP_* variables are handed on. Exit codes: 0 all held;
 # 69 this machine cannot do it; 1 something did not hold (the last line says what).
 set -eu
@@ -30,6 +31,13 @@ inside() {
     systemd-nspawn -q -D "$work/root" --pipe --register=no --keep-unit --resolv-conf=replace-host "$@"
 }
 in_flight() { nsenter -t "$leader" -m -p -u -i -n "$@"; }
+await_part() {    # NUMBER SECONDS: of the flight
+    for second in $(seq "$2"); do
+        sleep 1
+        ! ls "$work/root/var/lib/heft/flights/"*"-001-part$1.mcap" 2>/dev/null || { echo "after $second s" && return 0; }
+    done
+    return 1
+}
 listing() {
     (cd "$work/root" && find . -xdev \( -path ./root -o -path ./proc -o -path ./sys -o -path ./dev -o -path ./run -o -path ./tmp \
         -o -path ./var/cache -o -path ./var/lib/apt -o -path ./var/lib/dpkg -o -path ./var/log -o -path ./usr \
@@ -89,11 +97,12 @@ if ls "$work/root/var/lib/heft/flights/"*.mcap >/dev/null 2>&1; then
         die 1 'the service did not say that it is ready, or was started again'
     note 'everything is killed: systemd starts it again, and it goes on with the flight'
     in_flight systemctl kill --kill-whom=all --signal=KILL heft.service
-    for _ in $(seq 60); do
-        sleep 1
-        ! ls "$work/root/var/lib/heft/flights/"*-001-part2.mcap >/dev/null 2>&1 || break
-    done
-    ls "$work/root/var/lib/heft/flights/"*-001-part2.mcap || die 1 'it did not go on with the flight'
+    await_part 2 60 || die 1 'it did not go on with the flight'
+    sleep 15    # it feeds the watchdog by then
+    note 'its supervisor hangs: the watchdog of systemd starts it again, and it goes on with the flight'
+    in_flight systemctl kill --kill-whom=main --signal=STOP heft.service
+    await_part 3 150 || die 1 'the watchdog did not start it again'
+    in_flight systemctl show -p NRestarts heft.service
     sleep 3
     in_flight systemctl stop heft.service
     in_flight journalctl --no-pager -u heft -n 25 || :

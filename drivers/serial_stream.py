@@ -26,6 +26,7 @@ LONGEST_FRESH_READ_NS = 35_000_000
 LARGEST_FRESH_READ = 4000
 MOST_EXCHANGES = 32  # largest number of exchanges per pump
 MS = 1_000_000
+SILENT_AT_STOP_NS = 100 * MS
 
 
 class ReceivedBytes(NamedTuple):
@@ -258,6 +259,17 @@ class SerialDevice(ABC):
 
     def _finish(self, now_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is
         """Called before the port is closed."""
+
+    def _misses_its_end(self, silent_ns: int, period_ns: float = 0.0) -> bool:
+        """Whether samples of a stream are missing behind its last row.
+
+        Bytes after it were bad, or it stopped long ago.
+
+        Args:
+            silent_ns: From the last row to the stop.
+            period_ns: Between two rows.
+        """
+        return self._broken or silent_ns > max(SILENT_AT_STOP_NS, 3.0 * period_ns)
 
     def _heard(self, now_ns: int) -> None:
         """A valid frame arrived."""

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-import numpy as np
-
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.bus_port import BusPort
 from drivers.canopen_pdo.channel import NodeConfig, PdoChannel
@@ -17,10 +15,11 @@ from drivers.canopen_pdo.player import Player
 from drivers.canopen_pdo.player_config import PlayerConfig
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
 from drivers.canopen_pdo.sync_channel import SyncChannel
+from drivers.canopen_pdo.sync_rows import SyncRows
 from drivers.canopen_pdo.torque_master import TorqueConfig, TorqueMaster
 from drivers.errors import ConfigurationError, FrameError
 from drivers.ports import CanFrame, CanPort
-from drivers.records import CAN_SYNC, Batch, Severity
+from drivers.records import Batch, Severity
 from drivers.reporter import Reporter
 
 OVERDUE = 2.5  # SYNC periods without SYNC after which held TPDOs become rows
@@ -67,13 +66,12 @@ class CanopenBus:
         self.unclaimed = 0
         self._report = Reporter(name)
         self._port = BusPort(port, self._report)
-        self._sync_channel = sync.name
         self._period_ns = sync.period_ns
         self._sync = SyncCounter(sync.period_ns)
-        self._sync_sequence = 0
-        self._sync_rows: list[tuple[int, int, int, int]] = []
+        self._sync_rows = SyncRows(sync, self._report)
         self._sync_sent_ns: int | None = None
         self._sync_missed = False
+        self._was_disturbed = False  # error frames before the first SYNC
         self._bad_syncs = 0  # since the last one that could be read
         self._started_ns = 0
         self._pumped_ns: int | None = None
@@ -195,7 +193,7 @@ class CanopenBus:
             each.live = False
         if self.player is not None:
             self.player.hand_over()
-        text = f"stopped after {self._sync_sequence} SYNCs, {self.unclaimed} unclaimed frames"
+        text = f"stopped after {self._sync_rows.count} SYNCs, {self.unclaimed} unclaimed frames"
         self._report.event(now_ns, Severity.INFO, "stopped", text)
         self._report.flush(now_ns)
         return self._handed_over()
@@ -253,6 +251,7 @@ class CanopenBus:
         for host_ns, identifier, data, is_error in frames:
             if is_error:
                 self._port.report_error_frame(host_ns, identifier, data)
+                self._was_disturbed |= self._sync.tick is None
                 continue
             routes = handlers.get(identifier)
             if routes is None:
@@ -275,6 +274,8 @@ class CanopenBus:
         stood = self._stood_from_ns <= host_ns < self._stood_to_ns + STOOD_NS  # it may lack what the bus did carry
         tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns, stood)
         self._sync_sent_ns = None
+        if before_tick is None and self._was_disturbed:  # its producer may have sent since the start
+            lost = max(0, host_ns - self._started_ns) // self._period_ns
         lost = max(lost, self._bad_syncs) if restarted else lost  # those that could not be read are in no other gap
         self._bad_syncs = 0
         if self._sync_missed:
@@ -294,23 +295,15 @@ class CanopenBus:
             self._report.event(host_ns, Severity.ERROR, "sync_restarted", text)
             for channel in self._synchronous:
                 channel.sync_restarted(host_ns, before_tick, tick)
-        if lost:
-            first = self._sync_sequence
-            duration_ns = lost * self._period_ns
-            cause = "not_read" if stood else "no_sync"
-            self._report.gap(host_ns, self._sync_channel, first, first + lost - 1, duration_ns, cause)
-            self._sync_sequence += lost
-        self._sync_rows.append((self._sync_sequence, host_ns, tick, counter))
-        self._sync_sequence += 1
+        self._sync_rows.lose(host_ns, lost, "not_read" if stood else "no_sync")
+        self._sync_rows.add(host_ns, tick, counter)
 
     def _lost_at_the_end(self, now_ns: int, last: int | None) -> int | None:
         """Number of the run's last SYNC; those that should have come after ``last``, the last one seen, are a gap."""
         lost = int(self._sync.silence(now_ns) - 0.5)
         if last is None or lost < OVERDUE:
             return last
-        first = self._sync_sequence
-        self._report.gap(now_ns, self._sync_channel, first, first + lost - 1, lost * self._period_ns, "no_sync")
-        self._sync_sequence += lost
+        self._sync_rows.lose(now_ns, lost)
         return last + lost
 
     def _watch_sync(self, now_ns: int) -> None:
@@ -354,11 +347,7 @@ class CanopenBus:
         return frames
 
     def _handed_over(self) -> list[Batch]:
-        if self._sync_rows:
-            rows = np.zeros(len(self._sync_rows), CAN_SYNC)
-            rows[:] = self._sync_rows
-            self._sync_rows.clear()
-            self._report.rows(self._sync_channel, rows)
+        self._sync_rows.hand_over()
         for channel in self._channels:
             channel.hand_over()
         return self._report.take()

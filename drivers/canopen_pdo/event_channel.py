@@ -11,7 +11,7 @@ from drivers.canopen_pdo.channel import PdoChannel, Sample
 from drivers.canopen_pdo.mapped_object import MappedObject, Reading
 from drivers.canopen_pdo.sdo import Setup
 from drivers.canopen_pdo.sync import SyncCounter
-from drivers.records import SampleStatus, Severity
+from drivers.records import CHANGES_UNHEARD, SampleStatus, Severity
 from drivers.reporter import Reporter
 
 CHECK_NS = 500_000_000
@@ -121,14 +121,14 @@ class EventChannel(PdoChannel):
         if counter is not None and self._counter is not None:
             self._lose(host_ns, self._object.steps(self._counter, counter) - len(self._rejected), counted=True)
         elif self._value is not None and (sample.value_raw != self._value or self._cut):
-            self._lose(host_ns, 1)
+            self._lose(host_ns, 1, cause=CHANGES_UNHEARD if self._cut else "no_pdo")
         self._checked_ns = self._confirmed_ns = host_ns
         self._accept(host_ns, sample, counter)
 
     def finish(self, now_ns: int) -> None:
         """Last call: without a sign of life, changes up to the end may have been missed."""
         if self.started and self._object.is_readable and now_ns - self._confirmed_ns > OUTAGE_NS:
-            self._lose(now_ns, 1)
+            self._lose(now_ns, 1, cause=CHANGES_UNHEARD)
 
     def _accept(self, host_ns: int, sample: Sample, counter: int | None) -> None:
         self._unconfirmed = sample.value_raw != self._value
@@ -141,13 +141,15 @@ class EventChannel(PdoChannel):
         self._row_ns = host_ns
         self._append(host_ns, self._sync.tick or 0, sample._replace(status=sample.status | status), 0)
 
-    def _lose(self, host_ns: int, count: int, *, counted: bool = False) -> None:
+    def _lose(self, host_ns: int, count: int, *, counted: bool = False, cause: str = "no_pdo") -> None:
         """Record a gap of ``count`` TPDOs that did not arrive. A node that was cut off may not have sent them."""
         if count <= 0:
             return
         name, first = self.data.name, self._next
         span_ns = host_ns - self._row_ns
-        self._report.gap(host_ns, name, first, first + count - 1, span_ns, "no_pdo", counted=counted and not self._cut)
+        self._report.gap(host_ns, name, first, first + count - 1, span_ns, cause, counted=counted and not self._cut)
         self._next += count
-        text = f"{count} TPDOs {self.data.cob_id:03X}h did not arrive, by its counter or its value now: check the bus"
+        least = "at least " if cause == CHANGES_UNHEARD else ""
+        cob_id = self.data.cob_id
+        text = f"{least}{count} TPDOs {cob_id:03X}h did not arrive, by its counter or its value now: check the bus"
         self._report.event(host_ns, Severity.WARNING, "pdo_lost", text, name)

@@ -10,12 +10,11 @@ from drivers.nimu.packet import STANDARD_GRAVITY_M_S2, NimuConfig, Packets, Pack
 from drivers.nimu.timer import TURN_NS, PacketTicks, PacketTimer
 from drivers.records import IMU, SCALAR, Rows, SampleStatus, Severity
 from drivers.repeats import Repeats, longest_run
-from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 
 _GYRO, _ACCEL, _MAGNETOMETER, _TEMPERATURE = slice(0, 3), slice(3, 6), slice(6, 9), 9
 _DEG = np.pi / 180.0
 _TESLA_PER_GAUSS = 1e-4
-SILENT_AT_STOP_NS = 100 * MS
 ACCEL_NOISE_G, GYRO_NOISE_DEG_S = 0.3e-3, 0.28  # rms: half of PSD-0822
 BANDWIDTH_HZ, HIGHEST_RATE_HZ = 50.0, 303.0  # PSD-0822; packets in a second at 115,200 baud
 
@@ -154,9 +153,11 @@ class Nimu(SerialDevice):
 
     def _finish(self, now_ns: int) -> None:
         period_ns = self._timer.period_ns
-        if period_ns is None or now_ns - self._last_ns < SILENT_AT_STOP_NS:
+        if period_ns is None or not self._misses_its_end(now_ns - self._last_ns):
             return
         lost = int((now_ns - self._last_ns) / period_ns)
+        if not lost:
+            return
         first, last = self._next, self._next + lost - 1
         for channel in (self.name, *self._magnetometer_channels()):
             self._report.gap(now_ns, channel, first, last, now_ns - self._last_ns, "silent")

@@ -20,13 +20,12 @@ from drivers.node_frame.frame import (
     payload_dtype,
 )
 from drivers.records import SCALAR, SampleStatus, Severity
-from drivers.serial_stream import MS, Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
+from drivers.serial_stream import Channels, Clock, OpenPort, ReceivedBytes, SerialDevice
 from drivers.unwrap import unwrapped
 
 MOST_HELD = 4096  # data frames held until the first descriptor
 LONGEST_FRAME_NS = 60e9  # longest interval between two frames accepted from the node's clock
 LONGEST_GAP_NS = 1 << 62
-SILENT_AT_STOP_NS = 100 * MS
 NODE_NOT_VALID, NODE_SATURATED = 1, 2  # bits of the node's status byte; the others are node-specific
 _SEQUENCE_AT = slice(4, 8)
 
@@ -298,8 +297,8 @@ class NodeFrame(SerialDevice):
         if self._last_ns is None or self._frame_ns == 0.0:
             return
         silent_ns = now_ns - self._last_ns
-        if silent_ns > max(SILENT_AT_STOP_NS, 3.0 * self._frame_ns):
-            lost = round(silent_ns / self._frame_ns)
+        lost = round(silent_ns / self._frame_ns)
+        if lost and self._misses_its_end(silent_ns, self._frame_ns):
             for channel in self._names:
                 self._report.gap(now_ns, channel, self._next, self._next + lost - 1, silent_ns, "silent")
             self._next += lost

@@ -21,7 +21,6 @@ from drivers.unwrap import unwrapped
 
 TRIES = 3
 OPTIONAL_REPLY_NS = 50 * MS
-SILENT_AT_STOP_NS = 100 * MS
 _STREAM, _REFUSED, _UNSUPPORTED = b"sex"
 
 
@@ -302,7 +301,7 @@ class Qsb(SerialDevice):
             if chunk is not None:
                 self._receive(now_ns, chunk)
         self._hand_over_marks(now_ns, None)
-        if self._last_ns is not None and now_ns - self._last_ns > SILENT_AT_STOP_NS:
+        if self._last_ns is not None and self._misses_its_end(now_ns - self._last_ns):
             lost = round((now_ns - self._last_ns) / self.config.interval_ns)
             cause = self._cause or "silent"
             if lost > 0:  # a long interval may not have passed yet

@@ -17,6 +17,7 @@ import numpy as np
 
 from hil_sim.devices.canopen.can_wire import Babbler, CanTalker, CanWire, is_process_data
 from hil_sim.devices.canopen.sync_train import WireFrame
+from hil_sim.devices.sync.sync_box import SYNC_COB_ID
 from hil_sim.devices.sync.sync_line import EdgeCapture
 from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
@@ -248,6 +249,8 @@ class CanBus:
         if self._link.listening:
             self.heard.update([frame.identifier for frame in frames])
         if self._faults:
+            if self._link.listening:  # a babbling node's frames of eight bytes are no SYNCs
+                self.heard[SYNC_COB_ID] -= sum(f.identifier == SYNC_COB_ID and len(f.data) > 1 for f in frames)
             kept = [frame for frame in frames if not self._is_dropped(frame)]
             self.dropped += len(frames) - len(kept)
             frames = self._arrived(kept, now_ns)

@@ -45,7 +45,7 @@ class ArmController(CanopenNode):
         self._changes = reported_phases(self._changes, faults)
         self._changes.reverse()
         self._read_back = 0  # times
-        self._shown: tuple[int, int, int] | None = None  # when the phase was read last
+        self._shown: tuple[int, ...] | None = None  # when the phase was read last
         self._phase = self._events = 0  # not objects of their own: an NMT reset does not touch the sequence
         u8 = DataType.U8
         self.dictionary.add(0x2000, 0, Entry(u8, Access.RO, 2))
@@ -58,13 +58,14 @@ class ArmController(CanopenNode):
     def produced(self) -> int:
         """Phases reported: a TPDO1 on entering Operational, one per change in it, and each SDO read.
 
-        Reads with no change, TPDO or set-up (a read of 1000h) between them are one: a lost answer is asked for again.
+        Reads with no change, TPDO, emergency message or set-up (a read of 1000h) between them are one: a lost answer is
+        asked for again.
         """
         return self._tpdo_1.produced + self._read_back
 
     def _uploaded(self, read: tuple[int, int]) -> None:
         super()._uploaded(read)
-        shown = self._tpdo_1.produced, self._events, self.uploads[0x1000, 0]
+        shown = self._tpdo_1.produced, self._events, self.emergencies, self.uploads[0x1000, 0]
         if read == (0x2000, 1) and shown != self._shown:
             self._read_back += 1
             self._shown = shown

@@ -4,9 +4,9 @@ Subclasses fill the object dictionary. What a client may count on: boot-up 50 ms
 each node number; 5 ms after an NMT reset; timers that run slow by 50 ppm for each node number; an SDO answer 0.5 ms
 after its request; a TPDO offered to the bus 40 us after the SYNC that it answers, its objects sampled at the end of the
 SYNC frame. SDO transfers are expedited; a segmented one is aborted with 05040001h. A SYNC is taken with or without
-counter. A node is watched by its heartbeat or, where it was made without one, by node guarding (7.2.8.3.2.1): it
-answers remote frames with its state and a bit that toggles, and when none came for guard time x life time factor it
-reports 8130h and leaves Operational, the default of 1029h.
+counter; a longer frame is none, and is reported once by 8240h. A node is watched by its heartbeat or, where it was made
+without one, by node guarding (7.2.8.3.2.1): it answers remote frames with its state and a bit that toggles, and when
+none came for guard time x life time factor it reports 8130h and leaves Operational, the default of 1029h.
 """
 
 from collections import Counter, deque
@@ -27,7 +27,7 @@ _RESET_NS = 5_000_000
 _SDO_NS = 500_000
 _SYNC = 0x080
 _TOGGLE = 0x80
-_LIFE_GUARD_ERROR, _COMMUNICATION_ERROR = 0x8130, 0x10
+_LIFE_GUARD_ERROR, _SYNC_LENGTH_ERROR, _COMMUNICATION_ERROR = 0x8130, 0x8240, 0x10
 _FIRST_COMMUNICATION, _LAST_COMMUNICATION = 0x1000, 0x1FFF
 
 # NMT states, as the heartbeat reports them.
@@ -69,6 +69,7 @@ class CanopenNode:
         self.state = OFF
         self.dictionary = ObjectDictionary()
         self.uploads: Counter[tuple[int, int]] = Counter()  # SDO reads answered, by object
+        self.emergencies = 0  # messages sent
         self._faults = faults.require(
             FaultKind.OFF,
             FaultKind.RESET,
@@ -126,7 +127,9 @@ class CanopenNode:
         if self.state in _DEAF or (self._is_faulty and self._faults.is_away(now_ns)):
             return
         if identifier == self._sync_cob_id.value:
-            if self.state == OPERATIONAL:
+            if len(data) > 1:
+                self._refuse_sync(now_ns)
+            elif self.state == OPERATIONAL:
                 self._on_sync(data[0] if data else None, now_ns)
         elif identifier == 0x600 + self.node_id:
             if self.state != STOPPED and len(data) == 8:
@@ -179,6 +182,7 @@ class CanopenNode:
             self._last_error.value = code
             self._error_count.value = 1
         if self.state in (PRE_OPERATIONAL, OPERATIONAL):
+            self.emergencies += 1
             body = code.to_bytes(2, "little") + bytes([register]) + vendor[:5].ljust(5, b"\0")
             self._send(self._emcy_cob_id.value & 0x7FF, body, now_ns)
 
@@ -293,6 +297,10 @@ class CanopenNode:
             self._stop(f"inhibit {tpdo.number}")
 
     # SYNC and TPDO
+
+    def _refuse_sync(self, now_ns: int) -> None:
+        if self._last_error.value != _SYNC_LENGTH_ERROR:
+            self.emergency(_SYNC_LENGTH_ERROR, _COMMUNICATION_ERROR, b"", now_ns)
 
     def _on_sync(self, counter: int | None, now_ns: int) -> None:
         for tpdo in self._tpdos:

@@ -54,10 +54,15 @@ class Account(NamedTuple):
         return self.produced - self.recorded - self.missing
 
     @property
+    def is_least(self) -> bool:
+        """Whether ``missing`` is a lower bound: nobody heard how many changes there were."""
+        return any(gap["cause"] == records.CHANGES_UNHEARD for gap in self.gaps)
+
+    @property
     def is_whole(self) -> bool:
         """Whether all samples are accounted for, see the module."""
         estimates = sum(1 for gap in self.gaps if gap["about"])
-        if any(gap["cause"] == records.CHANGES_UNHEARD for gap in self.gaps):
+        if self.is_least:
             return self.left >= -self.about
         return -self.about <= self.left <= SHORT_PART * self.about + SHORT_EACH * estimates
 
@@ -161,7 +166,7 @@ def render(made: dict[str, Account]) -> list[str]:
 def _counted(account: Account) -> str:
     if not account.missing:
         return str(account.recorded)
-    about = "about " if account.about else ""
+    about = "at least " if account.is_least else "about " if account.about else ""
     from_s, to_s = min(gap["from_s"] for gap in account.gaps), max(gap["to_s"] for gap in account.gaps)
     return f"{account.recorded} (and {about}{account.missing} missing, {from_s:.2f} to {to_s:.2f} s)"
 
