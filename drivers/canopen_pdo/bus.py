@@ -272,11 +272,13 @@ class CanopenBus:
             self._report.event(host_ns, Severity.WARNING, "sync_uncounted", text)
         before_tick, before_ns = self._sync.tick, self._sync.host_ns
         stood = self._stood_from_ns <= host_ns < self._stood_to_ns + STOOD_NS  # it may lack what the bus did carry
+        silence = self._sync.silence(host_ns)
         tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns, stood)
         self._sync_sent_ns = None
         if before_tick is None and self._was_disturbed:  # its producer may have sent since the start
             lost = max(0, host_ns - self._started_ns) // self._period_ns
-        lost = max(lost, self._bad_syncs) if restarted else lost  # those that could not be read are in no other gap
+        if restarted:  # as many as time allows, of which those that could not be read are known
+            lost = max(round(silence) - 1, self._bad_syncs)
         self._bad_syncs = 0
         if self._sync_missed:
             self._sync_missed = False
@@ -294,7 +296,7 @@ class CanopenBus:
             text = f"SYNC counter {counter} does not continue number {before_tick}: {why}"
             self._report.event(host_ns, Severity.ERROR, "sync_restarted", text)
             for channel in self._synchronous:
-                channel.sync_restarted(host_ns, before_tick, tick)
+                channel.sync_restarted(host_ns, before_tick + lost, tick)
         self._sync_rows.lose(host_ns, lost, "not_read" if stood else "no_sync")
         self._sync_rows.add(host_ns, tick, counter)
 

@@ -40,10 +40,12 @@ class EventChannel(PdoChannel):
         self._checked_ns = 0
         self._confirmed_ns = 0  # of the last TPDO, or answer to a check
         self._cut = False  # the node was cut off since: it may have sent what did not arrive
+        self._is_heard = False  # since it was started: a node may send one as it enters Operational
 
     def go_live(self) -> None:
         """The node has been started: the value read during set-up becomes the first row."""
         super().go_live()
+        self._is_heard = False
         reading = self._object.initial
         if reading is not None:
             self._read(reading)
@@ -59,6 +61,7 @@ class EventChannel(PdoChannel):
         if sample is None:
             return
         self._heard_ns = self._confirmed_ns = host_ns
+        self._is_heard = True
         counter = self._object.counter(data)
         if counter is None or self._counter is None or self._object.steps(self._counter, counter) <= 1:
             is_change = counter is None or (self._counter is not None and counter != self._counter)
@@ -147,7 +150,15 @@ class EventChannel(PdoChannel):
             return
         name, first = self.data.name, self._next
         span_ns = host_ns - self._row_ns
-        self._report.gap(host_ns, name, first, first + count - 1, span_ns, cause, counted=counted and not self._cut)
+        self._report.gap(
+            host_ns,
+            name,
+            first,
+            first + count - 1,
+            span_ns,
+            cause,
+            counted=counted and self._is_heard and not self._cut,
+        )
         self._next += count
         least = "at least " if cause == CHANGES_UNHEARD else ""
         cob_id = self.data.cob_id

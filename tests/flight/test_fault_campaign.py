@@ -19,6 +19,12 @@ FOUND = [  # seed, mission, what broke; all of these have lost something without
     (64568, "rocksat_mixed", "intermittent:can_0:0:1.2804:0.06429 silent:arm_phase:1.4002:1.4734"),  # started late
     (64844, "rocksat", "silent:arm_phase:1.5683:"),  # until the end: several changes that nobody heard
     (64866, "dymaflex", "bus_off:can_0:0:0.0246"),  # before the first SYNC
+    (66064, "rocksat_mixed", "frame_drop:can_0:0::387"),  # what a node sends as it is started
+    (
+        66072,
+        "rocksat_mixed",
+        "bus_off:can_0:5.7494:8.0932 reset:sync_box:6.1325:",
+    ),  # and SYNC begins anew
     (7045, "rocksat", "garbage:sync_box:2.9108:2.9413:306.2"),  # a SYNC that cannot be read, before one that jumps
     (5, "rocksat", "bus_off:can_0:8:"),  # until the end
     (5, "rocksat", "unplug:can_0:5:7"),
