@@ -1,7 +1,10 @@
 """Tests fitted corrections of instruments and links against their stated sigmas.
 
 Under the stated sigmas each is standard normal and their sum of squares is chi-squared. A correction beyond five
-sigmas, or an improbable sum, means a changed calibration or an error without a parameter.
+sigmas, or an improbable sum, means a changed calibration or an error without a parameter. Short of that one is doubted
+beyond three sigmas, or farther if there are many: of a hundred the largest lies beyond three by chance in one healthy
+flight of four. The limit is the size that the largest of so many exceeds with one stated chance (Sidak, J. Am. Stat.
+Assoc. 62, 1967).
 
 The estimate of a correction about zero has the sigma ``(prior variance - posterior variance)^(1/2)`` (Hausman,
 Econometrica 46, 1978). Data that tell less of it than its stated sigma move it by less than that sigma, however wrong
@@ -11,12 +14,13 @@ it is; in sigmas of what they tell, it is seen.
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri
 
 from onboard.estimation.arrays import FloatArray
 
 FARTHEST, DOUBTFUL = 5.0, 3.0  # sigmas, of one
 UNLIKELY = 1e-6  # chance of all of them together
+_DOUBTED = 0.01  # chance that the largest is doubted though all is as stated
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
 
 
@@ -52,10 +56,17 @@ def contradicted(corrections: Mapping[str, float]) -> tuple[str, ...]:
     )
 
 
-def doubtful(corrections: Mapping[str, float]) -> tuple[str, ...]:
-    """Reasons for a weak verdict: corrections of more than three of their stated sigmas."""
+def doubtful_from(count: int) -> float:
+    """Sigmas beyond which the largest of ``count`` corrections is doubted: this module's head."""
+    chance_of_one = -np.expm1(np.log1p(-_DOUBTED) / max(count, 1))
+    return float(max(DOUBTFUL, -ndtri(chance_of_one / 2.0)))
+
+
+def doubtful(corrections: Mapping[str, float], scale: str = "of its stated sigmas") -> tuple[str, ...]:
+    """Reasons for a weak verdict: corrections that are larger than chance makes of so many; ``scale``: words of it."""
+    limit = doubtful_from(len(corrections))
     return tuple(
-        f"{name} had to be corrected by {abs(sigmas):.1f} of its stated sigmas"
+        f"{name} had to be corrected by {abs(sigmas):.1f} {scale}"
         for name, sigmas in corrections.items()
-        if DOUBTFUL < abs(sigmas) <= FARTHEST
+        if limit < abs(sigmas) <= FARTHEST
     )

@@ -7,6 +7,7 @@ from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
+from onboard.identification.corrections import DOUBTFUL, doubtful, doubtful_from
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut, held_out
@@ -106,6 +107,20 @@ def test_a_correction_of_three_sigmas_is_a_reason_for_care():
     found = verdict(evidence(corrections={"gyro_scale_x": -3.4, "gyro_scale_y": 1.0}))
     assert found.level is Level.WEAK
     assert found.reasons == ("gyro_scale_x had to be corrected by 3.4 of its stated sigmas",)
+
+
+def test_the_largest_of_many_corrections_is_beyond_three_sigmas_by_chance(rng):
+    """Of a hundred that are as stated it is doubted in one flight of a hundred, and one of five sigmas in every one."""
+    drawn = np.abs(rng.standard_normal((4000, 100)))
+    beyond_three = (drawn.max(axis=1) > DOUBTFUL).mean()
+    assert beyond_three == pytest.approx(1.0 - 0.9973**100, abs=0.03)  # 24 %
+    named = [{str(k): float(one) for k, one in enumerate(row)} for row in drawn]
+    assert 15 < sum(bool(doubtful(one)) for one in named) < 70
+    assert doubtful(named[0] | {"gyro_scale_x": 4.9})
+    assert [doubtful_from(count) for count in (0, 1, 3)] == [DOUBTFUL] * 3
+    assert doubtful_from(100) == pytest.approx(3.89, abs=0.01)  # 1 - 0.99^(1/100) on both sides
+    found = verdict(evidence(corrections={"link_5_inertial_2": 3.1, **{str(k): 0.5 for k in range(228)}}))
+    assert found.level is Level.GOOD
 
 
 def test_one_moment_that_is_known_is_an_answer():

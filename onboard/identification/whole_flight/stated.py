@@ -6,6 +6,8 @@ axes too, as a reference voltage changes them alike: where the flight hardly tel
 whatever the error is, and a sum over all corrections hides it. A scale of DYMAFLEX's accelerometer that is common to
 its axes moves the mass by half of it, and c by a fortieth: 5 % are corrected by less than one sigma, and found by four
 to six. The flight is then fitted again with that kind hardly bound, as widens the interval of the mass by a quarter.
+Errors of links and joints are tested together in the directions that the flight tells of, which are some seventy of
+more than a hundred.
 Kinds of further instruments are many, and one of them that is wrong can be left out
 (:mod:`onboard.identification.whole_flight.witnesses`), so theirs have to be less likely.
 """
@@ -90,14 +92,29 @@ def kinds_of(flight: WholeFlight, found: FlightFit) -> list[Kind]:
         is_cell = device and isinstance(flight.further[device - 1], FurtherCell)
         for name in KINDS_OF_CELL if is_cell else KINDS:
             at = np.array(own.get((device, name), []), np.intp)
-            sigma = flight.sigma[at]
-            scaled = found.fit.x[at] / sigma
-            told = np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
+            scaled, told = _scaled(flight, found, at)
             sums = [np.eye(at.size), np.full((at.size, 1), at.size**-0.5)] if at.size > 1 else [np.eye(at.size)]
             for common, along in enumerate(sums if at.size else []):
                 squares, freedom = squares_of(along.T @ scaled, along.T @ told @ along, _TOLD)
                 made.append(Kind(squares, freedom, device, of, name, bool(common), at))
     return sorted(made, key=lambda one: one.chance)
+
+
+def bodies_of(flight: WholeFlight, found: FlightFit) -> Chance:
+    """Errors of links, joints and thrusters together, in the directions that the flight tells of.
+
+    Args:
+        flight: that was fitted, with the sigmas as they are stated.
+        found: its fit.
+    """
+    scaled, told = _scaled(flight, found, flight.of_bodies)
+    return Chance(*squares_of(scaled, told, _TOLD))
+
+
+def _scaled(flight: WholeFlight, found: FlightFit, at: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Corrections in their stated sigmas, (k,), and the covariance that these should have, (k, k)."""
+    sigma = flight.sigma[at]
+    return found.fit.x[at] / sigma, np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
 
 
 def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[Kind]) -> FlightFit:

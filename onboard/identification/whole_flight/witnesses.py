@@ -19,7 +19,7 @@ from onboard.identification.quantities import Findings
 from onboard.identification.verdict import WORST_MISFIT
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 from onboard.identification.whole_flight.parts import differences
-from onboard.identification.whole_flight.stated import Kind, kinds_of
+from onboard.identification.whole_flight.stated import Kind, bodies_of, kinds_of
 
 SUSPECT = 1.3  # misfit of an instrument beyond which it is doubted
 _DOUBTED, _REFUSED = 1e-4, 1e-6  # chance of a difference between parts of the flight
@@ -34,7 +34,8 @@ class Tested(NamedTuple):
     flight: WholeFlight
     found: FlightFit
     kinds: tuple[Kind, ...]  # of corrections, the least likely first
-    corrections: Mapping[str, float]  # of the first IMU, links and joints, in the sigmas that are stated
+    corrections: Mapping[str, float]  # of the first IMU and what else is no link's or joint's, in stated sigmas
+    of_bodies: Mapping[str, float]  # of links and joints, in sigmas of what the flight tells of each
     findings: Findings
 
     def plus(self, against: Iterable[str] = (), doubts: Iterable[str] = ()) -> "Tested":
@@ -68,11 +69,15 @@ def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], in
     kinds = tuple(kinds_of(flight, found))
     against += [kind.text for kind in kinds if kind.chance < _REFUSED]
     doubts += [kind.text for kind in kinds if _REFUSED <= kind.chance < _NOT_AS_STATED[kind.device > 0]]
-    corrections = _corrections(flight, found)
-    against += [*contradicted(_by_the_data(flight, found)), *too_large(corrections)]
+    bodies = bodies_of(flight, found)
+    if bodies.chance < _NOT_AS_STATED[0]:
+        said = f"links and joints are not as stated together (chance {bodies.chance:.0e})"
+        (against if bodies.chance < _REFUSED else doubts).append(said)
+    corrections, of_bodies = _corrections(flight, found), _by_the_data(flight, found)
+    against += [*contradicted(of_bodies), *too_large(corrections)]
     ends = tuple(f"_{one.name}" for one in flight.further)  # theirs are tested kind by kind
-    own = {name: sigmas for name, sigmas in corrections.items() if not name.endswith(ends)}
-    return Tested(flight, found, kinds, own, Findings(tuple(against), tuple(doubts)))
+    own = {k: sigmas for k, sigmas in corrections.items() if k not in of_bodies and not k.endswith(ends)}
+    return Tested(flight, found, kinds, own, of_bodies, Findings(tuple(against), tuple(doubts)))
 
 
 def without_each(

@@ -24,6 +24,7 @@ from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.change import Change, CONTACT_s
+from onboard.identification.corrections import doubtful
 from onboard.identification.exiddm.before_capture import (
     ANNOUNCED_s,
     BeforeCapture,
@@ -328,7 +329,7 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Fitted
         held_out,
         unchecked,
         by_axis(flight.time_s, found.residuals, period_s, row_names[6:]),
-        findings=made.findings,
+        findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
         leans=leans_on(flight, found),
     )
 

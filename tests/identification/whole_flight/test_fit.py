@@ -10,7 +10,7 @@ from onboard.dynamics.payload import standard_covariance, standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
-from onboard.identification.corrections import FARTHEST
+from onboard.identification.corrections import FARTHEST, doubtful
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
@@ -18,7 +18,7 @@ from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import apart, total_of
 from onboard.identification.whole_flight.fit import INSTRUMENTS, Segment, WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
-from onboard.identification.whole_flight.stated import KINDS, UNLIKELY, freely, kinds_of, leans_on
+from onboard.identification.whole_flight.stated import KINDS, UNLIKELY, bodies_of, freely, kinds_of, leans_on
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
@@ -148,7 +148,10 @@ def test_a_joint_whose_scale_is_not_as_stated_is_told_by_what_little_the_flight_
     ]
     wrong = WholeFlight(predictor, WIDE, spoilt)
     found = witnesses.tested(wrong, wrong.fit(whole.fit.x), lambda time_s: 0)
-    assert abs(found.corrections[f"scale_{name}"]) < FARTHEST  # hardly moved: it is bound to 0.02 %
+    at = found.found.names.index(f"scale_{name}")
+    assert abs(found.found.fit.x[at] / wrong.sigma[at]) < FARTHEST  # hardly moved: it is bound to 0.02 %
+    assert abs(found.of_bodies[f"scale_{name}"]) > FARTHEST
+    assert f"scale_{name}" not in found.corrections  # told once
     assert any(
         one.startswith(f"the motion contradicts what is stated of scale_{name} by 1") for one in found.findings.against
     )
@@ -217,6 +220,25 @@ def test_a_kind_as_stated_is_likely_and_not_freed(fitted):
     assert all(one.freedom == (1 if one.common or one.name == "delay_s" else 3) for one in kinds)
     assert kinds[0].chance > UNLIKELY
     assert freely(flight, found, kinds) is found
+
+
+def test_links_and_joints_are_tested_together_in_what_the_flight_tells_of_them(ticks, predictor, fitted):
+    """Spoilt: 1.4 sigmas in each direction that is told; no error of a link or joint is far out by itself."""
+    flight, found = fitted
+    sound, at = bodies_of(flight, found), flight.of_bodies
+    assert 3 < sound.freedom < at.size
+    assert sound.chance > 0.01
+    assert witnesses.tested(flight, found, lambda time_s: 0).passes
+    sigma = flight.sigma[at]
+    values, directions = np.linalg.eigh(np.eye(at.size) - found.fit.covariance[np.ix_(at, at)] / np.outer(sigma, sigma))
+    x = found.fit.x.copy()
+    x[at] = 1.4 * sigma * (directions @ np.where(values > 0.005, np.sqrt(np.maximum(values, 0.0)), 0.0))
+    off = found._replace(fit=found.fit._replace(x=x))
+    spoilt = bodies_of(flight, off)
+    assert (spoilt.squares, spoilt.freedom) == (pytest.approx(1.4**2 * sound.freedom), sound.freedom)
+    said = witnesses.tested(flight, off, lambda time_s: 0)
+    assert not doubtful(said.of_bodies)
+    assert [one for one in (*said.findings.doubts, *said.findings.against) if "links and joints are not" in one]
 
 
 @pytest.mark.parametrize(
