@@ -7,6 +7,8 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.scenario.vehicle_tables import BaseSway
 
+_BLOCK = 64  # attitudes that are made side by side
+
 
 class BasePath(NamedTuple):
     """A base's motion on a grid: MuJoCo's numbers of a free joint, (n, ...)."""
@@ -26,9 +28,12 @@ def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BaseP
     phase = rng.uniform(0.0, 2.0 * np.pi, shape)
     rms = np.repeat([table.acceleration_m_s2, table.rate_rad_s], 3)[:, None]
     size = rms * np.sqrt(2.0 / table.tones) * rng.uniform(0.6, 1.2, shape)
+    acceleration, velocity, pose = np.zeros((len(time_s), 6)), np.zeros((len(time_s), 6)), np.zeros((len(time_s), 7))
+    if not rms.any():
+        pose[:, 3] = 1.0
+        return BasePath(pose, velocity, acceleration)
     turn = time_s[:, None, None] * w + phase  # (n, 6, tones)
     sine, cosine = size * np.sin(turn), size * np.cos(turn)
-    acceleration, velocity, pose = np.zeros((len(time_s), 6)), np.zeros((len(time_s), 6)), np.zeros((len(time_s), 7))
     swings, slope = sine.sum(axis=2), (cosine * w).sum(axis=2)
     grown, growth = _grown(table, time_s)
     acceleration[:, :3] = grown * swings[:, :3]
@@ -41,11 +46,7 @@ def sway(table: BaseSway, time_s: FloatArray, rng: np.random.Generator) -> BaseP
     velocity[:, 3:] = grown * swings[:, 3:]
     acceleration[:, 3:] = grown * slope[:, 3:] + growth * swings[:, 3:]
     middle = 0.5 * (velocity[1:, 3:] + velocity[:-1, 3:])
-    attitude = np.array([1.0, 0.0, 0.0, 0.0])
-    pose[0, 3:] = attitude
-    for k, step_s in enumerate(np.diff(time_s)):
-        attitude = _turned(attitude, middle[k] * step_s)
-        pose[k + 1, 3:] = attitude
+    pose[:, 3:] = attitudes(np.concatenate([np.zeros((1, 3)), middle * np.diff(time_s)[:, None]]))
     return BasePath(pose, velocity, acceleration)
 
 
@@ -64,10 +65,33 @@ def _integral(values: FloatArray, time_s: FloatArray) -> FloatArray:
     return out
 
 
-def _turned(attitude: FloatArray, turn: FloatArray) -> FloatArray:
-    """An attitude, w x y z, turned by a rotation vector in its own axes, rad."""
-    angle = float(np.linalg.norm(turn))
-    w, x, y, z = np.cos(0.5 * angle), *(0.5 * np.sinc(0.5 * angle / np.pi) * turn)
-    left = np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
-    out: FloatArray = left @ attitude
-    return np.asarray(out / np.linalg.norm(out), np.float64)
+def attitudes(turns_rad: FloatArray) -> FloatArray:
+    """Attitudes of a body that stands in the world's axes at the first row, quaternions w x y z, (n, 4).
+
+    Args:
+        turns_rad: rotation vector from the row before to each, its own axes, (n, 3); that of the first is not used.
+    """
+    n = len(turns_rad)
+    blocks = -(-n // _BLOCK)
+    turn = np.zeros((blocks * _BLOCK, 3))
+    turn[1:n] = turns_rad[1:]
+    angle = np.linalg.norm(turn, axis=1)
+    steps = np.column_stack([np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi)[:, None] * turn])
+    own = steps.reshape(blocks, _BLOCK, 4)  # within each block, then from block to block
+    for k in range(1, _BLOCK):
+        own[:, k] = _times(own[:, k - 1], own[:, k])
+    starts = np.empty((blocks, 4))
+    at = np.array([1.0, 0.0, 0.0, 0.0])
+    for k, whole in enumerate(own[:, -1]):
+        starts[k] = at
+        at = _times(at, whole)
+        at /= np.linalg.norm(at)
+    found = _times(np.repeat(starts, _BLOCK, axis=0), own.reshape(-1, 4))[:n]
+    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None], np.float64)
+
+
+def _times(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products of quaternions w x y z, (..., 4)."""
+    (w, x, y, z), (p, q, r, s) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    parts = w * p - x * q - y * r - z * s, w * q + x * p + y * s - z * r
+    return np.stack([*parts, w * r - x * s + y * p + z * q, w * s + x * r - y * q + z * p], axis=-1)

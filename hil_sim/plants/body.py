@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,14 @@ class Body:
     def turned(self, R: FloatArray) -> "Body":
         """The body with its inertia turned about its centre of mass by ``R`` (3, 3)."""
         return Body(self.mass_kg, self.centre_of_mass_m, R @ self.inertia_kg_m2 @ R.T)
+
+    def told(self) -> dict[str, Any]:
+        """As truth."""
+        return {
+            "mass_kg": self.mass_kg,
+            "centre_of_mass_m": self.centre_of_mass_m,
+            "inertia_kg_m2": self.inertia_kg_m2,
+        }
 
     @property
     def principal_kg_m2(self) -> FloatArray:

@@ -6,7 +6,7 @@ its base follows the cabin with the unrest of the hands; the hands' grip grows a
 the base's acceleration is a mean of the free and the held one.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import signal
@@ -39,6 +39,17 @@ class Release(NamedTuple):
     release_s: float
     catch_s: float
     bumps: tuple[Bump, ...]
+
+    def told(self) -> dict[str, Any]:
+        """As truth."""
+        return {
+            "parabola": self.parabola,
+            "flown": self.flown.label,
+            "release_s": self.release_s,
+            "catch_s": self.catch_s,
+            "bumps_s": [bump.at_s for bump in self.bumps],
+            "bumps_N_s": [float(np.linalg.norm(bump.impulse_N_s)) for bump in self.bumps],
+        }
 
 
 class Cabin:

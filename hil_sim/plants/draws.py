@@ -20,8 +20,9 @@ def as_built(
 
     Rotors of wheels are balanced bodies of revolution: all of their inertia has one factor.
     """
-    placed = {name for name, table in scenario.as_built.items() if table.place_mm}
-    unknown = sorted(scenario.as_built.keys() - drawn.keys() - placed - {"default"})
+    known = {name for name, table in scenario.as_built.items() if table.place_mm} | {"default"}
+    known |= {scenario.vehicle.payload_link or ""}  # as which the payload is made
+    unknown = sorted(scenario.as_built.keys() - drawn.keys() - known)
     if unknown:
         raise ScenarioError(f"as_built names {', '.join(unknown)}; links with a mass are {', '.join(drawn)}")
     usual = scenario.as_built.get("default", Tolerance())
@@ -32,14 +33,16 @@ def as_built(
             mass, inertia = 1.0 + np.array([sigma.mass_relative, sigma.inertia_relative]) * rng.standard_normal(2)
             found[link] = Body(mass * body.mass_kg, body.centre_of_mass_m, inertia * body.inertia_kg_m2)
             continue
-        for _ in range(_DRAWS):
-            one = built(body, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
-            if one.is_possible:
-                break
-        else:
-            raise ScenarioError(f"as_built.{link}: hardly any body lies within it; make it smaller")
-        found[link] = one
+        found[link] = _made(link, body, sigma, rng)
     return found
+
+
+def _made(link: str, drawn: Body, sigma: Tolerance, rng: np.random.Generator) -> Body:
+    for _ in range(_DRAWS):
+        one = built(drawn, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
+        if one.is_possible:
+            return one
+    raise ScenarioError(f"as_built.{link}: hardly any body lies within it; make it smaller")
 
 
 def off_the_drawing(
@@ -53,10 +56,14 @@ def off_the_drawing(
     return {link: sigma_m[link] * rng.standard_normal(3) for link in links if link in sigma_m}
 
 
-def payload(table: PayloadTable, drawn: Body | None, rng: np.random.Generator) -> Body:
+def payload(table: PayloadTable, drawn: Body | None, sigma: Tolerance | None, rng: np.random.Generator) -> Body:
     """A solid box in the frame of its link; whatever is not told is drawn.
 
-    Where its link has an inertia in the URDF and the table gives no shape, it has that shape at another density.
+    Where its link has an inertia in the URDF and the table gives no shape, it has that shape at another density, and is
+    made within ``sigma`` where that is given.
+
+    Raises:
+        ScenarioError: ``sigma`` of a box.
     """
     low, high = np.log(table.mass_kg)
     mass = float(np.exp(rng.uniform(low, high)))
@@ -64,7 +71,10 @@ def payload(table: PayloadTable, drawn: Body | None, rng: np.random.Generator) -
     size = (mass / table.density_kg_m3) ** (1.0 / 3.0) * shape / np.cbrt(shape.prod())
     aside, turn = rng.uniform(-0.3, 0.3, 3), rng.uniform(-np.pi, np.pi, 3)
     if drawn is not None and drawn.mass_kg > 0.0 and table.size_mm is None and table.centre_of_mass_mm is None:
-        return Body(mass, drawn.centre_of_mass_m, drawn.inertia_kg_m2 * mass / drawn.mass_kg)
+        like = Body(mass, drawn.centre_of_mass_m, drawn.inertia_kg_m2 * mass / drawn.mass_kg)
+        return like if sigma is None else _made("the payload's link", like, sigma, rng)
+    if sigma is not None and (sigma.mass_relative or sigma.centre_mm or sigma.inertia_relative):
+        raise ScenarioError("as_built of the payload's link: [payload] says what a box is; give it place_mm alone")
     if table.size_mm is not None:
         size = 1e-3 * np.asarray(table.size_mm)
     centre = aside * size + [0.0, 0.0, 0.5 * size[2]]

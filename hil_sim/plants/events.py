@@ -8,6 +8,7 @@ import numpy as np
 from hil_sim.plants.body import Body
 from hil_sim.plants.contact import Contact
 from hil_sim.plants.exchange import Jolt, Released
+from hil_sim.plants.servo_flight import ServoFlight
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
@@ -21,15 +22,19 @@ class Event(NamedTuple):
         row: of the integration, that is first after it.
         moves: what comes or goes; nothing of a grip.
         contact: frequency, Hz, and damping ratio of a capture that holds the payload by a spring first.
+        lasts_s: of the push of an ejection; 0: at once.
     """
 
     name: str
     row: int
     moves: Released | None
     contact: tuple[float, float] | None = None
+    lasts_s: float = 0.0
 
-    def happen(self, flight: VehicleFlight) -> Jolt | None:
+    def happen(self, flight: VehicleFlight | ServoFlight) -> Jolt | None:
         """Do it; what jumps."""
+        if isinstance(flight, ServoFlight):
+            return flight.happen(self.name == "capture", self.moves, self.lasts_s)
         if self.moves is None:
             return flight.close()
         if self.name == "ejection":
@@ -72,8 +77,10 @@ def events(
             if first > steps - 2:
                 raise ScenarioError("the mission ends before the grip closes: give capture a higher contact_Hz")
             found.append(Event("grip", first, None))
-    if ejection is not None and payload is not None:
+    comes_to_it = ejection is None or ejection.phase in (None, *(step.phase for step in scenario.sequence))
+    if ejection is not None and payload is not None and comes_to_it:
         told = scenario.start_of(ejection.phase) if ejection.phase is not None else ejection.at_s
         row = min(max(round((told or 0.0) / step_s), first + 2), steps - 2)
-        found.append(Event("ejection", row, Released(payload, np.asarray(ejection.velocity_m_s), np.zeros(3))))
+        goes = Released(payload, np.asarray(ejection.velocity_m_s), np.zeros(3))
+        found.append(Event("ejection", row, goes, lasts_s=1e-3 * (ejection.duration_ms or 0.0)))
     return found

@@ -1,7 +1,7 @@
 """Motion of a vehicle's joints: holds and multi-tone swings inside the drawing's limits, or a recorded one.
 
-Besides, strokes at constant speed, and segments that the flight computer asks for. Every joint has a swing of its own
-size.
+Besides, strokes at constant speed or of minimum jerk, pushes, and segments that the flight computer asks for. Every
+joint has a swing of its own size.
 """
 
 import zipfile
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.motion import PhaseSpan, Program
+from hil_sim.plants.motion import PhaseSpan, Program, minimum_jerk
 from hil_sim.plants.urdf_drawing import DrawnJoint
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import Motion, Step, VehicleScenario
@@ -113,6 +113,7 @@ class JointSwings(Program):
         speed = np.array([joint.speed for joint in joints])
         self._swings: list[Swinging] = []
         self._sweeps: list[Sweeping] = []
+        self._knots = [(0.0, np.zeros(len(joints)))]  # of strokes and pushes: time, and angles off the posture
         spans: list[PhaseSpan] = []
         now_s = 0.0
         for step in scenario.sequence:
@@ -121,9 +122,12 @@ class JointSwings(Program):
                 self._swings.append(_draw(step, now_s, end_s, room, speed, rng))
             if step.action == "sweep":
                 self._sweeps.append(_sweep(step, now_s, end_s, joints, self.posture))
+            if step.action in ("strokes", "push"):
+                self._go(step, now_s, joints)
             spans.append(PhaseSpan(step.phase, step.action, now_s, end_s))
             now_s = end_s
         self.spans = tuple(spans)
+        self._strokes = np.array([at for at, _ in self._knots]), np.array([angles for _, angles in self._knots])
         self._segments: dict[str, CubicSpline] = {}
         self.asked: list[tuple[float, str]] = []  # start and name of the segments asked for so far
         if scenario.motion.segments is not None:
@@ -132,6 +136,33 @@ class JointSwings(Program):
         if scenario.motion.csv is not None:
             self._recorded = _recorded(Path(scenario.motion.csv), joints)
             self.posture = self._recorded[0](self._recorded[1])
+
+    def _go(self, step: Step, start_s: float, joints: Sequence[DrawnJoint]) -> None:
+        """Knots of a step of strokes, or of a push."""
+        named = step.amplitude if step.action == "strokes" else step.to
+        names = [joint.name for joint in joints]
+        if unknown := sorted(named.keys() - set(names)):
+            raise ScenarioError(f"sequence.{step.action} names {', '.join(unknown)}; the joints are {', '.join(names)}")
+        way = np.array([named.get(name, 0.0) for name in names])
+        if step.action == "push":
+            parts = [(way, step.approach_s), (way, step.hold_s), (0.0 * way, step.retreat_s)]
+        else:
+            for joint, at, by in zip(joints, self.posture.tolist(), np.abs(way).tolist(), strict=True):
+                if by and not joint.low <= at - by < at + by <= joint.high:
+                    raise ScenarioError(
+                        f"sequence.amplitude.{joint.name}: {at:.3g} +- {by:.3g} is beyond the URDF's limits, "
+                        f"{joint.low:g} to {joint.high:g}"
+                    )
+            sides = [(-1.0) ** k * -way for k in range(step.strokes + 1)]
+            parts = [(sides[0], step.transfer_s)]
+            for side in sides[1:]:
+                parts += [(side, step.stroke_s), (side, step.pause_s)]
+            parts.append((0.0 * way, step.transfer_s))
+        if start_s > self._knots[-1][0]:
+            self._knots.append((start_s, self._knots[-1][1]))
+        for angles, lasts_s in parts:
+            if lasts_s > 0.0:
+                self._knots.append((round(self._knots[-1][0] + lasts_s, 9), angles))
 
     @property
     def waits(self) -> bool:
@@ -149,7 +180,8 @@ class JointSwings(Program):
             return False
         end_s = start_s + float(self._segments[name].x[-1])
         busy = any(start_s < at_s + self._segments[other].x[-1] for at_s, other in self.asked)
-        swings = any(span.action == "swing" and span.start_s < end_s and start_s < span.end_s for span in self.spans)
+        moving = [span for span in self.spans if span.action in ("swing", "strokes", "push")]
+        swings = any(span.start_s < end_s and start_s < span.end_s for span in moving)
         if busy or swings or end_s > self.duration_s:
             return False
         self.asked.append((start_s, name))
@@ -177,6 +209,8 @@ class JointSwings(Program):
                 way, rate, change = sweep.at(time_s[rows])
                 q[rows] += np.outer(way, sweep.rates)
                 dq[rows], ddq[rows] = np.outer(rate, sweep.rates), np.outer(change, sweep.rates)
+        if len(self._knots) > 1:
+            q, dq, ddq = map(np.add, (q, dq, ddq), minimum_jerk(*self._strokes, time_s))
         for start_s, name in self.asked:
             spline = self._segments[name]
             rows = (time_s > start_s) & (time_s < start_s + spline.x[-1])

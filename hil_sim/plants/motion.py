@@ -1,8 +1,8 @@
-"""Prescribed motion of the rocket mission: the arm controller's commands, the rocket's motion, the air.
+"""Prescribed motion: what an arm's controller commands, how what carries a base moves, the air.
 
-Everything is a function of mission time on the plant's grid ``t_k = k h``. The rocket is prescribed (some 180 kg
-against the arm's 0.3 kg). Its angular rate is kept on the half steps ``t_k - h/2``: the difference of two of them over
-``h`` is the angular acceleration at ``t_k`` exactly, which is the leapfrog the plant integrates with.
+Everything is a function of mission time on the plant's grid ``t_k = k h``. What carries the base is prescribed (a
+rocket's 180 kg against an arm's 0.3 kg). Its angular rate is kept on the half steps ``t_k - h/2``: the difference of
+two of them over ``h`` is the angular acceleration at ``t_k`` exactly, which is the leapfrog the plant integrates with.
 """
 
 from itertools import pairwise
@@ -12,7 +12,8 @@ import numpy as np
 from scipy import signal
 
 from hil_sim.arrays import FloatArray
-from hil_sim.scenario.rocket_tables import Mode, Reentry, Rocket, RocketScenario, Vibration
+from hil_sim.scenario.part_tables import AirTable, ConingTable, Mode, Vibration
+from hil_sim.scenario.rocket_tables import Reentry, Rocket, RocketScenario
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition
 
@@ -27,7 +28,7 @@ class PhaseSpan(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """Commanded joint motion, each (n,)."""
+    """Commanded motion of a joint, each (n,), or of several, (n, joints)."""
 
     angle_rad: FloatArray
     rate_rad_s: FloatArray
@@ -91,17 +92,28 @@ class ArmProgram(Program):
         self._knots.append((round(self._knots[-1][0] + duration_s, 9), float(angle)))
 
     def reference(self, times_s: FloatArray) -> Reference:
-        """Commanded motion at ``times_s`` (n,): quintic of zero end rates and accelerations between two angles."""
+        """Commanded motion at ``times_s`` (n,), (n,) each."""
         times, angles = np.array(self._knots).T
-        i = np.clip(np.searchsorted(times, times_s, side="right") - 1, 0, len(times) - 2)
-        T = times[i + 1] - times[i]
-        rise = angles[i + 1] - angles[i]
-        s = np.clip((times_s - times[i]) / T, 0.0, 1.0)
-        return Reference(
-            angles[i] + rise * s**3 * (10.0 + s * (-15.0 + 6.0 * s)),
-            rise / T * 30.0 * (s * (1.0 - s)) ** 2,
-            rise / T**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
-        )
+        return Reference(*(of[:, 0] for of in minimum_jerk(times, angles[:, None], times_s)))
+
+
+def minimum_jerk(knots_s: FloatArray, angles: FloatArray, times_s: FloatArray) -> Reference:
+    """Quintics of zero end rates and accelerations from knot to knot, at times (n,); (n, joints) each.
+
+    Args:
+        knots_s: rising, (k,).
+        angles: at the knots, (k, joints); those of the last hold after it.
+        times_s: not before the first knot.
+    """
+    i = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, 0, len(knots_s) - 2)
+    T = (knots_s[i + 1] - knots_s[i])[:, None]
+    rise = angles[i + 1] - angles[i]
+    s = np.clip((times_s - knots_s[i])[:, None] / T, 0.0, 1.0)
+    return Reference(
+        angles[i] + rise * s**3 * (10.0 + s * (-15.0 + 6.0 * s)),
+        rise / T * 30.0 * (s * (1.0 - s)) ** 2,
+        rise / T**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
+    )
 
 
 class PlateMotion(NamedTuple):
@@ -124,11 +136,12 @@ def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.ran
         rng: source of phases and noise, in a fixed order.
     """
     times_s: FloatArray = step_s * np.arange(count, dtype=np.float64)
-    rigid_accel, rate_start = _coning(scenario.rocket, times_s, step_s, rng)
-    linear_shake, angular_shake = _vibration(scenario.vibration, step_s, count, rng)
+    rigid_accel, rate_start = coning(scenario.rocket, times_s, step_s, rng)
+    linear_shake, angular_shake = vibration(scenario.vibration, step_s, count, rng)
     air = scenario.reentry
-    pressure = _dynamic_pressure(air, times_s, step_s, rng)
-    wind = _wind(air, scenario.rocket.spin_rad_s, times_s, rng)
+    mean = air.reference_deceleration_m_s2 / air.rocket_area_over_mass_m2_kg
+    pressure = dynamic_pressure(mean, air, times_s, step_s, rng)
+    wind = wind_direction(air, scenario.rocket.spin_rad_s, times_s, rng)
     deceleration = air.rocket_area_over_mass_m2_kg * pressure[:, None] * wind  # (n, 3), along the wind
     strength = np.linalg.norm(deceleration, axis=1)  # (n,)
     rigid_accel += air.pitch_moment_rad_s2_per_m_s2 * np.cross([0.0, 0.0, 1.0], deceleration)
@@ -147,8 +160,8 @@ def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.ran
     )
 
 
-def _coning(
-    rocket: Rocket, times_s: FloatArray, step_s: float, rng: np.random.Generator
+def coning(
+    rocket: Rocket | ConingTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Torque-free axisymmetric body: the transverse rate turns in body axes at (I_roll/I_pitch - 1) spin.
 
@@ -166,19 +179,17 @@ def _coning(
     return accel, cone + np.asarray(rocket.residual_rate_rad_s) + [0.0, 0.0, rocket.spin_rad_s]
 
 
-def _vibration(
-    vibration: Vibration, step_s: float, count: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
+def vibration(table: Vibration, step_s: float, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Linear acceleration [m/s^2] and angular acceleration [rad/s^2], each (n, 3), none at zero frequency."""
     rate_Hz = 1.0 / step_s
     milli_g = 1e-3 * STANDARD_GRAVITY
-    band = signal.butter(2, vibration.broadband_band_Hz, "bandpass", fs=rate_Hz, output="sos")
+    band = signal.butter(2, table.broadband_band_Hz, "bandpass", fs=rate_Hz, output="sos")
     noise = signal.sosfilt(band, rng.standard_normal((count, 3)), axis=0)
-    linear = milli_g * np.asarray(vibration.broadband_mg) * noise / _rms_gain(band)
-    for mode in vibration.linear_mode_mg:
+    linear = milli_g * np.asarray(table.broadband_mg) * noise / _rms_gain(band)
+    for mode in table.linear_mode_mg:
         linear += milli_g * _resonance(mode, rate_Hz, count, rng)
     angular = np.zeros((count, 3))
-    for mode in vibration.angular_mode_mrad_s:
+    for mode in table.angular_mode_mrad_s:
         # A narrow mode: rms acceleration = 2 pi f x rms rate.
         angular += 2e-3 * np.pi * mode.frequency_Hz * _resonance(mode, rate_Hz, count, rng)
     return linear, angular
@@ -198,17 +209,20 @@ def _rms_gain(sos: FloatArray) -> float:
     return float(np.linalg.norm(signal.sosfilt(sos, impulse)))
 
 
-def _dynamic_pressure(air: Reentry, times_s: FloatArray, step_s: float, rng: np.random.Generator) -> FloatArray:
+def dynamic_pressure(
+    at_reference_pa: float, air: Reentry | AirTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
+) -> FloatArray:
     """Exponential growth with gusts (first-order Gauss-Markov), (n,), Pa."""
-    mean = air.reference_deceleration_m_s2 / air.rocket_area_over_mass_m2_kg
-    mean_pressure = mean * np.exp((times_s - air.reference_s) / air.growth_time_s)
+    mean_pressure = at_reference_pa * np.exp((times_s - air.reference_s) / air.growth_time_s)
     keep = np.exp(-step_s / air.gust_time_s)
     gust = signal.lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(len(times_s)))
     return np.asarray(mean_pressure * np.maximum(0.0, 1.0 + air.gust_fraction * gust))
 
 
-def _wind(air: Reentry, spin_rad_s: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """The wind's direction in plate axes turns against the spin; (n, 3)."""
+def wind_direction(
+    air: Reentry | AirTable, spin_rad_s: float, times_s: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """The wind's direction in the base's axes turns against the spin; (n, 3)."""
     azimuth = rng.uniform(0.0, 2.0 * np.pi) - spin_rad_s * (times_s - air.reference_s)
     elevation = np.deg2rad(air.wind_elevation_deg)
     level = np.cos(elevation)

@@ -1,6 +1,6 @@
 """MuJoCo's model of a URDF: compiled by MuJoCo's own reader, its base let go or held, its bodies as they were built."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import mujoco
@@ -10,6 +10,7 @@ from hil_sim.arrays import FloatArray
 from hil_sim.plants.body import Body
 from hil_sim.plants.urdf_drawing import PREFIX, Drawing
 from hil_sim.scenario.tables import ScenarioError
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 
 BASE_FREEDOM = {"free": 6, "prescribed": 6, "fixed": 0, "planar": 3}
 _LEAST_kg_m2 = 1e-12  # of a joint that carries nothing: MuJoCo factors the inertia matrix, and complains of a zero
@@ -24,12 +25,33 @@ _SENSED = {
 Sensed = Literal["gyro", "accelerometer", "force", "torque", "position", "attitude"]
 
 
+Fit = Callable[[mujoco.MjSpec, mujoco.MjModel], None]
+
+
 class Places(NamedTuple):
     """Links at which something is measured."""
 
     imus: tuple[str, ...]
     cells: tuple[str, ...]
     tracked: tuple[str, ...] = ()
+
+
+def places(scenario: VehicleScenario, drawing: Drawing) -> Places:
+    """Links at which the devices measure motion or loads."""
+    imus: dict[str, None] = {}
+    cells: dict[str, None] = {}
+    tracked: dict[str, None] = {}
+    for device in scenario.device.values():
+        table = device.model_dump()
+        for part in (table, *table.get("channel", ())):
+            sensor = scenario.sensor.get(str(part.get("measures")))
+            if sensor is not None and sensor.quantity == "inertial":
+                imus[drawing.link_at(str(part.get("at")))] = None
+            elif sensor is not None and sensor.quantity in ("joint_moment", "force"):
+                cells[drawing.link_at(str(part.get("at")))] = None
+            elif sensor is not None and sensor.quantity == "pose":
+                tracked[drawing.link_at(str(part.get("at")))] = None
+    return Places(tuple(imus), tuple(cells), tuple(tracked))
 
 
 class UrdfModel:
@@ -40,9 +62,11 @@ class UrdfModel:
         base: kind of the base.
         gravity_m_s2: world axes.
         places: where it is measured.
+        fit: adds to the model what the URDF has not; it is given the model without.
 
     Attributes:
         model: MuJoCo's.
+        root: link that all others hang on.
         freedom: degrees of freedom of the base.
         joints: names of the joints in the order of MuJoCo's columns after the base's.
 
@@ -50,13 +74,18 @@ class UrdfModel:
         ScenarioError: MuJoCo cannot simulate it.
     """
 
-    def __init__(self, drawing: Drawing, base: str, gravity_m_s2: Sequence[float], places: Places) -> None:
+    def __init__(
+        self, drawing: Drawing, base: str, gravity_m_s2: Sequence[float], places: Places, fit: Fit | None = None
+    ) -> None:
         try:
             spec = mujoco.MjSpec.from_string(drawing.plain)
             spec.compiler.fusestatic = False
             _let_go(spec.body(PREFIX + drawing.root), base)
             _instrument(spec, places)
             self.model = spec.compile()
+            if fit is not None:
+                fit(spec, self.model)
+                self.model = spec.compile()
         except ValueError as error:
             raise ScenarioError(
                 f"MuJoCo cannot simulate the URDF: {error}; give every link that moves a mass, and an inertia about "
@@ -66,7 +95,7 @@ class UrdfModel:
         self.model.opt.gravity = gravity_m_s2
         self.model.dof_damping[:] = self.model.dof_frictionloss[:] = 0.0
         self.model.dof_armature[:] = _LEAST_kg_m2
-        self.freedom = BASE_FREEDOM[base]
+        self.root, self.freedom = drawing.root, BASE_FREEDOM[base]
         self.pose = 7 if self.freedom == 6 else self.freedom  # numbers of the base's pose
         first = {0: 0, 3: 3, 6: 1}[self.freedom]
         self.joints = tuple(self.model.joint(index).name for index in range(first, self.model.njnt))

@@ -18,9 +18,9 @@ import numpy as np
 
 from hil_sim.arrays import FloatArray
 from hil_sim.plants.attitude import Wheels
-from hil_sim.plants.base_sway import BasePath
 from hil_sim.plants.body import Body
 from hil_sim.plants.cabin import Cabin
+from hil_sim.plants.carrier import Carried
 from hil_sim.plants.contact import Contact
 from hil_sim.plants.exchange import Jolt, Momenta, Released
 from hil_sim.plants.jets import Jets
@@ -57,7 +57,7 @@ class VehicleFlight:
         link: that holds the payload.
         step_s: between rows.
         velocity: of the base at the start, MuJoCo's numbers; empty where it is fixed or prescribed.
-        path: of a prescribed base, at half steps.
+        path: of a prescribed base, at the rows.
         pucks: of a planar one.
         cabin: in which it is held, let go and pushed, at half steps.
         soft: its springs; none of a prescribed base.
@@ -78,7 +78,7 @@ class VehicleFlight:
         link: str | None,
         step_s: float,
         velocity: FloatArray,
-        path: BasePath | None = None,
+        path: Carried | None = None,
         pucks: Sequence[Puck] = (),
         cabin: Cabin | None = None,
         soft: SoftParts | None = None,
@@ -201,9 +201,8 @@ class VehicleFlight:
     def _show(self, k: int, out: Rows, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> None:
         data, nb = self.data, self._nb
         if self._path is not None:
-            stage = 2 * self.count
-            self._pose, self._velocity = self._path.pose[stage], self._path.velocity[stage]
-            acceleration = self._path.acceleration[stage]
+            self._pose, self._velocity = self._path.pose[self.count], self._path.velocity[self.count]
+            acceleration = self._path.acceleration[self.count]
             self._place(self._pose, self._velocity, q, dq)
             data.qacc[:nb], data.qacc[nb:] = acceleration, ddq
             mujoco.mj_inverse(self.model, data)

@@ -16,19 +16,20 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from hil_sim.arrays import FloatArray, Track
-from hil_sim.plants import draws, urdf_drawing, world
+from hil_sim.plants import draws, servos, urdf_drawing, world
 from hil_sim.plants.attitude import holding
-from hil_sim.plants.base_sway import sway
 from hil_sim.plants.body import Body
-from hil_sim.plants.cabin import Cabin, Release
+from hil_sim.plants.cabin import Cabin
+from hil_sim.plants.carrier import carried
 from hil_sim.plants.driven_vehicle import Drivable, drawn_drives
 from hil_sim.plants.events import events
 from hil_sim.plants.exchange import Jolt
 from hil_sim.plants.jets import Jets
 from hil_sim.plants.joint_swings import JointSwings, wheels
 from hil_sim.plants.pucks import pucks
+from hil_sim.plants.servo_flight import ServoFlight
 from hil_sim.plants.soft_parts import springs
-from hil_sim.plants.urdf_model import Places, UrdfModel
+from hil_sim.plants.urdf_model import UrdfModel, places
 from hil_sim.plants.vehicle_flight import Rows, VehicleFlight
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
@@ -37,6 +38,7 @@ _ELEMENTS = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2
 _APPROACH = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")
 _SLOW = 2e-3  # rad/s, m/s: of the rounding of Coulomb friction
 _AT_ONCE_S, _BLOCK = 120.0, 100  # interpolated when the plant is created; chunks at a time afterwards
+_FAR = 50  # chunks beyond the next for which a servo's commanded motion is made at once
 _AROUND = 8  # rows to either side with which a part of a spline is as the whole one, to 3e-5 of its bend
 
 
@@ -76,11 +78,12 @@ class VehiclePlant(world.Plant):
         self.drawing = urdf_drawing.read(said.urdf, said.label)
         if said.base_link != self.drawing.root:
             raise ScenarioError(f"{said.label} hangs on {self.drawing.root!r}, and base_link is {said.base_link!r}")
-        self._places = _places(scenario, self.drawing)
+        self._places = places(scenario, self.drawing)
         gravity = physics.gravity_m_s2
         tilt = scenario.table.tilt_sigma_m_s2 * rng.standard_normal(2) if said.base == "planar" else np.zeros(2)
         self._gravity = np.array(gravity) + np.array([*tilt, 0.0])
-        self._model = UrdfModel(self.drawing, said.base, self._gravity.tolist(), self._places)
+        parts = servos.fit(scenario, self.drawing) if scenario.servo else None
+        self._model = UrdfModel(self.drawing, said.base, self._gravity.tolist(), self._places, parts)
         self.joints = tuple(self.drawing.joints[name] for name in self._model.joints)
         self._rotors = {self.drawing.joints[name].child for name in wheels(scenario) if name in self.drawing.joints}
         drawn = None
@@ -92,7 +95,10 @@ class VehiclePlant(world.Plant):
         self._model.build(self.bodies)
         self.off_m = draws.off_the_drawing(scenario, self.drawing.links, rng.spawn(1)[0])
         self._model.move(self.off_m)
-        self.payload = None if scenario.payload is None else draws.payload(scenario.payload, drawn, rng)
+        self.payload = None
+        if scenario.payload is not None:
+            sigma = scenario.as_built.get(said.payload_link or "")
+            self.payload = draws.payload(scenario.payload, drawn, sigma, rng)
         self._velocity = draws.let_go(scenario.release, said.base, rng)
         self.program: JointSwings = JointSwings(scenario, self.joints, rng)
         self.drives = drawn_drives(scenario.friction, self.efforts_n_m, self.bodies, rng)
@@ -104,29 +110,38 @@ class VehiclePlant(world.Plant):
         self._parts: list[_Part] = []  # not interpolated to their end
         self._filled = 0  # rows interpolated
         self._start(rng)
-        if not self.program.waits:
+        if not (self.program.waits or isinstance(self._flight, ServoFlight)):
             self._compute(self.rows)
             self._make(round(_AT_ONCE_S / self.step_s))
 
     def _start(self, rng: np.random.Generator) -> None:
         """The flight at its first row, and what will happen in it."""
-        scenario, every = self._scenario, self._scenario.physics.integration_steps
+        scenario, every = self._scenario, self._every
         self._coarse_s, self._steps = every * self.step_s, -(-self.rows // every) + 1
         prescribed = scenario.vehicle.base == "prescribed"
-        half_s = np.asarray(0.5 * self._coarse_s * np.arange(2 * self._steps + 1), np.float64)
-        path = sway(scenario.base_motion, half_s, rng) if prescribed else None
+        path = carried(scenario, self._coarse_s, self._steps + 1, rng) if prescribed else None
         link = scenario.vehicle.payload_link
         if self.payload is not None and scenario.capture is None and link is not None:
             self._model.hold(link, self.payload)
         self.cabin: Cabin | None = None
         if scenario.parabolas is not None:
-            self.cabin = Cabin(scenario.parabolas, 0.5 * self._coarse_s, len(half_s), rng)
+            self.cabin = Cabin(scenario.parabolas, 0.5 * self._coarse_s, 2 * self._steps + 1, rng)
         self.soft, lightened = springs(scenario, self.bodies, self._model.joints, rng)
         self._model.build(lightened)
-        given = self._model, self.program, self._places, link, self._coarse_s, self._velocity, path, self._pucks
         self.jets = Jets(scenario, self._model, self.bodies)
-        wheeled = holding(scenario, self._model, self._model.joints)
-        self._flight = VehicleFlight(*given, self.cabin, self.soft, self.jets, wheeled)
+        common = self._model, self.program, self._places, link, self._coarse_s
+        self._flight: VehicleFlight | ServoFlight
+        if scenario.servo:
+            far = 0 if self.program.waits else _FAR
+            parts = path, scenario.drag, scenario.stop
+            self._flight = ServoFlight(*common, self.chunk, far, self._servos, *parts)
+            self.drives = {
+                name: servo.drive for name, servo in zip(self._model.joints, self._flight.servos, strict=True)
+            }
+        else:
+            wheeled = holding(scenario, self._model, self._model.joints)
+            held = self.cabin, self.soft, self.jets, wheeled
+            self._flight = VehicleFlight(*common, self._velocity, path, self._pucks, *held)
         self._coming = deque(events(scenario, self.payload, self._coarse_s, self._steps, rng))
         self._capture = next((event for event in self._coming if event.name == "capture"), None)
         joints = len(self.joints)
@@ -139,9 +154,33 @@ class VehiclePlant(world.Plant):
         self._jolt: Jolt | None = None
         self.came: FloatArray | None = None  # see ``VehicleFlight.approach``
 
+    @property
+    def _every(self) -> int:
+        """Rows of the sensors' grid that the integration takes at a time."""
+        return 1 if self._scenario.servo else self._scenario.physics.integration_steps
+
+    def _servos(self, inertias_kg_m2: FloatArray) -> list[servos.Servo]:
+        return servos.servos(self._scenario.servo, self._model.joints, self.drives, self.efforts_n_m, inertias_kg_m2)
+
+    def _follow(self, flight: ServoFlight, rows: int) -> None:
+        """True signals of a flight whose rows are those of the sensors' grid, so many at least."""
+        while self._filled < min(rows, self.rows):
+            end = min([rows, self.rows, *(event.row for event in self._coming)])
+            for out, values in zip(self.rows_true, flight.advance(end - self._filled), strict=True):
+                out[self._filled : end] = values
+            if self._jolt is not None:
+                self.rows_true.sensors[self._filled] += self._jolt.sensors / self.step_s
+            for made_of, made in self._live:
+                made_of[self._filled : end] = made(slice(self._filled, end))
+            self._filled, self._jolt = end, None
+            if self._coming and self._coming[0].row == end:
+                self._happen()
+
     def _compute(self, rows: int) -> None:
         """True signals on the sensors' grid, so many rows at least."""
-        every, flight = self._scenario.physics.integration_steps, self._flight
+        every, flight = self._every, self._flight
+        if isinstance(flight, ServoFlight):
+            return self._follow(flight, rows)
         while self._done < self._steps and self._done * every < rows:
             end = self._coming[0].row if self._coming else self._steps
             wanted = min(end, -(-rows // every) + _AROUND)
@@ -156,16 +195,20 @@ class VehiclePlant(world.Plant):
             self._refine(_joined(self._window, flight.show()), end)
             self._window, self._window_at = None, end
             if self._coming:
-                event = self._coming.popleft()
-                if event.name == "capture" and event.moves is not None:
-                    self.came = flight.approach(event.moves)
-                self._jolt = event.happen(flight)
-                self.events_s[event.name] = event.row * self._coarse_s
-                self.payload = flight.caught or self.payload
+                self._happen()
+
+    def _happen(self) -> None:
+        """The next event, at the row at which the flight stands."""
+        event, flight = self._coming.popleft(), self._flight
+        if event.name == "capture" and event.moves is not None:
+            self.came = flight.approach(event.moves)
+        self._jolt = event.happen(flight)
+        self.events_s[event.name] = event.row * self._coarse_s
+        self.payload = flight.caught or self.payload
 
     def _refine(self, window: Rows, until: int) -> None:
         """Splines up to a coarse row; what jumped before the first is in that."""
-        every, first = self._scenario.physics.integration_steps, self._done * self._scenario.physics.integration_steps
+        every, first = self._every, self._done * self._every
         count = max(min(every * until, self.rows) - first, 0)
         splines = tuple(CubicSpline(np.arange(len(values)), values) for values in window)
         self._parts.append(_Part(first, count, self._done - self._window_at, splines, self._jolt))
@@ -175,7 +218,7 @@ class VehiclePlant(world.Plant):
 
     def _make(self, until: int) -> None:
         """Fine rows up to ``until``, as far as there are splines, and what is derived from them."""
-        every, begun = self._scenario.physics.integration_steps, self._filled
+        every, begun = self._every, self._filled
         self._filled = min(until, every * self._done, self.rows)
         for part in self._parts:
             first, last = max(begun, part.first), min(self._filled, part.first + part.rows)
@@ -206,7 +249,7 @@ class VehiclePlant(world.Plant):
         link = self.drawing.link_at(at)
         sensors = self.rows_true.sensors
         force, rate = (sensors[:, self._model.sensor(kind, link)] for kind in ("accelerometer", "gyro"))
-        return world.Inertial(force, rate, 0.0)
+        return world.Inertial(force, rate, 0.5 if self._scenario.servo else 0.0)
 
     def angle_rad(self, at: str) -> FloatArray:
         """See ``world.Plant``: m of a joint that slides."""
@@ -224,6 +267,8 @@ class VehiclePlant(world.Plant):
     def servo_torque_n_m(self, at: str) -> FloatArray:
         """See ``world.Plant``: with the drive's friction and rotor."""
         column, drive = self._joint(at), self.drives[at]
+        if self._scenario.servo:
+            return self.rows_true.torques[:, column]
 
         def made(rows: slice) -> FloatArray:
             rate = self.rows_true.rates[rows, column]
@@ -311,7 +356,7 @@ class VehiclePlant(world.Plant):
         return {
             "quantities": quantities,
             "payload_link": self._scenario.vehicle.payload_link,
-            "links": {link: _told(body) for link, body in self.bodies.items()},
+            "links": {link: body.told() for link, body in self.bodies.items()},
             "places_m": self.off_m,
             "drives": {name: drive._asdict() for name, drive in self.drives.items()},
             "pucks": {name: puck._asdict() for name, puck in zip(self._scenario.table.pucks, self._pucks, strict=True)},
@@ -324,7 +369,7 @@ class VehiclePlant(world.Plant):
             "gripped_s": self.events_s.get("grip"),
             "ejection_s": self.events_s.get("ejection"),
             "joint_stiffness_N_m_rad": None if self.soft is None else self.soft.stiffness_N_m_rad,
-            "parabolas": [] if self.cabin is None else [_flown(run) for run in self.cabin.runs],
+            "parabolas": [] if self.cabin is None else [run.told() for run in self.cabin.runs],
             "asked": [{"start_s": start_s, "segment": name} for start_s, name in self.program.asked],
         }
 
@@ -336,46 +381,9 @@ class VehiclePlant(world.Plant):
     def _run_chunk(self) -> None:
         self.count += self.chunk
         self._compute(min(self.count, self.rows))
-        if self._filled < min(self.count, self.rows):
+        if self._filled < min(self.count, self.rows):  # not of servos
             self._make(self.count + _BLOCK * self.chunk)
-
-
-def _flown(run: Release) -> dict[str, Any]:
-    return {
-        "parabola": run.parabola,
-        "flown": run.flown.label,
-        "release_s": run.release_s,
-        "catch_s": run.catch_s,
-        "bumps_s": [bump.at_s for bump in run.bumps],
-        "bumps_N_s": [float(np.linalg.norm(bump.impulse_N_s)) for bump in run.bumps],
-    }
 
 
 def _joined(before: Rows, after: Rows) -> Rows:
     return Rows(*(np.concatenate(of) for of in zip(before, after, strict=True)))
-
-
-def _told(body: Body) -> dict[str, Any]:
-    return {
-        "mass_kg": body.mass_kg,
-        "centre_of_mass_m": body.centre_of_mass_m,
-        "inertia_kg_m2": body.inertia_kg_m2,
-    }
-
-
-def _places(scenario: VehicleScenario, drawing: urdf_drawing.Drawing) -> Places:
-    """Links at which the devices measure motion or loads."""
-    imus: dict[str, None] = {}
-    cells: dict[str, None] = {}
-    tracked: dict[str, None] = {}
-    for device in scenario.device.values():
-        table = device.model_dump()
-        for part in (table, *table.get("channel", ())):
-            sensor = scenario.sensor.get(str(part.get("measures")))
-            if sensor is not None and sensor.quantity == "inertial":
-                imus[drawing.link_at(str(part.get("at")))] = None
-            elif sensor is not None and sensor.quantity in ("joint_moment", "force"):
-                cells[drawing.link_at(str(part.get("at")))] = None
-            elif sensor is not None and sensor.quantity == "pose":
-                tracked[drawing.link_at(str(part.get("at")))] = None
-    return Places(tuple(imus), tuple(cells), tuple(tracked))

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from hil_sim.scenario.part_tables import Vibration
 from hil_sim.scenario.sensor_tables import Fraction, NonNegative, Table, Vector
 from hil_sim.scenario.tables import Scenario
 
@@ -127,23 +128,6 @@ class Rocket(Table):
     roll_to_pitch_inertia: PositiveFloat
     residual_rate_rad_s: Vector
     centre_of_mass_to_plate_m: Vector
-
-
-class Mode(Table):
-    """A structural mode: lightly damped, driven by noise. Exactly one of the two amplitudes is used by its list."""
-
-    frequency_Hz: PositiveFloat
-    damping_ratio: PositiveFloat
-    rms: Vector
-
-
-class Vibration(Table):
-    """``[vibration]``: what the structure adds to the rigid motion."""
-
-    broadband_mg: Vector
-    broadband_band_Hz: tuple[PositiveFloat, PositiveFloat]
-    linear_mode_mg: tuple[Mode, ...]
-    angular_mode_mrad_s: tuple[Mode, ...]
 
 
 class Reentry(Table):

@@ -5,11 +5,13 @@ clocks, buses and devices.
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
+from math import isclose
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from hil_sim.scenario.parabolic_tables import Parabolas
+from hil_sim.scenario.part_tables import AirTable, ConingTable, DragTable, ServoTable, StopTable, Vibration
 from hil_sim.scenario.sensor_tables import Fraction, NonNegative, Table, Vector
 from hil_sim.scenario.tables import Scenario
 
@@ -94,14 +96,17 @@ class CaptureWindow(Table):
 
 
 class EjectionTable(Table):
-    """``[ejection]``: the payload is let go at the start of the first step with ``phase``, or at ``at_s``.
+    """``[ejection]``: the payload is let go at the start of the first step with ``phase``, if any, or at ``at_s``.
 
-    ``velocity_m_s``: of the payload against the gripper afterwards, axes of the payload link.
+    ``velocity_m_s``: of the payload against the gripper afterwards, axes of the payload link. ``duration_ms``: of the
+    spring that gives it this velocity, by a half-sine of force on the link from the start of the ejection on, when the
+    payload is off already; joints with servos feel it. Without, it happens at once.
     """
 
     phase: PhaseCode | None = None
     at_s: NonNegative | None = None
     velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    duration_ms: PositiveFloat | None = None
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "EjectionTable":
@@ -116,13 +121,20 @@ class Step(Table):
     ``sweep``: the joints named in ``rates`` go out and back ``strokes`` times, at that speed (rad/s or m/s, the sign is
     the way out), which they reach within ``ramp_s``, or a quarter of a stroke.
 
+    ``strokes``: the joints named in ``amplitude`` (rad or m) go from side to side by minimum-jerk strokes of
+    ``stroke_s``, each followed by ``pause_s``; to the first side and back from the last within ``transfer_s``.
+
+    ``push``: the joints named in ``to`` (rad or m off the posture) are commanded there within ``approach_s``, stay for
+    ``hold_s``, and come back within ``retreat_s``: what a servo does that runs into a stop. The ``duration_s`` of these
+    two is the sum of their parts.
+
     ``asked``: it keeps its posture, and plays the segments of ``motion.segments`` that the flight computer asks for.
     ``swing``: rms amplitude of a joint, of the way to its nearer end (a third of a radian at most of one that turns
     freely or far); the motion grows from rest and dies down within ``ramp_s``.
     """
 
     phase: PhaseCode
-    action: Literal["hold", "swing", "sweep", "asked"]
+    action: Literal["hold", "swing", "sweep", "strokes", "push", "asked"]
     duration_s: PositiveFloat
     ramp_s: PositiveFloat = 2.0
     swing: Fraction = 0.35
@@ -130,9 +142,42 @@ class Step(Table):
     band_Hz: tuple[PositiveFloat, PositiveFloat] = (0.1, 0.6)
     rates: dict[str, float] = Field(default_factory=dict)
     strokes: PositiveInt = 1
+    amplitude: dict[str, float] = Field(default_factory=dict)
+    stroke_s: PositiveFloat = 1.0
+    pause_s: NonNegative = 0.0
+    transfer_s: PositiveFloat = 1.0
+    to: dict[str, float] = Field(default_factory=dict)
+    approach_s: PositiveFloat = 1.5
+    hold_s: PositiveFloat = 0.5
+    retreat_s: PositiveFloat = 1.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_its_parts(cls, table: Any) -> Any:
+        """The duration of strokes and pushes."""
+        if not isinstance(table, dict):
+            return table
+        own = {name: table.get(name, field.default) for name, field in cls.model_fields.items()}
+        try:
+            sums = {
+                "strokes": 2.0 * own["transfer_s"] + own["strokes"] * (own["stroke_s"] + own["pause_s"]),
+                "push": own["approach_s"] + own["hold_s"] + own["retreat_s"],
+            }
+        except TypeError:  # told by the field itself
+            return table
+        found = sums.get(str(table.get("action")))
+        if found is None:
+            return table
+        if not isclose(table.get("duration_s", found), found):
+            raise ValueError(f"its parts last {found:g} s together: leave duration_s out")
+        return {**table, "duration_s": round(found, 9)}
 
     @model_validator(mode="after")
     def _ramps_fit(self) -> "Step":
+        for action, named in {"strokes": self.amplitude, "push": self.to}.items():
+            if (self.action == action) != bool(named):
+                key = "amplitude" if action == "strokes" else "to"
+                raise ValueError(f'{key} and action = "{action}" need each other')
         if (self.action == "sweep") != bool(self.rates):
             raise ValueError('rates and action = "sweep" need each other')
         if self.action == "swing" and 2.0 * self.ramp_s > self.duration_s:
@@ -261,6 +306,12 @@ class VehicleScenario(Scenario):
     parabolas: Parabolas | None = None
     burn: tuple[BurnTable, ...] = ()
     attitude: AttitudeTable | None = None
+    servo: dict[str, ServoTable] = Field(default_factory=dict)
+    stop: tuple[StopTable, ...] = ()
+    coning: ConingTable | None = None
+    vibration: Vibration | None = None
+    air: AirTable | None = None
+    drag: tuple[DragTable, ...] = ()
     sequence: Annotated[tuple[Step, ...], Field(min_length=1)]
 
     @model_validator(mode="before")
@@ -290,6 +341,7 @@ class VehicleScenario(Scenario):
             raise ValueError("capture and ejection need a [payload]")
         if self.capture is not None and self.capture.contact_Hz is not None and self.vehicle.base != "free":
             raise ValueError('capture.contact_Hz: a payload is held by a spring first with base = "free" alone')
+        self._parts_fit()
         if any(step.action == "asked" for step in self.sequence) != (self.motion.segments is not None):
             raise ValueError('motion.segments and a step with action = "asked" need each other')
         if self.motion.segments is not None and self.motion.csv is not None:
@@ -299,6 +351,36 @@ class VehicleScenario(Scenario):
         if caught and caught.phase is None and not 0.0 < caught.earliest_s <= caught.latest_s < end_s:
             raise ValueError(f"capture must lie between earliest_s and latest_s, and both before the end, {end_s} s")
         return self
+
+    def _parts_fit(self) -> None:
+        """Servos and stops, and what carries the base."""
+        base, physics = self.vehicle.base, self.physics
+        if self.servo and base not in ("prescribed", "fixed"):
+            raise ValueError('servo: joints have servos with base = "prescribed" or "fixed"; take it out')
+        if self.servo and (self.flexibility or self.backlash or (self.capture and self.capture.contact_Hz)):
+            raise ValueError("servo: leave flexibility, backlash and capture.contact_Hz out")
+        if not self.servo:
+            needing = {
+                "stop": bool(self.stop),
+                "drag": bool(self.drag),
+                "ejection.duration_ms": self.ejection is not None and self.ejection.duration_ms is not None,
+                'action = "push"': any(step.action == "push" for step in self.sequence),
+            }
+            if any(needing.values()):
+                named = ", ".join(key for key, is_there in needing.items() if is_there)
+                raise ValueError(f"{named}: joints that move as told do not give way; add [servo.default]")
+        parts = {"coning": self.coning, "vibration": self.vibration, "air": self.air}
+        if base != "prescribed" and any(parts.values()):
+            named = ", ".join(key for key, part in parts.items() if part is not None)
+            raise ValueError(f'{named}: of what carries a base = "prescribed"; take it out')
+        if self.drag and self.air is None:
+            raise ValueError("drag needs the air of [air]; add it")
+        step_us = physics.step_us * (1 if self.servo else physics.integration_steps)
+        if self.vibration is not None and self.vibration.highest_Hz * step_us > 2.5e5:
+            raise ValueError(
+                f"vibration up to {self.vibration.highest_Hz:g} Hz needs four steps a cycle, and one takes {step_us} "
+                "us: give [physics] fewer integration_steps, or a smaller step_us"
+            )
 
     def start_of(self, phase: int) -> float:
         """Mission time at which the first step with this phase begins, s; the end where there is none."""
