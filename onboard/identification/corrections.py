@@ -9,19 +9,83 @@ Assoc. 62, 1967).
 The estimate of a correction about zero has the sigma ``(prior variance - posterior variance)^(1/2)`` (Hausman,
 Econometrica 46, 1978). Data that tell less of it than its stated sigma move it by less than that sigma, however wrong
 it is; in sigmas of what they tell, it is seen.
+
+An error without a parameter, as slosh, is taken up by many corrections at once, none of them far. Together, in stated
+sigmas, they have the covariance A = I - posterior, and ``z' A^-1 z`` is chi-squared. Data tell next to nothing of most
+directions, where A is singular: ``z' (A + e I)^-1 z`` weighs a direction of which they tell a by w = a / (a + e). It is
+``sum w^2 / sum w`` times a chi-squared of ``(sum w)^2 / sum w^2`` degrees of freedom, nearly (Satterthwaite, 1946).
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc, ndtri
+from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.special import chdtrc, chdtri, ndtri
 
 from onboard.estimation.arrays import FloatArray
 
 FARTHEST, DOUBTFUL = 5.0, 3.0  # sigmas, of one
-UNLIKELY = 1e-6  # chance of all of them together
+UNLIKELY, _DOUBTED_TOGETHER = 1e-6, 1e-4  # chance of all of them together
 _DOUBTED = 0.01  # chance that the largest is doubted though all is as stated
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
+
+
+class Together(NamedTuple):
+    """All corrections held against what the data tell of them."""
+
+    squares: float
+    freedom: float  # degrees of it
+
+    @property
+    def chance(self) -> float:
+        """Probability of at least as much, if all is as stated."""
+        return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
+
+    @property
+    def widening(self) -> float:
+        """Factor on variances: the squares over what they exceed as rarely as one does :data:`DOUBTFUL` sigmas."""
+        usual = float(chdtri(self.freedom, chdtrc(1, DOUBTFUL**2))) if self.freedom else np.inf
+        return max(1.0, self.squares / usual)
+
+    def refused(self) -> tuple[str, ...]:
+        """Reason of refusal; empty if there is none."""
+        return (self._text,) if self.chance < UNLIKELY else ()
+
+    def doubted(self) -> tuple[str, ...]:
+        """Reason for a weak verdict; empty if there is none, or one of refusal."""
+        return (self._text,) if UNLIKELY <= self.chance < _DOUBTED_TOGETHER else ()
+
+    @property
+    def _text(self) -> str:
+        times = (self.squares / self.freedom) ** 0.5
+        return (
+            f"corrections of instruments, joints and links together are {times:.1f} times what is stated of them: "
+            "slosh, a flexible joint, or something that has changed"
+        )
+
+
+def together(corrections: FloatArray, posterior: FloatArray) -> Together:
+    """Squares of all corrections, in what the data tell of them: this module's head.
+
+    Args:
+        corrections: (k,) in stated sigmas.
+        posterior: (k, k) covariance of their errors, in stated sigmas.
+
+    Returns:
+        Chi-squared and its degrees of freedom; none where the posterior is wider than what is stated.
+    """
+    k = len(corrections)
+    if not k:
+        return Together(0.0, 0.0)
+    L, failed = dpotrf((1.0 + _LEAST_TOLD) * np.eye(k) - posterior, lower=True)
+    if failed:  # some of them have a wider prior for now than what is stated
+        return Together(0.0, 0.0)
+    root = np.tril(dtrtri(L, lower=True)[0])  # root' root = (A + e I)^-1
+    whitened, inverse = root @ corrections, root.T @ root
+    mean = k - _LEAST_TOLD * float(np.trace(inverse))  # sum of the weights a / (a + e)
+    square = k - 2.0 * _LEAST_TOLD * float(np.trace(inverse)) + _LEAST_TOLD**2 * float(np.vdot(inverse, inverse))
+    return Together(float(whitened @ whitened) * mean / square, mean * mean / square)
 
 
 def told(prior: FloatArray, posterior: FloatArray) -> FloatArray:

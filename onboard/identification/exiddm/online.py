@@ -15,7 +15,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.corrections import DOUBTFUL, contradicted, told, too_large
+from onboard.identification.corrections import DOUBTFUL, Together, contradicted, together, told, too_large
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
@@ -96,6 +96,7 @@ class ExiddmIdentifier:
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._captured = CapturedBody(exiddm)
+        self._held_against: tuple[FloatArray, IndexArray, Together] | None = None  # covariance, which corrections
         self._attached: bool | None = None
         self._told = 0
 
@@ -239,7 +240,9 @@ class ExiddmIdentifier:
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         against = too_large(dict(zip((names[k] for k in known), (state[known] / stated[known]).tolist(), strict=True)))
-        moved = contradicted(self._by_the_data(state))
+        at_once = self._at_once(state)
+        moved = (*contradicted(self._by_the_data(state)), *at_once.refused())
+        doubts += at_once.doubted()
         if not self._is_determined(state):  # far from it the linear test of what the data tell is not exact
             doubts, moved = [*doubts, *moved], ()
         return Findings((*swaying, *moved, *against), tuple(doubts))
@@ -271,6 +274,16 @@ class ExiddmIdentifier:
         at = at[steady[at]]
         sigmas = state[at] / told(predictor.stated[at] ** 2, np.diag(self.exiddm.covariance)[at])
         return at, sigmas
+
+    def _at_once(self, state: FloatArray) -> Together:
+        """All corrections of :meth:`_by_the_data` together."""
+        P, at = self.exiddm.covariance, self._told_apart(state)[0]
+        known = self._held_against
+        if known is None or known[0] is not P or not np.array_equal(known[1], at):
+            stated = self.exiddm.predictor.stated[at]
+            known = P, at, together(state[at] / stated, P[np.ix_(at, at)] / np.outer(stated, stated))
+            self._held_against = known
+        return known[2]
 
     def _of_trackers(self, state: FloatArray) -> list[str]:
         """What the data say against a tracker that is used, before it is enough to do without it."""
@@ -305,16 +318,16 @@ class ExiddmIdentifier:
     def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard parameters, (10,), and their covariance, (10, 10).
 
-        The covariance is multiplied by the largest that is above one: misfit, strongest line, power below 1.5 Hz, or
-        the square of the most contradicted correction over three of its sigmas. Taking the part A of a prior's
-        information on parameters k, of mean zero, away changes a covariance P by ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the
-        mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
+        The covariance is multiplied by the largest that is above one: misfit, strongest line, power below 1.5 Hz, the
+        square of the most contradicted correction over three of its sigmas, or the like of all of them together. Taking
+        the part A of a prior's information on parameters k, of mean zero, away changes a covariance P by
+        ``P_.k (A^-1 - P_kk)^-1 P_k.`` and the mean by ``P_.k (A^-1 - P_kk)^-1 x_k``.
         """
         line, P = self.exiddm.lines.strongest, self.exiddm.covariance
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
         misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(_SLOW_CHANCE).values()])
         worst = float(np.abs(self._told_apart(state)[1]).max(initial=0.0))
-        misfit = max(misfit, (worst / DOUBTFUL) ** 2)
+        misfit = max(misfit, (worst / DOUBTFUL) ** 2, self._at_once(state).widening)
         mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]
         if (at := self._doubted()).size:
             taken = np.diag(self.exiddm.predictor.sigma[at] ** 2 / (1.0 - _DOUBTED**-2))

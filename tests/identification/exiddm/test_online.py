@@ -79,7 +79,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     covariance = 1e-3 * half @ half.T
     fusion = Fusion(("imu", "imu_2", "cell"), (slice(0, 6), slice(6, 12), slice(12, 13)))
     stated = np.full(15, np.nan)
-    stated[13:] = 2.0 * np.sqrt(np.diag(covariance)[13:])
+    stated[13] = 2.0 * np.sqrt(covariance[13, 13])
     state = np.zeros(15)
     state[13] = 6.0 * np.sqrt(0.75) * stated[13]  # of what the data tell
     nothing = np.zeros(0, np.intp)

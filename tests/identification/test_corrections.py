@@ -1,0 +1,56 @@
+"""Corrections of instruments and links, all together, against what the motion tells of them."""
+
+import numpy as np
+import pytest
+
+from onboard.identification.corrections import together
+
+
+def posterior_of(told: float, rng: np.random.Generator, k: int = 80) -> np.ndarray:
+    """Covariance of k corrections of unit prior that motion tells of, some well and most hardly."""
+    rows = told * rng.standard_normal((k, 2 * k)) * np.geomspace(1e-3, 1.0, k)[:, None]
+    return np.asarray(np.linalg.inv(np.eye(k) + rows @ rows.T))
+
+
+@pytest.mark.parametrize("told", [1.0, 0.03, 1e-4])
+def test_of_sound_flights_as_many_are_improbable_as_chance_makes(told: float, rng: np.random.Generator) -> None:
+    posterior = posterior_of(told, rng)
+    values, vectors = np.linalg.eigh(np.eye(len(posterior)) - posterior)
+    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    found = [together(spread @ rng.standard_normal(len(posterior)), posterior) for _ in range(2000)]
+    chances = np.array([one.chance for one in found])
+    assert 0.4 < np.median(chances) < 0.6
+    assert (chances < 0.01).mean() < 0.02
+    assert not any(one.refused() or one.doubted() for one in found)
+    assert np.mean([one.widening > 1.0 for one in found]) < 0.01
+
+
+def test_many_that_are_each_within_two_sigmas_are_refused_together(rng: np.random.Generator) -> None:
+    """What slosh does: 60 corrections of which the motion tells all take a part of it."""
+    k = 60
+    posterior = 0.1 * np.eye(k)
+    moved = rng.choice([-1.0, 1.0], k) * 1.6 * np.sqrt(0.9)
+    one = together(moved, posterior)
+    assert one.refused()
+    assert not one.doubted()
+    assert "1.6 times what is stated" in one.refused()[0]
+    assert one.widening == pytest.approx(60 * 1.6**2 / 94.98, rel=0.01)  # chi-squared of 60, exceeded by 0.27 %
+
+
+def test_between_improbable_and_refused_there_is_a_doubt() -> None:
+    k = 60
+    one = together(np.full(k, 1.4 * np.sqrt(0.9)), 0.1 * np.eye(k))
+    assert 1e-6 < one.chance < 1e-4
+    assert one.doubted()
+    assert not one.refused()
+
+
+def test_one_alone_widens_as_its_own_test_does() -> None:
+    assert together(np.array([6.0 * np.sqrt(0.5)]), np.array([[0.5]])).widening == pytest.approx(4.0, rel=1e-6)
+
+
+def test_nothing_is_said_of_none_and_of_those_whose_prior_is_wider_for_now() -> None:
+    for found in (together(np.zeros(0), np.zeros((0, 0))), together(np.array([9.0]), np.array([[2.0]]))):
+        assert found.chance == found.widening == 1.0
+        assert not found.refused()
+        assert not found.doubted()
