@@ -45,7 +45,7 @@ class Together(NamedTuple):
     @property
     def widening(self) -> float:
         """Factor on variances: the squares over what they exceed as rarely as one does :data:`DOUBTFUL` sigmas."""
-        usual = float(chdtri(self.freedom, chdtrc(1, DOUBTFUL**2))) if self.freedom else np.inf
+        usual = float(chdtri(self.freedom, float(chdtrc(1, DOUBTFUL**2)))) if self.freedom else np.inf
         return max(1.0, self.squares / usual)
 
     def refused(self) -> tuple[str, ...]:
