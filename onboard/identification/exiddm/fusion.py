@@ -60,6 +60,7 @@ class Fusion:
     Attributes:
         left_out: instruments that contradict the others or are absent, in the order in which they were found.
         absent: those left out that give no readings.
+        trackers: of the base's pose.
         refused: one in use that was refused for several batches in a row; None if none was.
     """
 
@@ -67,7 +68,7 @@ class Fusion:
         self.names, self._lines = tuple(names), tuple(lines)
         self.left_out: list[int] = []
         self._imus = [k for k, own in enumerate(lines) if own.stop - own.start == lines[0].stop]
-        self._trackers = [k for k, own in enumerate(lines) if own.stop - own.start == LINES]
+        self.trackers = [k for k, own in enumerate(lines) if own.stop - own.start == LINES]
         self.refused: Accusation | None = None
         self._accusing = 0  # batches in a row
         self._refused, self._agreed = [0] * len(self.names), [0] * len(self.names)
@@ -105,7 +106,7 @@ class Fusion:
         """Instruments that may be wrong where a window, or a longer one than before, is not explained by all."""
         imus = self.imus if len(self.imus) > 1 else []
         others = [k for k in self.order if k not in self.left_out and k not in self._imus]
-        return imus + [k for k in others if longer or k in self._trackers]
+        return imus + [k for k in others if longer or k in self.trackers]
 
     def expect(self, measured: FloatArray) -> None:
         """Do without IMUs that have measured in less than half of some ticks, (n, lines), if another has in more."""

@@ -118,7 +118,7 @@ class RecursiveExiddm(BoundedWork):
     def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
         seen = ticks._replace(measured=self.fusion.without([*self.fusion.left_out, *trial.without], ticks.measured))
         imu = next(k for k in self.fusion.imus if k not in trial.without)
-        prior, start = self._innovations.freed(self._prior, trial.freed), self._start
+        prior, start = self._innovations.freed(self._initial if trial.anew else self._prior, trial.freed), self._start
         if self._stepped is not None and self._earlier is not None and self.state is not None:
             prior, start = self._earlier.if_held(self._prior, (self.state, self.covariance), self.predictor, seen, imu)
         return WindowSolve(self.predictor, self.payload_sigma, seen, prior, trial.hypotheses, start, imu)
@@ -246,12 +246,13 @@ class RecursiveExiddm(BoundedWork):
     def _do_without(self, choice: Choice, accused: Accusation | None) -> None:
         """Go on from the window without an instrument; anew, if what was known before may come from it.
 
-        That of an accused one is from before it was.
+        That of an accused one is from before it was, but a tracker tells of all the time that it was used.
         """
+        anew = choice.instrument in self.fusion.trackers
         old = self._prior[0] is not self._initial[0] and (accused is None or choice.instrument == self.fusion.reference)
         self.fusion.leave_out(choice.instrument, for_good=accused is None or accused.for_good)
         self._explained(choice.found, instrument=True)
-        if old and (not self.held or self._innovations.misled(choice.found.state)):
+        if anew or (old and (not self.held or self._innovations.misled(choice.found.state))):
             window, self._asked = self._window, None
             self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
             self._pending = window

@@ -7,6 +7,9 @@ A load cell that is accused may be right: it sees a light payload that is caught
 Without the cell nothing speaks against the payload as it was. So the window is also solved with all instruments and
 the payload changed. Where that explains it, four seconds or eight of the same readings decide between it and errors of
 the cell (offset, scale, delay) of any size: a changed payload must be exp(10) times as likely.
+
+A tracker of the base's pose sees no payload before the IMUs do. One that is frozen agrees with a base that hardly
+turns, and what was known then may come from it: the window without it is solved with nothing known of before.
 """
 
 from collections.abc import Sequence
@@ -27,6 +30,7 @@ class Trial(NamedTuple):
     hypotheses: tuple[Hypothesis, ...]
     without: tuple[int, ...] = ()  # instruments
     freed: int | None = None  # an instrument whose errors may be of any size
+    anew: bool = False  # with nothing known of before: it may come from what is left out
 
 
 class Choice(NamedTuple):
@@ -48,23 +52,35 @@ def unchanged(hypotheses: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
     return tuple(one for one in hypotheses if one is not Hypothesis.NEW) or hypotheses
 
 
+def without_memory(hypotheses: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
+    """The same where nothing is known of a payload that was held before."""
+    return tuple(dict.fromkeys(Hypothesis.NEW if one is Hypothesis.SAME else one for one in hypotheses))
+
+
 class Trials:
     """The fits of one window.
 
     Args:
         doubted: instruments without which it is to be solved.
         hypotheses: under which.
+        trackers: instruments that hold all that is known to one motion of the base, so that nothing is left of it.
     """
 
     changed: Solved | None = None  # no other payload is tried
 
-    def __init__(self, doubted: Sequence[int], hypotheses: tuple[Hypothesis, ...]) -> None:
-        self._left, self._hypotheses = list(doubted), hypotheses
+    def __init__(
+        self, doubted: Sequence[int], hypotheses: tuple[Hypothesis, ...], trackers: Sequence[int] = ()
+    ) -> None:
+        self._left, self._hypotheses, self._trackers = list(doubted), hypotheses, trackers
         self._found: list[tuple[int, Solved]] = []
 
     def next(self) -> Trial | None:
         """The next fit to be made, without an instrument; None: none is left."""
-        return Trial(self._hypotheses, without=(self._left[0],)) if self._left else None
+        if not self._left:
+            return None
+        if self._left[0] in self._trackers:
+            return Trial(without_memory(self._hypotheses), without=(self._left[0],), anew=True)
+        return Trial(self._hypotheses, without=(self._left[0],))
 
     def take(self, found: Solved | None) -> None:
         """The window without that instrument; None if it is not explained."""
@@ -160,7 +176,7 @@ def trials_of(
         window: its number, the shortest first.
         windows: how many there are.
     """
-    if accused is not None and accused not in fusion.imus:
+    if accused is not None and accused not in (*fusion.imus, *fusion.trackers):
         return CellTrials(accused, hypotheses, window, last=window + 1 == windows)
     doubted = fusion.doubted(longer=window > 0) if accused is None else fusion.rivals(accused)
-    return Trials(doubted, hypotheses if window else unchanged(hypotheses))
+    return Trials(doubted, hypotheses if window else unchanged(hypotheses), fusion.trackers)
