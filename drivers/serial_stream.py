@@ -171,7 +171,7 @@ class SerialDevice(ABC):
         self._silence_ns = round(silence_ms * 1e6)
         self._running = False
         self._connected = False
-        self._heard_ns = 0
+        self._heard_ns = self._started_ns = 0
         self._broken = True  # bytes were bad or lost since the last valid frame
         self._last_error = "not a byte"
 
@@ -188,7 +188,7 @@ class SerialDevice(ABC):
     def start(self, now_ns: int) -> list[Batch]:
         """Open the port and begin. See ``drivers.device.Device``."""
         self._running = True
-        self._heard_ns = now_ns
+        self._heard_ns = self._started_ns = now_ns
         self._exchange(now_ns)
         return self._report.take()
 

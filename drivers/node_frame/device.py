@@ -168,8 +168,9 @@ class NodeFrame(SerialDevice):
         """Use a descriptor (the first one, or one after a restart of the node) for the frames that follow."""
         held, self._held = self._held, deque()
         first_ns = held[0][0] if held else host_ns
-        before = -1 if rebooted else self._before_held
         tick = told.tick - round((host_ns - first_ns) * 1e-9 * told.tick_hz)
+        began_with_us = tick / told.tick_hz <= 1e-9 * (first_ns - self._started_ns)  # its first frames were for us
+        before = -1 if rebooted or (began_with_us and self._before_held is None) else self._before_held
         counters = NodeCounters(told.tick_hz, max(0, tick), first_ns, before)
         prefix = bytes([DATA, told.node]) + told.schema.to_bytes(2, "little")
         units = [channel.unit.encode() for channel in told.channels]

@@ -25,6 +25,8 @@ FOUND = [  # seed, mission, what broke; all of these have lost something without
         "rocksat_mixed",
         "bus_off:can_0:5.7494:8.0932 reset:sync_box:6.1325:",
     ),  # and SYNC begins anew
+    (66172, "rocksat_mixed", "flood:can_0:3.2483:5.4267:385"),  # another node sends an encoder's identifier
+    (66179, "rocksat_serial", "intermittent:arm_port:0:0.2778:0.2147"),  # the first frame of a node
     (7045, "rocksat", "garbage:sync_box:2.9108:2.9413:306.2"),  # a SYNC that cannot be read, before one that jumps
     (5, "rocksat", "bus_off:can_0:8:"),  # until the end
     (5, "rocksat", "unplug:can_0:5:7"),

@@ -6,6 +6,7 @@ that asks for them cannot know. A channel is accounted for where
 - without an estimate: produced = recorded + missing, exactly;
 - with one: recorded + missing is at most the estimate above what was produced, and at most ``SHORT_PART`` of the
   estimate and ``SHORT_EACH`` samples per estimated gap below it;
+- with surplus answers (``pdo_extra``: another node sends the same identifier): one more may be recorded for each gap;
 - with a gap of changes that nobody heard (``changes_unheard``): however many more were produced.
 """
 
@@ -64,7 +65,8 @@ class Account(NamedTuple):
         estimates = sum(1 for gap in self.gaps if gap["about"])
         if self.is_least:
             return self.left >= -self.about
-        return -self.about <= self.left <= SHORT_PART * self.about + SHORT_EACH * estimates
+        others = sum(1 for gap in self.gaps if gap["cause"] == "pdo_extra")
+        return -self.about - others <= self.left <= SHORT_PART * self.about + SHORT_EACH * estimates
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
