@@ -10,11 +10,12 @@ import time
 from multiprocessing.connection import Connection
 
 HEAVY = ("pinocchio", "scipy", "mujoco", "matplotlib", "pandas", "onboard.dynamics", "onboard.regressor")
+NOT_IN_FLIGHT = tuple(f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "signal", "spatial", "stats"))
 
 
 def heavy() -> list[str]:
     """What this process has loaded that is slow to load."""
-    return [name for name in HEAVY if name in sys.modules]
+    return [name for name in (*HEAVY, *NOT_IN_FLIGHT) if name in sys.modules]
 
 
 def tell(*arguments: object) -> None:

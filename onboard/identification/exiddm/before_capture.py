@@ -16,8 +16,8 @@ from itertools import accumulate
 from typing import Final, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.linalg import block_diag
-from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from onboard.dynamics.errors import SignalError
@@ -284,7 +284,7 @@ class _About:
     def _travelled(self, readings: FloatArray) -> _Path:
         """Way of the base by the readings of its IMU."""
         rate, force = readings[:, :3] @ self._R_BS.T, readings[:, 3:] @ self._R_BS.T
-        turns = Rotation.from_rotvec(0.5 * self._period_s * (rate[1:] + rate[:-1])).as_matrix()
+        turns = [pin.exp3(turn) for turn in 0.5 * self._period_s * (rate[1:] + rate[:-1])]
         R = np.array(list(accumulate(turns, np.matmul, initial=np.eye(3))))
         R = R[_BESIDE].T @ R
         velocity = self._summed(np.einsum("kij,kj->ki", R, force))

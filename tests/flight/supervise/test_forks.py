@@ -63,6 +63,7 @@ def test_estimation_is_forked_with_its_estimator_built(prepared: PreparedServer)
     given, loaded = told(prepared.fork(forked.tell))
     assert given == 2  # the estimator and its places
     assert "pinocchio" in loaded
+    assert not set(loaded) & set(forked.NOT_IN_FLIGHT)  # megabytes of each process of an estimator
 
 
 def test_a_vehicle_that_cannot_be_estimated_is_refused(light: ForkServer, tmp_path: Path) -> None:
