@@ -6,10 +6,11 @@ at the end takes no part. An instrument whose innovation is improbable is refuse
 in a row it is accused. A load cell's innovation is also regressed on what it should read, over windows of batches: an
 error of its scale that the noise of the joints hides in a batch. A payload that is caught looks alike, and a cell sees
 it before the first IMU does, so the filter leaves the accused out only if the same payload explains a window without
-it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once. The reference, the
-first IMU in use, is not tested so: what contradicts the model there is a change, which the filter detects. Where it is
-itself the wrong one, a window is explained without it (:mod:`onboard.identification.exiddm.trials`), and the next IMU
-becomes the reference. One that gives no readings for a second is left out as well.
+it; one that was refused is used again when it has agreed for ``_AGREES_BATCHES`` in a row, once; a tracker never, as
+any pose agrees where the one it should show is not known. The reference, the first IMU in use, is not tested so: what
+contradicts the model there is a change, which the filter detects. Where it is itself the wrong one, a window is
+explained without it (:mod:`onboard.identification.exiddm.trials`), and the next IMU becomes the reference. One that
+gives no readings for a second is left out as well.
 """
 
 from collections import deque
@@ -130,7 +131,7 @@ class Fusion:
 
     def leave_out(self, instrument: int, *, for_good: bool = True, kind: str = "left_out") -> None:
         """Do not use an instrument from now on, or until it has agreed for long enough; ``kind``: of the event."""
-        if for_good:
+        if for_good or instrument in self.trackers:
             self._barred.add(instrument)
         if instrument not in self.left_out:
             self.left_out.append(instrument)

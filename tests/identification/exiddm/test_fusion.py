@@ -108,6 +108,17 @@ def test_one_refused_for_half_a_second_is_accused_and_one_left_out_is_used_again
     assert [change.kind for change in fusion.news()] == ["left_out", "taken_back", "left_out"]
 
 
+def test_a_tracker_that_was_left_out_is_not_used_again() -> None:
+    """While it is left out nothing tells which pose it should show, so that any agrees."""
+    fusion = Fusion(("imu", "cell", "tracker"), (slice(0, 6), slice(6, 7), slice(7, 14)))
+    for instrument in (1, 2):
+        fusion.leave_out(instrument, for_good=False)
+    for _ in range(300):
+        fusion.judged([], np.ones(3, np.bool_))
+    assert fusion.left_out == [2]
+    assert [(change.kind, change.what) for change in fusion.news()][-1] == ("taken_back", "cell")
+
+
 def test_a_scale_is_seen_over_batches_that_hide_it(fusion: Fusion, rng: np.random.Generator) -> None:
     effect = 100.0 * np.ones(TICKS)  # noise of 1 % of the reading, each tick
 
