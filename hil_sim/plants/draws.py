@@ -10,6 +10,7 @@ from hil_sim.plants.urdf_model import rotation
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import LetGo, PayloadTable, Tolerance, VehicleScenario
 
+_EXACT = Tolerance(mass_relative=0.0, centre_mm=0.0, inertia_relative=0.0)
 _DRAWS = 1000  # of a part until it is one that can exist
 
 
@@ -38,6 +39,9 @@ def as_built(
 
 
 def _made(link: str, drawn: Body, sigma: Tolerance, rng: np.random.Generator) -> Body:
+    centre = drawn.centre_of_mass_m + 1e-3 * np.asarray(sigma.centre_off_mm)
+    inertia = sigma.mass_factor * sigma.inertia_factor * drawn.inertia_kg_m2
+    drawn = Body(sigma.mass_factor * drawn.mass_kg, centre, inertia)
     for _ in range(_DRAWS):
         one = built(drawn, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
         if one.is_possible:
@@ -73,7 +77,7 @@ def payload(table: PayloadTable, drawn: Body | None, sigma: Tolerance | None, rn
     if drawn is not None and drawn.mass_kg > 0.0 and table.size_mm is None and table.centre_of_mass_mm is None:
         like = Body(mass, drawn.centre_of_mass_m, drawn.inertia_kg_m2 * mass / drawn.mass_kg)
         return like if sigma is None else _made("the payload's link", like, sigma, rng)
-    if sigma is not None and (sigma.mass_relative or sigma.centre_mm or sigma.inertia_relative):
+    if sigma is not None and sigma.model_copy(update={"place_mm": 0.0}) != _EXACT:
         raise ScenarioError("as_built of the payload's link: [payload] says what a box is; give it place_mm alone")
     if table.size_mm is not None:
         size = 1e-3 * np.asarray(table.size_mm)

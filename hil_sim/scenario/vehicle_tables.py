@@ -45,12 +45,18 @@ class Tolerance(Table):
     """``[as_built.LINK]``, ``[as_built.default]``: standard deviations about the drawing; inertia of half its trace.
 
     ``place_mm``: of the link's frame in the link before it, each coordinate; of an IMU's frame too.
+
+    What is surely not as drawn: ``mass_factor`` (of mass and inertia), ``inertia_factor`` (of this besides),
+    ``centre_off_mm``; the deviations are about that.
     """
 
     mass_relative: NonNegative = 0.01
     centre_mm: NonNegative = 1.0
     inertia_relative: NonNegative = 0.01
     place_mm: NonNegative = 0.0
+    mass_factor: PositiveFloat = 1.0
+    inertia_factor: PositiveFloat = 1.0
+    centre_off_mm: Vector = (0.0, 0.0, 0.0)
 
 
 class LetGo(Table):

@@ -70,7 +70,7 @@ def _hil(arguments: argparse.Namespace) -> int:
     from onboard.flight import hil
     from onboard.flight.supervise.runner_processes import FlightError
     from onboard.offline.tables import truth
-    from onboard.offline.views import mission_table
+    from onboard.offline.views import mission_table, own_mission
 
     if arguments.live is not None and not arguments.realtime:
         raise ValueError("--live shows a flight on the real clock: add --realtime")
@@ -111,7 +111,7 @@ def _hil(arguments: argparse.Namespace) -> int:
         else:
             with world:
                 flown = hil.fly_simulated(vehicle, world, urls, log, lambda done: bar.update(task, completed=done))
-    truth.write(flown.log, flown.truth)
+    truth.write(flown.log, own_mission.with_quantities(vehicle, flown.truth))
     result = mission_table.result(flown) | {"expected": expected}
     return _told(arguments, result, log)
 

@@ -23,7 +23,7 @@ from onboard.offline.campaign.revision import revision
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.tables import truth
 from onboard.offline.tables.vehicle_file import vehicle_of
-from onboard.offline.views import mission_table
+from onboard.offline.views import mission_table, own_mission
 from onboard.recording.reader import LogReader
 
 MOST_BYTES = 64 << 20  # of a log that is brought back whole; of a longer one the last quarter of it
@@ -76,7 +76,7 @@ def _result(item: Item, log: Path, make_world: MakeWorld) -> FlightResult:
     world, urls = make_world(mission, over, item.seed, item.faults)
     with world:
         flown = hil.fly_simulated(vehicle, world, urls, log)
-    truth.write(flown.log, flown.truth)
+    truth.write(flown.log, own_mission.with_quantities(vehicle, flown.truth))
     return results.of_mission(mission_table.result(flown))
 
 

@@ -4,7 +4,7 @@ The world gives mass, centre of mass and inertia of every link as it was built, 
 true values of the quantities that the vehicle answers, and for rows also those of its base parameters.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,14 @@ def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
     elif vehicle.file.estimation.method != "exiddm":
         true |= _of_rows(build_identifier(vehicle)[0], vehicle, truth)
     return true
+
+
+def with_quantities(vehicle: config.Vehicle, truth: Truth) -> Truth:
+    """A truth whose ``quantities`` are those of all that the vehicle answers, as far as the world knows them."""
+    if not is_own(truth):
+        return truth
+    known = {name: value for name, value in true_values(vehicle, truth).items() if np.isfinite(value)}
+    return {**truth, "quantities": known}
 
 
 def compared(vehicle: config.Vehicle, answers: Mapping[str, Any], truth: Truth) -> dict[str, list[Row]]:
@@ -133,7 +141,19 @@ def _of_rows(identifier: Identifier, vehicle: config.Vehicle, truth: Truth) -> d
     chi = np.array(list(by_name.values()))
     beta = np.array([_sum(weights, chi) for weights in identifier.base.grouping])
     found = dict(zip(identifier.base.names, beta.tolist(), strict=True))
-    return found | {quantity.name: _sum(quantity.weights, beta) for quantity in identifier.quantities}
+    found |= {quantity.name: _sum(quantity.weights, beta) for quantity in identifier.quantities}
+    return found | _masses(found, truth)
+
+
+def _masses(names: Iterable[str], truth: Truth) -> dict[str, float]:
+    """True masses of links and of sums of them: a mass by an inertia has the drawing's radius of gyration, no truth."""
+    known = {f"m_{link}": body["mass_kg"] for link, body in truth["links"].items()} | truth["quantities"]
+    terms = {name: name.removesuffix("_held").split("+") for name in names}
+    return {
+        name: float(sum(known[term] for term in own))
+        for name, own in terms.items()
+        if all(term.startswith("m_") and term in known for term in own)
+    }
 
 
 def _of_free_body(vehicle: VehicleModel, truth: Truth) -> dict[str, float]:

@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from hil_sim.devices.vehicle_file import rehearsal
+from hil_sim.mission import Mission
 from onboard import config
 from onboard.identification.verdict import Level, Verdict
 from onboard.offline.estimate_again.identified import Answer
@@ -47,3 +49,16 @@ def test_what_is_about_zero_has_the_digits_of_its_interval():
     assert [row["digits"] for row in found["motion"]] == [1, 3, 1]
     [mass] = [row for rows in found.values() for row in rows if row["quantity"] == "m_payload"]
     assert f"{mass['factor'] * mass['value']:.{mass['digits']}f}" == "5000.0"
+
+
+def test_a_mass_by_an_inertia_is_compared_with_the_mass_that_was_built():
+    """Not with its true inertia over the drawing's radius of gyration: an arm whose centre is 2 mm out has another."""
+    path, exact = config.packaged("rocksat"), {"mass_relative": 0.0, "centre_mm": 0.0, "inertia_relative": 0.0}
+    out = {"arm": exact | {"centre_off_mm": [2.0, 0.0, 0.0], "mass_factor": 1.1}, "tip_mass": exact}
+    truth = Mission(rehearsal(path, {"as_built": out, "payload": {"mass_kg": [0.06627, 0.06627]}}), 3).truth()
+    told = own_mission.with_quantities(config.load(path), truth)["quantities"]
+    assert told["m_arm"] == pytest.approx(1.1 * 0.23313)
+    assert told["m_arm+m_tip_mass"] == told["m_arm+m_tip_mass_held"] == pytest.approx(1.1 * 0.23313 + 0.06627)
+    centre_m = 0.03975 + 0.002
+    own = 1e-9 * 7.33e5 + 0.23313 * (centre_m**2 + 0.00141**2)
+    assert told["ZZ_joint_1_R_released"] == pytest.approx(1.1 * own, rel=1e-6)
