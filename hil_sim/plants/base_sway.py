@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
 from hil_sim.arrays import FloatArray
@@ -82,16 +83,18 @@ def attitudes(turns_rad: FloatArray) -> FloatArray:
         own[:, k] = _times(own[:, k - 1], own[:, k])
     starts = np.empty((blocks, 4))
     at = np.array([1.0, 0.0, 0.0, 0.0])
-    for k, whole in enumerate(own[:, -1]):
-        starts[k] = at
-        at = _times(at, whole)
-        at /= np.linalg.norm(at)
+    for start, whole in zip(starts, own[:, -1].copy(), strict=True):
+        start[:] = at
+        mujoco.mju_mulQuat(at, start, whole)
+        mujoco.mju_normalize4(at)
     found = _times(np.repeat(starts, _BLOCK, axis=0), own.reshape(-1, 4))[:n]
     return np.asarray(found / np.linalg.norm(found, axis=1)[:, None], np.float64)
 
 
 def _times(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products of quaternions w x y z, (..., 4)."""
-    (w, x, y, z), (p, q, r, s) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
-    parts = w * p - x * q - y * r - z * s, w * q + x * p + y * s - z * r
-    return np.stack([*parts, w * r - x * s + y * p + z * q, w * s + x * r - y * q + z * p], axis=-1)
+    """Products of quaternions w x y z, (n, 4)."""
+    (w, x, y, z), (p, q, r, s) = a.T, b.T
+    out = np.empty_like(a)
+    out.T[0], out.T[1] = w * p - x * q - y * r - z * s, w * q + x * p + y * s - z * r
+    out.T[2], out.T[3] = w * r - x * s + y * p + z * q, w * s + x * r - y * q + z * p
+    return out

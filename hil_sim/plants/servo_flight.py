@@ -170,11 +170,11 @@ class ServoFlight:
         q, against, ddq = self._wanted(n)
         of = self._of_servos
         ahead = self._q + self._dq * self._h * np.arange(n)[:, None]
-        control[:] = 0.0
         torque = ddq @ self._inertia[nb:, nb:] + against + self._against_gravity()  # rotors included
         control[:, :nu] = q + torque / of.stiffness
         control[:, nu + nb : nu + nv] = of.ripple * np.sin(of.cycles * ahead)
         loads = control[:, nu + nv :].reshape(n, -1, 6)
+        loads[:] = 0.0
         if self._path is not None:
             push = self._base_kg * self._path.acceleration[rows]
             push[:, :3] -= self._base_kg * self.model.opt.gravity
@@ -214,8 +214,10 @@ class ServoFlight:
         rate, _ = self.momenta.twist(body)
         lever = self.data.xmat[body].reshape(3, 3) @ (place_m - self.model.body_ipos[body])
         t = self._h * np.arange(n)[:, None]
-        first = _cross(rate, lever)
-        return np.asarray(lever + first * t + 0.5 * _cross(rate, first) * t * t, np.float64)
+        first, second = np.zeros(3), np.zeros(3)
+        mujoco.mju_cross(first, rate, lever)
+        mujoco.mju_cross(second, rate, first)
+        return np.asarray(lever + first * t + second * (0.5 * t * t), np.float64)
 
     def _drags(self, loads: FloatArray, blown_pa: FloatArray) -> None:
         for body, table in self._drag:
@@ -277,8 +279,3 @@ class ServoFlight:
         shape = np.sin(np.pi * (np.arange(n) + 0.5) / n)
         impulse = -goes.payload.mass_kg * goes.velocity_m_s
         return Spring(self.count, shape[:, None] * impulse / (shape.sum() * self._h))
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Of two vectors (3,)."""
-    return np.asarray(cross(a[None], b[None])[0], np.float64)
