@@ -20,6 +20,7 @@ from onboard.identification.change import Change
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.verdict import Level
+from onboard.identification.whole_flight import witnesses
 from onboard.offline.estimate_again.identify import identify
 from onboard.offline.estimate_again.likelihood_log import longest_held
 from onboard.recording.errors import ChannelError
@@ -134,6 +135,21 @@ def test_an_onboard_answer_that_leads_nowhere_is_replaced(
     (found,) = identify(VEHICLE, [wrong]).logs
     assert found.verdict.level is Level.GOOD
     assert found.answers[0].value == pytest.approx(PAYLOAD.mass_kg, abs=3.0 * found.answers[0].sigma)
+
+
+def test_a_link_that_the_flight_contradicts_is_a_doubt(
+    flown: Twin, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Short of five sigmas of what the flight tells of it, and not by chance of so many."""
+    log, by_the_data = write(tmp_path / "flight.mcap", flown, rng), witnesses._by_the_data
+    for off, reasons in (
+        (4.5, ("link_2_inertial_8 had to be corrected by 4.5 sigmas of what the flight tells of it",)),
+        (3.2, ()),
+    ):
+        spoilt = {"link_2_inertial_8": off}
+        monkeypatch.setattr(witnesses, "_by_the_data", lambda *given, spoilt=spoilt: by_the_data(*given) | spoilt)
+        (found,) = identify(VEHICLE, [log]).logs
+        assert found.verdict.reasons == reasons
 
 
 def test_an_hour_without_a_recording_is_left_out(
