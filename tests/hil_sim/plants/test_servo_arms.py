@@ -66,6 +66,15 @@ def test_a_servo_at_its_limit_does_not_hold_the_arm() -> None:
     assert np.abs(weak.rows_true.joints - weak.program.at(weak.step_s * np.arange(weak.rows))[0]).max() > 0.3
 
 
+def test_a_torque_limit_may_be_beyond_the_effort_of_the_urdf() -> None:
+    heavy = {"payload": {"mass_kg": [10.0, 10.0]}, "capture": False}
+    strong = plant("fixed_arm", servo={"default": {"torque_limit_N_m": 200.0}}, **heavy)
+    most = np.abs(strong.rows_true.torques).max(axis=0)
+    assert strong.efforts_n_m["a2"] == 60.0
+    assert 80.0 < most[1] < 120.0
+    assert np.abs(strong.rows_true.joints - strong.program.at(strong.step_s * np.arange(strong.rows))[0]).max() < 2e-3
+
+
 def test_drives_are_those_that_the_scenario_gives_and_else_drawn(arm) -> None:
     given = plant("fixed_arm", servo={"default": {}, "a2": {"coulomb_N_m": 0.7, "rotor_kg_m2": 0.03}})
     told = given.truth()["drives"]
