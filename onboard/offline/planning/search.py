@@ -1,6 +1,7 @@
-"""Finds the coefficients of a motion: drawn starts, then quasi-Newton descent with limits as penalties, then a check.
+"""Finds the coefficients of a motion: drawn starts, then sequential quadratic programming, then a check.
 
-Descent is scipy's L-BFGS-B with derivatives by differences; its bounds keep the angles, a penalty the other limits. The
+Descent is scipy's SLSQP with derivatives by differences: its bounds keep the angles, and a constraint each of the other
+limits, the soft maximum of its excess over the ticks. ``python -m bench.plan_solvers`` has other solvers beside it. The
 motion found is shrunk towards its posture until it keeps every limit on fine ticks.
 """
 
@@ -19,7 +20,7 @@ from onboard.offline.planning.limits import Limits
 from onboard.offline.planning.splines import Splines
 
 FINE_HZ = 50.0  # of the check
-_PENALTY = 100.0  # times the mean square excess of each limit
+_SHARPNESS = 50.0  # of the soft maximum, per unit of excess
 _STEP = 1e-4  # of the way to a joint's limit, for derivatives
 _DRAWN = 0.5  # of the way to a joint's limit: standard deviation of a start's coefficients
 _HALVINGS = 10
@@ -59,29 +60,16 @@ def search(
     Raises:
         ConfigError: the posture leaves a joint no room.
     """
-    problem = _Problem(over)
+    problem = Problem(over)
     drawn = [problem.kept(problem.draw(rng), coarse=True) for _ in range(starts)]
     drawn.sort(key=problem.value)
     best = problem.kept(drawn[0])
     best_value = start_value = problem.value(best)
     gone_on = drawn[: max(1, min(2, starts // 2)) if iterations else 0]
-    bounds = list(zip(problem.low.tolist(), problem.high.tolist(), strict=True))
     rounds = count(1)
-
-    def told(_: FloatArray) -> None:
-        step(min(1.0, next(rounds) / (iterations * len(gone_on))))
-
-    how: Any = {"callback": told, "options": {"maxiter": iterations, "maxfun": 10**9}}
     for x in gone_on:
-        result = minimize(
-            problem.slope,
-            x,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            **how,
-        )
-        kept = problem.kept(result.x)
+        found = descend(problem, x, iterations, lambda _: step(min(1.0, next(rounds) / (iterations * len(gone_on)))))
+        kept = problem.kept(found)
         value = problem.value(kept)
         if value < best_value:
             best, best_value = kept, value
@@ -89,8 +77,34 @@ def search(
     return Found(problem.coefficients(best), best_value, start_value, problem.evaluations)
 
 
-class _Problem:
-    """Cost and limits as functions of the coefficients, each in units of the way to its joint's limit."""
+def descend(problem: "Problem", x: FloatArray, iterations: int, told: Callable[[FloatArray], None]) -> FloatArray:
+    """Coefficients, (n,), that are better than ``x``, (n,), or the same; a limit may still be broken a little.
+
+    Args:
+        problem: what is looked for.
+        x: the start.
+        iterations: at most.
+        told: is called after each.
+    """
+    limits = {"type": "ineq", "fun": lambda at: -problem.values(at)[1:], "jac": lambda at: -problem.slopes(at)[1:]}
+    how: Any = {
+        "jac": lambda at: problem.slopes(at)[0],
+        "method": "SLSQP",
+        "bounds": list(zip(problem.low.tolist(), problem.high.tolist(), strict=True)),
+        "constraints": [limits],
+        "callback": told,
+        "options": {"maxiter": iterations},
+    }
+    return np.clip(np.asarray(minimize(problem.value, x, **how).x, np.float64), problem.low, problem.high)
+
+
+class Problem:
+    """Cost and limits as functions of the coefficients, each in units of the way to its joint's limit.
+
+    Attributes:
+        low, high: of the coefficients, (n,).
+        evaluations: of the cost so far.
+    """
 
     def __init__(self, over: Search) -> None:
         self._over, splines = over, over.splines
@@ -103,6 +117,9 @@ class _Problem:
         self._coarse = self._grid(TICK_HZ)
         self._fine = self._grid(FINE_HZ)
         self.evaluations = 0
+        self._at: FloatArray | None = None  # of the last values
+        self._slopes_at: FloatArray | None = None
+        self._values = self._slopes = np.zeros(0)
 
     def _grid(self, rate_Hz: float) -> tuple[FloatArray, float]:
         ticks = round(self._over.splines.duration_s * rate_Hz)
@@ -117,25 +134,39 @@ class _Problem:
         return np.clip(_DRAWN * rng.standard_normal(len(self.low)), self.low, self.high)
 
     def value(self, x: FloatArray) -> float:
-        """Cost and penalty."""
+        """Cost."""
+        return float(self.values(x)[0])
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Cost, and of each limit the soft maximum of its excess over the ticks of the search, (1 + limits,)."""
+        if self._at is None or not np.array_equal(x, self._at):
+            own, excess = self.cost_and_excess(x)
+            most = excess.max(axis=0)
+            soft = most + np.log(np.exp(_SHARPNESS * (excess - most)).sum(axis=0)) / _SHARPNESS
+            self._at, self._values = x.copy(), np.concatenate([[own], soft])
+        return self._values
+
+    def slopes(self, x: FloatArray) -> FloatArray:
+        """Derivatives of :meth:`values` by forward differences, (1 + limits, n)."""
+        if self._slopes_at is None or not np.array_equal(x, self._slopes_at):
+            here, columns = self.values(x), []
+            for k in range(len(x)):
+                step = _STEP if x[k] + _STEP <= self.high[k] else -_STEP
+                moved = x.copy()
+                moved[k] += step
+                columns.append((self.values(moved) - here) / step)
+            self._slopes_at, self._slopes = x.copy(), np.stack(columns, axis=1)
+        return self._slopes
+
+    def cost_and_excess(self, x: FloatArray) -> tuple[float, FloatArray]:
+        """Cost, and the excess of each limit at each tick of the search, (ticks, limits)."""
         basis, period_s = self._coarse
         moved = self._over.splines.move(basis, self.coefficients(x))
         self.evaluations += 1
         found = self._over.bound.of(moved)
         chosen = list(self._over.chosen)
         own = cost(found.covariance[np.ix_(chosen, chosen)], self._over.bound.scales[chosen], self._over.criterion)
-        broken = np.maximum(self._over.limits.excess(moved, found.base, period_s), 0.0)
-        return own + _PENALTY * float(np.mean(broken**2, axis=0).sum())
-
-    def slope(self, x: FloatArray) -> tuple[float, FloatArray]:
-        """Cost and its derivatives by forward differences."""
-        here, out = self.value(x), np.zeros(len(x))
-        for k in range(len(x)):
-            step = _STEP if x[k] + _STEP <= self.high[k] else -_STEP
-            moved = x.copy()
-            moved[k] += step
-            out[k] = (self.value(moved) - here) / step
-        return here, out
+        return own, self._over.limits.excess(moved, found.base, period_s)
 
     def kept(self, x: FloatArray, coarse: bool = False) -> FloatArray:
         """The largest share of a motion that keeps all limits: all of it, or found by bisection.

@@ -194,6 +194,13 @@ def test_an_arm_that_stands_is_planned_by_its_rows(tmp_path):
         )
 
 
+def test_a_sketched_arm_of_three_joints_can_hold_itself(tmp_path):
+    assert main(["init", str(tmp_path / "arm"), "--base", "fixed", "--joints", "3", "--load-cell", "cia404"]) == 0
+    (tmp_path / "over.toml").write_text('[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 6.0\n')
+    asked = ["plan", str(tmp_path / "arm" / "vehicle.toml"), "--scenario", str(tmp_path / "over.toml")]
+    assert main([*asked, "--starts", "1", "--iterations", "1", "-o", str(tmp_path / "plan")]) == 0
+
+
 def test_a_planar_base_is_planned_for_what_its_motions_can_tell(tmp_path, capsys):
     assert main(["init", str(tmp_path / "bed"), "--base", "planar", "--joints", "2"]) == 0
     (tmp_path / "over.toml").write_text('[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 6.0\n')
