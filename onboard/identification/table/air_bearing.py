@@ -26,7 +26,7 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
-from onboard.estimation.maximum_likelihood import Descent, Normal, fit
+from onboard.estimation.maximum_likelihood import Descent, Fit, Normal, fit
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
 from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
@@ -154,7 +154,8 @@ class TableExiddm(Exiddm):
 
     Velocity at the start, tilt and Coulomb drag have many minima between them, since Coulomb drag turns about where a
     puck hardly slips; a run that begins at rest shows nothing of the payload in its first seconds. Where the fit of
-    growing parts fails, or the pucks together would push, minima are searched for at coarser ticks and in few steps.
+    growing parts fails, or the pucks together or one of them would push, minima are searched for at coarser ticks and
+    in few steps.
     A search begins with one of two drags, which is held until there is a payload, and with Coulomb drag rounded below
     some slip, where it is nearly linear, then less and less (a continuation). All ticks are fitted from the likeliest
     two, and the likeliest of all results is kept.
@@ -171,7 +172,7 @@ class TableExiddm(Exiddm):
             found.append(super().fit())
         except (EstimationError, SignalError) as error:
             failure.append(error)
-        if not found or self._pushes(found[0].fit.x):
+        if not found or self._pushes(found[0].fit):
             for x in self._searched():
                 try:
                     one = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
@@ -191,9 +192,11 @@ class TableExiddm(Exiddm):
         """The errors of the joints and what is stated of them, (6 x joints,)."""
         return self._base.prior.geometry.blocks(self._base.vehicle)["joints"]
 
-    def _pushes(self, x: FloatArray) -> bool:
-        """Whether all pucks together would push, by their viscous or by their Coulomb drag."""
-        return bool((x[self.layout.estimated("drag")].reshape(-1, 2).sum(axis=0) < 0.0).any())
+    def _pushes(self, found: Fit) -> bool:
+        """Whether all pucks together would push, by viscous or by Coulomb drag, or one of them beyond its sigma."""
+        at = self.layout.estimated("drag")
+        each, sigma = found.x[at], np.sqrt(np.diag(found.covariance)[at])
+        return bool((each.reshape(-1, 2).sum(axis=0) < 0.0).any() or (each < -sigma).any())
 
     def _searched(self) -> list[FloatArray]:
         """Parameters to begin with, (p,) each, the likeliest first."""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import mujoco
@@ -259,14 +260,23 @@ def test_where_the_fit_of_growing_parts_fails_minima_are_searched_for(rng, monke
 
 
 def test_a_fit_whose_pucks_push_is_searched_again(run):
+    """Coulomb drag of one puck below zero by more than its sigma: a run of the bed (seed 91003) was 12 sigmas off."""
     exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
-    x = exiddm.start(PAYLOAD)
+    x, covariance = exiddm.start(PAYLOAD), np.eye(len(exiddm.start(PAYLOAD)))
     drag = exiddm.layout.estimated("drag")
-    assert not exiddm._pushes(x)
+    covariance[drag, drag] = 0.2**2
+
+    def pushes() -> bool:
+        return exiddm._pushes(SimpleNamespace(x=x, covariance=covariance))
+
+    assert not pushes()
     x[drag] = [-0.1, 0.0, 0.3, 0.0, 0.0, 0.0]  # one puck of three
-    assert not exiddm._pushes(x)
+    assert not pushes()
     x[drag[1]] = -0.001
-    assert exiddm._pushes(x)
+    assert pushes()
+    x[drag[1]] = 0.0
+    covariance[drag[0], drag[0]] = 0.09**2
+    assert pushes()
 
 
 def test_coarser_ticks_are_means(run):
