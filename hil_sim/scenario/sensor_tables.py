@@ -92,6 +92,7 @@ class _Bridge(Table):
     zero_walk_N_sqrt_s: NonNegative
     noise_rms_N: NonNegative
     delay_ms: PositiveFloat
+    delay_sigma_ms: NonNegative = 0.0
     full_scale_readings_s: tuple[float, ...]
     full_scale_window_ms: PositiveFloat
 

@@ -94,6 +94,7 @@ class Sheets(NamedTuple):
         table |= {key: said[own] for key, own in named.items() if said.get(own)}
         table["zero_sigma_N"] *= table["capacity_N"] / 50.0
         table["delay_ms"] = said.get("delay_ms") or 0.5
+        table["delay_sigma_ms"] = said.get("delay_sigma_ms", 0.0)
         table["axis"] = said["axis"]
         if said["measures"] == "force":
             return table | {"quantity": "force"}

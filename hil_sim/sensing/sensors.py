@@ -24,6 +24,7 @@ from hil_sim.sensing.interpolation import interpolate, interpolate_column, inter
 from hil_sim.sensing.triads import Triad, Wander, within_limits
 
 Counts = NDArray[np.int16]
+_LEAST_DELAY = 0.1  # of a load cell's nominal one
 
 
 class LowPass(NamedTuple):
@@ -263,7 +264,7 @@ class EncoderSensor:
 class LoadCellSensor:
     """A force along an axis, or a moment over a lever, through a bridge and a transmitter.
 
-    Errors: scale, zero, creep, filter, noise. ``lever_m`` is None where the force itself is measured.
+    Errors: scale, zero, creep, delay, filter, noise. ``lever_m`` is None where the force itself is measured.
     """
 
     def __init__(
@@ -287,8 +288,9 @@ class LoadCellSensor:
         self.drift_N_s = table.zero_drift_sigma_N_s * rng.standard_normal()
         self._walk = Deviates(rng, plant.rows, 1)
         self._walked = 0.0  # their sum
-        delay_s = 1e-3 * table.delay_ms
-        response = low_pass(np.sqrt(2.0) / (2.0 * np.pi * delay_s), delay_s, h)
+        late_ms = table.delay_sigma_ms * rng.spawn(1)[0].standard_normal()
+        self.delay_s = 1e-3 * max(table.delay_ms + late_ms, _LEAST_DELAY * table.delay_ms)
+        response = low_pass(np.sqrt(2.0) / (2.0 * np.pi * self.delay_s), self.delay_s, h)
         impulse = np.zeros(4000)
         impulse[0] = 1.0
         passed = float(np.linalg.norm(signal.lfilter(response.b, response.a, impulse)))
@@ -358,6 +360,7 @@ class LoadCellSensor:
             "nonlinearity_of_rated_output": self.nonlinearity,
             "zero_N": self.zero_N,
             "drift_N_s": self.drift_N_s,
+            "delay_s": self.delay_s,
         }
 
 

@@ -295,4 +295,5 @@ def test_a_link_whose_drawing_is_trusted_is_within_what_is_stated_of_it(tmp_path
     tolerance = scenario.as_built.get("link_1", Tolerance())
     assert (tolerance.mass_relative, tolerance.inertia_relative) == (drawn, drawn)
     assert tolerance.centre_mm == pytest.approx(100.0 * drawn)
-    assert scenario.sensor["load_cell"].delay_ms == 0.5
+    cell = scenario.sensor["load_cell"]
+    assert (cell.delay_ms, cell.delay_sigma_ms) == (0.5, 0.05)

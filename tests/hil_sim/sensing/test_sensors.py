@@ -417,11 +417,12 @@ def test_cell_scale_lever_and_nonlinearity_are_those_of_truth(rng) -> None:
 
 
 def test_cell_calibration_draws_have_the_stated_sigma() -> None:
-    world, table = World(0.1), load("rocksat").sensor["load_cell"]
+    world, table = World(0.1), load("rocksat").sensor["load_cell"].model_copy(update={"delay_sigma_ms": 0.2})
     drawn = [LoadCellSensor(world, table, np.random.default_rng(seed)).truth() for seed in range(600)]
     assert np.std([d["gain"] for d in drawn]) == pytest.approx(0.0025, rel=0.1)
     assert np.std([d["lever_m"] for d in drawn]) == pytest.approx(1e-4, rel=0.1)
     assert np.std([d["zero_N"] for d in drawn]) == pytest.approx(0.03, rel=0.1)
+    assert np.std([d["delay_s"] for d in drawn]) == pytest.approx(2e-4, rel=0.1)
 
 
 def test_cell_is_clipped_at_its_capacity(rng) -> None:
