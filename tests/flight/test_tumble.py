@@ -52,8 +52,9 @@ def test_the_estimator_starts_from_nothing_that_is_true(flown: Result) -> None:
 
 
 def test_a_gyro_beyond_its_stated_axes_is_named_on_board(tmp_path: Path) -> None:
-    """Seed 115 draws it 3.4 stated sigmas off: more than the intervals of one sigma each contain."""
-    far = fly(tmp_path / "flight.mcap", 115, scenario_of("tumble"), "tumble")
+    """Seed 115 and axes 1.3 times as loose as stated: 4.4 stated sigmas off, more than chance makes of so many."""
+    loose = {"sensor": {"imu_base": {"mounting_sigma_deg": 1.3 * 0.49847}}}
+    far = fly(tmp_path / "flight.mcap", 115, scenario_of("tumble", loose), "tumble")
     rows = [*far.table["centres"], *far.table["inertias"]]
     assert all(row["supported"] and row["covered"] for row in rows)
     assert all(row["standing"].startswith("weak: misalignment of imu_base's gyro about y") for row in rows)
