@@ -71,7 +71,6 @@ class CanopenBus:
         self._sync_rows = SyncRows(sync, self._report)
         self._sync_sent_ns: int | None = None
         self._sync_missed = False
-        self._was_disturbed = False  # error frames before the first SYNC
         self._bad_syncs = 0  # since the last one that could be read
         self._started_ns = 0
         self._pumped_ns: int | None = None
@@ -251,7 +250,6 @@ class CanopenBus:
         for host_ns, identifier, data, is_error in frames:
             if is_error:
                 self._port.report_error_frame(host_ns, identifier, data)
-                self._was_disturbed |= self._sync.tick is None
                 continue
             routes = handlers.get(identifier)
             if routes is None:
@@ -275,8 +273,8 @@ class CanopenBus:
         silence = self._sync.silence(host_ns)
         tick, lost, restarted = self._sync.advance(counter, host_ns, self._sync_sent_ns, stood)
         self._sync_sent_ns = None
-        if before_tick is None and self._was_disturbed:  # its producer may have sent since the start
-            lost = max(0, host_ns - self._started_ns) // self._period_ns
+        if before_tick is None and tick * self._period_ns <= host_ns - self._started_ns:
+            lost = tick  # as its counter says, the producer began after us: these were for us
         if restarted:  # as many as time allows, of which those that could not be read are known
             lost = max(round(silence) - 1, self._bad_syncs)
         self._bad_syncs = 0

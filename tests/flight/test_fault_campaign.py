@@ -27,6 +27,7 @@ FOUND = [  # seed, mission, what broke; all of these have lost something without
     ),  # and SYNC begins anew
     (66172, "rocksat_mixed", "flood:can_0:3.2483:5.4267:385"),  # another node sends an encoder's identifier
     (66179, "rocksat_serial", "intermittent:arm_port:0:0.2778:0.2147"),  # the first frame of a node
+    (66882, "rocksat", "intermittent:can_0:0:0.0526:0.4284"),  # SYNCs before the first that is heard
     (7045, "rocksat", "garbage:sync_box:2.9108:2.9413:306.2"),  # a SYNC that cannot be read, before one that jumps
     (5, "rocksat", "bus_off:can_0:8:"),  # until the end
     (5, "rocksat", "unplug:can_0:5:7"),
