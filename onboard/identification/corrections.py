@@ -60,7 +60,7 @@ class Together(NamedTuple):
     def _text(self) -> str:
         times = (self.squares / self.freedom) ** 0.5
         return (
-            f"corrections of instruments, joints and links together are {times:.1f} times what is stated of them: "
+            f"all corrections together are {times:.1f} times what is stated of them: "
             "slosh, a flexible joint, or something that has changed"
         )
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from onboard.channels import QUANTITY
 from onboard.identification.corrections import together
 
 
@@ -34,6 +35,7 @@ def test_many_that_are_each_within_two_sigmas_are_refused_together(rng: np.rando
     assert one.refused()
     assert not one.doubted()
     assert "1.6 times what is stated" in one.refused()[0]
+    assert len(one.refused()[0]) <= QUANTITY["why"].itemsize
     assert one.widening == pytest.approx(60 * 1.6**2 / 94.98, rel=0.01)  # chi-squared of 60, exceeded by 0.27 %
 
 

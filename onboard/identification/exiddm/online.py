@@ -37,8 +37,8 @@ POSE_ROWS = *(f"attitude_{part}" for part in "wxyz"), *(f"position_{axis}" for a
 IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
 _EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
-_CONTRADICTED = "no payload explains more than a second or two of the motion"
-_SWINGING = "slosh, a flexible joint, or an instrument that drifts"
+_CONTRADICTED = "no payload explains the motion"  # a reason has 128 characters in the log
+_SWINGING = "slosh, a flexible joint or an instrument's drift"
 _WORST_MISFIT = 1.5  # of an instrument's innovations
 _MOST_SLOW, _SLOW_CHANCE, _NO_CHANCE = 4.0, 1e-4, 1e-7  # power below 1.5 Hz; at what chance it counts, and refuses
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
@@ -313,7 +313,7 @@ class ExiddmIdentifier:
         line = self.exiddm.unexplained.line
         if line is None:
             return f"{_CONTRADICTED}: check the IMU and the joints"
-        return f"{_CONTRADICTED}, and the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
+        return f"{_CONTRADICTED}; the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 
     def _payload(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard parameters, (10,), and their covariance, (10, 10).
