@@ -47,7 +47,7 @@ def identifier(model: VehicleModel, instruments: bool, smoothing_s: float = SMOO
     sigma[model.payload_columns()] = PAYLOAD_SIGMA
     base = base_parameters(rows, np.random.default_rng(0), known=sigma == 0.0)
     lag_s = smoothing_s if instruments else None
-    return Identifier(rows, base, sigma, 5 * smoothing_s, imu_frame="imu_base", instruments_lag_s=lag_s)
+    return Identifier(rows, base, np.diag(sigma), 5 * smoothing_s, imu_frame="imu_base", instruments_lag_s=lag_s)
 
 
 def signals_of(model: VehicleModel, samples: Samples, smoothing_s: float = SMOOTHING_s) -> Signals:

@@ -97,9 +97,9 @@ class JointKeys(Section):
 class Prior(Section):
     """Prior: relative sigma by link, absolute sigma of the other columns, SI units.
 
-    ``link`` and ``joint`` are for the method "exiddm": links not in ``link`` are exact, joints not in ``joint`` have
-    the defaults of its keys. A relative sigma of zero makes a link exact: it is not estimated, and its part moves to
-    the rows' other side.
+    To rows each link is in ``link`` or in ``relative``. To the method "exiddm" links not in ``link`` are exact, joints
+    not in ``joint`` have the defaults of its keys. A relative sigma of zero makes a link exact: it is not estimated,
+    and its part moves to the rows' other side.
     """
 
     relative: dict[str, NotNegative] = Field(default_factory=dict)

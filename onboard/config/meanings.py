@@ -217,7 +217,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "Absolute sigma of the other columns, SI, by name; by ExIDDM: of friction and offset of joint torques.",
             "a bias is known to be small",
         ),
-        "link": _M('How each link was measured, for method "exiddm"; links that are not in it are certain.'),
+        "link": _M("How each link was measured, in place of `relative`; ExIDDM takes links not in it for exact."),
         "joint": _M(
             'How well places and encoders of joints are known, for method "exiddm"; the defaults for joints not in it.'
         ),

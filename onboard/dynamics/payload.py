@@ -67,7 +67,15 @@ def body_estimate(chi: FloatArray, covariance: FloatArray) -> BodyEstimate:
 
 
 def standard_covariance(chi: FloatArray, mass_relative: float, centre_m: float, inertia_relative: float) -> FloatArray:
-    """Covariance of standard parameters, (10, 10), of a part: ``J S J'``, J the inverse of :func:`body_jacobian`.
+    """Covariance of standard parameters, (10, 10), of a part: :func:`standard_root`."""
+    half = standard_root(chi, mass_relative, centre_m, inertia_relative)
+    return np.asarray(half @ half.T, np.float64)
+
+
+def standard_root(chi: FloatArray, mass_relative: float, centre_m: float, inertia_relative: float) -> FloatArray:
+    """Root ``J S`` of the covariance ``J S^2 J'`` of a part's standard parameters, (10, 10).
+
+    J is the inverse of :func:`body_jacobian`, S has the sigmas of what is weighed, balanced and swung.
 
     Args:
         chi: its standard parameters, (10,).
@@ -77,8 +85,7 @@ def standard_covariance(chi: FloatArray, mass_relative: float, centre_m: float, 
     """
     half_trace = 0.5 * float(np.trace(body_of(chi).inertia_kg_m2))
     sigma = np.array([mass_relative * chi[0], *[centre_m] * 3, *[inertia_relative * half_trace] * 6])
-    half = np.linalg.solve(body_jacobian(chi), np.diag(sigma))
-    return np.asarray(half @ half.T, np.float64)
+    return np.asarray(np.linalg.solve(body_jacobian(chi), np.diag(sigma)), np.float64)
 
 
 def log_cholesky(body: RigidBody) -> FloatArray:

@@ -72,9 +72,9 @@ class BaseParameters:
         """Base parameters ``grouping @ chi``, (p,), of standard ones, (P,)."""
         return np.asarray(self.grouping @ chi, np.float64)
 
-    def covariance(self, sigma: FloatArray) -> FloatArray:
-        """Covariance ``G diag(sigma^2) G'`` of the base parameters, (p, p), for independent standard ones, sigma."""
-        half = self.grouping * sigma
+    def covariance(self, root: FloatArray) -> FloatArray:
+        """Covariance ``G L L' G'`` of the base parameters, (p, p), of that of the standard ones, ``L L'``, (P, P)."""
+        half = self.grouping @ root
         return np.asarray(half @ half.T, np.float64)
 
     def weights(self, functional: FloatArray) -> FloatArray:

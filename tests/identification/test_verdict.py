@@ -172,7 +172,7 @@ def identifier(rng):
     )
     model = RowModel(vehicle, [*base_force_rows(vehicle), *base_moment_rows(vehicle)])
     base = base_parameters(model, np.random.default_rng(1))
-    return Identifier(model, base, np.full(len(model.names), 2.0), 0.5)
+    return Identifier(model, base, 2.0 * np.eye(len(model.names)), 0.5)
 
 
 def rows(rng, identifier, n, truth, noise):

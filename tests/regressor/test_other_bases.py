@@ -8,7 +8,8 @@ import pytest
 from onboard.dynamics.errors import SignalError
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.rls import SquareRootRls
-from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import (
     RowModel,
     base_force_rows,
@@ -85,7 +86,7 @@ def test_a_known_load_tells_the_torque_constants(rng, links):
     model = RowModel(vehicle, [replace(joint_torque_row(vehicle, j.name, False), scale=True) for j in vehicle.joints])
     base = base_parameters(model, rng)
     links_sigma = {"base": 1.0, "link_1": 1.0, "link_2": 1.0, "link_3": 1.0, "link_4": 1e-6}
-    prior = named_relative_sigma(model, links_sigma, {name: 0.3 for name in model.names if name.startswith("scale")})
+    prior = prior_root(model, links_sigma, {name: 0.3 for name in model.names if name.startswith("scale")})
     scale = np.array([0.1, -0.05, 0.08])
     read = torque * (1.0 + scale)  # current times the nominal constant
     held = np.arange(len(read)) % 2 == 0
@@ -132,6 +133,6 @@ def test_priors_with_negative_sigmas_are_refused(links):
     for wrong in (-0.1, np.nan, np.inf):
         sigmas = dict.fromkeys(vehicle.links, 1.0) | {"link_2": wrong}
         with pytest.raises(SignalError, match="link_2 is negative or not finite"):
-            named_relative_sigma(model, sigmas, {"bias_cell": 1.0})
+            prior_root(model, sigmas, {"bias_cell": 1.0})
         with pytest.raises(SignalError, match="bias_cell is negative or not finite"):
-            named_relative_sigma(model, dict.fromkeys(vehicle.links, 1.0), {"bias_cell": wrong})
+            prior_root(model, dict.fromkeys(vehicle.links, 1.0), {"bias_cell": wrong})

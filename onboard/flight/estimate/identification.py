@@ -14,7 +14,6 @@ from onboard.dynamics.inertia import RigidBody, symmetric
 from onboard.dynamics.payload import body_of
 from onboard.dynamics.urdf import with_bodies
 from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
-from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
@@ -44,8 +43,9 @@ from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier, Start
 from onboard.identification.rows.whitening import Whitening
 from onboard.identification.table.run import TableRun
-from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.friction import Motor
+from onboard.regressor.prior import Made, prior_root
 from onboard.regressor.rows import (
     RowModel,
     WrenchRow,
@@ -281,9 +281,10 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         row_model = RowModel(model, rows, zero_force is not None, _motors(vehicle, roles))
         offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
         absolute = {**settings.prior.absolute, **offsets, **scales}
-        prior = named_relative_sigma(row_model, settings.prior.relative, absolute)
-        _check_prior(prior, settings.prior.relative, model)
-        base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=prior == 0.0)
+        made = {name: Made(*own.model_dump().values()) for name, own in settings.prior.link.items()}
+        prior = prior_root(row_model, settings.prior.relative, absolute, made)
+        known = np.asarray(~prior.any(axis=1), np.bool_)
+        base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=known)
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
             drawing = {
@@ -337,14 +338,6 @@ def _check_links(drawing: Mapping[str, Tolerance], model: VehicleModel) -> None:
     for link in drawing:
         if link not in model.links:
             raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
-
-
-def _check_prior(prior: FloatArray, relative: Mapping[str, float], model: VehicleModel) -> None:
-    """Refuse a relative sigma on a massless link, which would silently fix its parameters."""
-    for index, link in enumerate(model.links):
-        if relative[link] > 0.0 and not prior[10 * index : 10 * index + 10].all():
-            text = f"link {link!r} has no mass or no inertia in the URDF that a relative sigma could be of"
-            raise UrdfError(f"{text}; give absolute ones, M_{link} to ZZ_{link}, or a relative one of 0 if it is exact")
 
 
 def _check_joints(roles: Roles, model: VehicleModel) -> None:

@@ -81,7 +81,7 @@ class RotorCalibration(NamedTuple):
     misfit: float  # norm of what is left over the norm of what was expected
 
 
-def free_body_quantities(model: RowModel, base: BaseParameters, prior_sigma: FloatArray) -> tuple[Quantity, ...]:
+def free_body_quantities(model: RowModel, base: BaseParameters, prior_root: FloatArray) -> tuple[Quantity, ...]:
     """Centre of mass, m in base axes, and inertia about it, kg m^2, of the whole vehicle, joints locked at zero.
 
     Functionals of the base parameters by :func:`onboard.dynamics.inertia.composite_functional`.
@@ -89,8 +89,9 @@ def free_body_quantities(model: RowModel, base: BaseParameters, prior_sigma: Flo
     Args:
         model: force and moment rows of a free base.
         base: their base parameters.
-        prior_sigma: of the standard parameters, (P,). In free fall the force rows tell the first moments in units of
-            the mass only, so the prior has to hold the mass (to the URDF's, whatever the truth is: it cancels).
+        prior_root: of the standard parameters' covariance, (P, P). In free fall the force rows tell the first moments
+            in units of the mass only, so the prior has to hold the mass (to the URDF's, whatever the truth is: it
+            cancels).
 
     Raises:
         SignalError: a vehicle whose joints move its centre of mass, a mass that nothing holds, or rows that can never
@@ -102,7 +103,7 @@ def free_body_quantities(model: RowModel, base: BaseParameters, prior_sigma: Flo
     functional = composite_functional(vehicle)
     functional = np.pad(functional, ((0, 0), (0, len(model.names) - functional.shape[1])))  # (10, P)
     mass = float(functional[0] @ model.chi)
-    if not np.linalg.norm(functional[0] * prior_sigma) <= _KNOWN_MASS * mass:
+    if not np.linalg.norm(functional[0] @ prior_root) <= _KNOWN_MASS * mass:
         raise SignalError(
             f"free fall does not show the mass, and the prior leaves it open; give M_{vehicle.spec.base_link} in "
             f"[estimation.prior] absolute, and every rotor in relative, {0.1 * _KNOWN_MASS:g} of the mass or less"

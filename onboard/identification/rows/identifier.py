@@ -65,7 +65,7 @@ class Identifier:
     Args:
         model: the rows.
         base: its base parameters.
-        prior_sigma: standard deviations of the standard parameters about ``model.chi``, (P,).
+        prior_root: L of the covariance ``L L'`` of the standard parameters about ``model.chi``, (P, P).
         block_s: first block length of the jackknife covariance; five kernel widths or more.
         quantities: what to report besides the base parameters.
         considered: considered parameters.
@@ -88,7 +88,7 @@ class Identifier:
         self,
         model: RowModel,
         base: BaseParameters,
-        prior_sigma: FloatArray,
+        prior_root: FloatArray,
         block_s: float,
         quantities: Sequence[Quantity] = (),
         considered: Sequence[Considered] = (),
@@ -112,8 +112,8 @@ class Identifier:
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
-        self.prior_sigma = prior_sigma
-        self._prior_covariance = base.covariance(prior_sigma)
+        self.prior_root = prior_root
+        self._prior_covariance = base.covariance(prior_root)
         self._payload = grasped_payload(model, base, self._prior_covariance)
         self._weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])  # of all that is reported, (r, p)
         self._prior_spread = np.sqrt(
@@ -125,7 +125,7 @@ class Identifier:
         else:
             instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
             self._recursion = instrumental
-            self._instruments = Instruments(instrumental, model, self._fold, base, prior_sigma, instruments_lag_s)
+            self._instruments = Instruments(instrumental, model, self._fold, base, prior_root, instruments_lag_s)
         self.rls.prior(*(start or (base.value(model.chi), self._prior_covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)

@@ -79,7 +79,8 @@ class Instruments:
         model: the rows.
         fold: their base columns, and what is known last.
         base: the base parameters.
-        prior_sigma: of the standard parameters, (P,): which of those that the base parameters sum up gives way.
+        prior_root: of the standard parameters' covariance, (P, P): which of those that the base parameters sum up
+            gives way.
         lag_s: the smoothing kernel's width.
 
     Raises:
@@ -92,14 +93,14 @@ class Instruments:
         model: RowModel,
         fold: RowFold,
         base: BaseParameters,
-        prior_sigma: FloatArray,
+        prior_root: FloatArray,
         lag_s: float,
     ) -> None:
         self._recursion, self._model, self._fold, self._base = recursion, model, fold, base
         if model.vehicle.spec.base is not BaseKind.FREE:
             raise SignalError(f"a {model.vehicle.spec.base.value} base has no predicted motion; free bases only")
         self._motion = PredictedMotion(model.vehicle, lag_s)
-        spread = base.grouping * prior_sigma**2  # (p, P)
+        spread = base.grouping @ prior_root @ prior_root.T  # (p, P)
         self._standard = np.linalg.solve(spread @ base.grouping.T, spread).T  # (P, p) standard of base parameters
         self._start_s: float | None = None
         self._due_s = 0.0

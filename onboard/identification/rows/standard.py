@@ -79,7 +79,7 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
         identifier: after its rows.
         nuisance: nuisance base parameters, left out.
     """
-    model, base, sigma = identifier.model, identifier.base, identifier.prior_sigma
+    model, base, root = identifier.model, identifier.base, identifier.prior_root
     jackknife, estimate = identifier.block_jackknife(), identifier.estimate()
     told = [
         *(estimate.supported & ~np.isin(base.names, list(nuisance))),
@@ -87,15 +87,13 @@ def identified_links(identifier: Identifier, nuisance: Collection[str] = ()) -> 
     ]
     weights = np.vstack([np.eye(len(base.names)), *(q.weights for q in identifier.quantities)])[told]  # (k, p)
     F = weights @ base.grouping  # (k, P)
-    K = sigma[:, None] * np.asarray(
-        np.linalg.pinv(F * sigma, rcond=_SAME)
-    )  # (P, k) for a prior of independent parameters
+    K = root @ np.asarray(np.linalg.pinv(F @ root, rcond=_SAME))  # (P, k)
     mean = model.chi + K @ (weights @ jackknife.mean - F @ model.chi)
-    left = np.diag(sigma**2) - K @ (F * sigma**2)  # what the rows do not tell
+    left = (root - K @ F @ root) @ root.T  # what the rows do not tell
     covariance = left + K @ weights @ jackknife.covariance @ weights.T @ K.T
     found = []
     for index, link in enumerate(model.vehicle.links):
         own = slice(10 * index, 10 * index + 10)
-        if (F[:, own] * sigma[own]).any():
+        if (F[:, own] @ root[own]).any():
             found.append(link_estimate(link, mean[own], covariance[own, own]))
     return tuple(found)

@@ -59,8 +59,11 @@ def device_of(number: int, joint: str) -> str:
     return joint if _NAME.fullmatch(joint) else f"joint_{number}"
 
 
-def joint(kind: str, number: int, name: str, torque: bool = False) -> NewDevice:
-    """The device that measures joint ``name``, the ``number``-th from 1; ``torque``: of a drive, a row of it too."""
+def joint(kind: str, number: int, name: str, largest_N_m: float | None = None) -> NewDevice:
+    """The device that measures joint ``name``, the ``number``-th from 1.
+
+    ``largest_N_m``: a drive's torque is a row too, and this is the joint's largest.
+    """
     device = device_of(number, name)
     bus = f"tty_{device}" if kind == "qsb" else CAN
     node = "" if kind == "qsb" else f"node = {number}\n"
@@ -73,13 +76,19 @@ bus = "{bus}"
 counts_per_revolution = 500000 # of the joint: quadrature and gear included
 zero_count = 0                 # what it reads at joint angle zero
 noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
-{_TORQUE if torque else ""}""",
+{"" if largest_N_m is None else _torque(largest_N_m)}""",
         bus,
     )
 
 
-_TORQUE = """torque = true                  # recorded, by the motor's current
-torque_sigma_N_m = 0.03        # yours: what friction and gear leave beside the model
+_OF_LARGEST = 1e-3  # of a torque by current: its noise of 0.2 % and steps of 0.1 % behind 100 ms of smoothing
+
+
+def _torque(largest_N_m: float) -> str:
+    """Keys of a drive's torque; the sigma is by the joint's largest, as the drive measures its current."""
+    sigma = f"torque_sigma_N_m = {_OF_LARGEST * largest_N_m:.2g}"
+    return f"""torque = true                  # recorded, by the motor's current
+{sigma:31s}# yours: 0.1 % of the joint's largest; more where friction and gear leave more
 torque_scale_sigma = 0.01      # yours: of the torque constant, relative
 torque_still_rad_s = 0.02      # below this rate friction is not known
 """

@@ -19,6 +19,7 @@ class Drawn(NamedTuple):
         links: those with a mass, the root among them.
         last: link of the last joint that moves; the root without one.
         frames: all links.
+        efforts: largest torque of each joint that moves [N m, N]; none where the URDF says none, or zero.
     """
 
     text: str
@@ -27,6 +28,7 @@ class Drawn(NamedTuple):
     links: tuple[str, ...]
     last: str
     frames: tuple[str, ...]
+    efforts: dict[str, float]
 
 
 def read(path: Path) -> Drawn:
@@ -61,7 +63,17 @@ def read(path: Path) -> Drawn:
                 joints.append(name)
                 last = link
     heavy = {str(link.get("name")) for link in robot.findall("link") if link.find("inertial") is not None}
-    return Drawn(text, roots[0], tuple(joints), tuple(f for f in frames if f in heavy), last, frames)
+    limits = {str(joint.get("name")): joint.find("limit") for joint in robot.findall("joint")}
+    efforts = {name: _effort(path, limit) for name, limit in limits.items() if name in joints and limit is not None}
+    links = tuple(f for f in frames if f in heavy)
+    return Drawn(text, roots[0], tuple(joints), links, last, frames, {k: v for k, v in efforts.items() if v > 0.0})
+
+
+def _effort(path: Path, limit: ET.Element) -> float:
+    try:
+        return float(limit.get("effort", "0"))
+    except ValueError as error:
+        raise config.ConfigError(f"{path}: a joint's effort is no number: {error}; correct it") from error
 
 
 def with_frame(drawn: Drawn, name: str, parent: str) -> str:

@@ -127,7 +127,8 @@ def _require(wanted: Wanted) -> None:
 
 def _devices(wanted: Wanted) -> list[NewDevice]:
     chosen = [devices.imu(wanted.imu, wanted.imu_frame)] if wanted.imu != "none" else []
-    chosen += [devices.joint(wanted.encoder, n, name, wanted.by_torque) for n, name in enumerate(wanted.joints, 1)]
+    for n, name in enumerate(wanted.joints, 1):
+        chosen.append(devices.joint(wanted.encoder, n, name, _largest(wanted, n) if wanted.by_torque else None))
     if wanted.load_cell != "none":
         chosen.append(devices.load_cell(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1]))
     if any(device.bus == devices.CAN for device in chosen):
@@ -172,7 +173,8 @@ def _bus(name: str, wanted: Wanted) -> str:
     return f'\n[bus.{name}]\nurl = "{wanted.urls.get(name, usual)}"\n'
 
 
-_DRAWN = 0.02  # of a link: screws and cables are in no drawing
+# of a link in a fixed or prescribed arm: screws and cables are in no drawing
+_DRAWN = "{ mass_relative = 0.02, centre_m = 2e-3, inertia_relative = 0.02 }"
 _CALIBRATED = """
 [estimation.imu_prior]         # 1 sigma by axis of what calibration leaves of the IMU: yours. As it comes it is useless
 gyro_bias_rad_s = 2e-3         # here: an MPU-6050 is off by up to 0.3 rad/s and 0.8 m/s^2
@@ -214,16 +216,18 @@ delay_s = 1e-4
     own = {f"{part}_{wanted.payload_link}": sigma for part, sigma in sigmas.items()}
     own |= _torque_sigmas(wanted, 5.0, 1.0) if wanted.by_torque else {"bias_load_cell": 5.0}
     held = "".join(f"{json.dumps(name)} = {sigma}\n" for name, sigma in own.items())
-    relative = "".join(f"{json.dumps(link)} = {_DRAWN}\n" for link in wanted.links)
-    relative += f"{json.dumps(wanted.payload_link)} = 1.0\n"
+    drawn = "".join(f"{json.dumps(link)} = {_DRAWN}\n" for link in wanted.links)
     calibrated = _CALIBRATED if wanted.base == "prescribed" else ""
     return f"""
 [estimation]
 smoothing_ms = 100             # of both sides of every row
 row_noise = "by_frequency"     # what differentiated encoders add at high frequencies hides no slow motion
 {calibrated}
-[estimation.prior.relative]    # 1 sigma about the URDF: yours, as wide as you trust it; 1.0 of a link that is not known
-{relative}
+[estimation.prior.link]        # 1 sigma about the URDF, as each was weighed, balanced and swung: yours
+{drawn}
+[estimation.prior.relative]    # of all parameters of a link that is not known
+{json.dumps(wanted.payload_link)} = 1.0
+
 [estimation.prior.absolute]    # 1 sigma about none: how large a payload could be, and what the instruments add
 {held}"""
 
@@ -283,6 +287,13 @@ def _urdf(wanted: Wanted) -> str:
 
 {"".join(parts)}</robot>
 """
+
+
+def _largest(wanted: Wanted, number: int) -> float:
+    """Torque of a joint [N m]: the sketch's, or what the URDF at hand says; 10 where it says nothing."""
+    if wanted.drawn is None:
+        return _effort(wanted, number)
+    return wanted.drawn.efforts.get(wanted.joints[number - 1], 10.0)
 
 
 def _effort(wanted: Wanted, number: int) -> float:

@@ -11,7 +11,8 @@ from onboard.identification.rows.agreement import instrument_fits, judged_fit
 from onboard.identification.rows.hypotheses import Hypotheses, Member
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import RowModel, load_cell_row, standing
 from onboard.regressor.signals import Signals
 
@@ -223,7 +224,7 @@ def identifier():
     rows = model()
     base = base_parameters(rows, np.random.default_rng(0))
     links = {"plate": 1.0, "arm": 1.0, "tip_mass": 1.0}
-    sigma = named_relative_sigma(rows, links, {"bias_cell_1": 1.0, "bias_cell_2": 1.0})
+    sigma = prior_root(rows, links, {"bias_cell_1": 1.0, "bias_cell_2": 1.0})
     return Identifier(rows, base, sigma, 0.5, mass_quantities(rows, base, "joint_1", "arm"))
 
 

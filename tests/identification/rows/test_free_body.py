@@ -20,7 +20,8 @@ from onboard.identification.rows.free_body import (
     without_carrier,
 )
 from onboard.identification.rows.identifier import Identifier
-from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
 
 URDF = packaged("tudelft").with_name("tudelft.urdf").read_text()
@@ -37,7 +38,7 @@ def model_of(urdf=URDF):
 
 def quantities_of(urdf=URDF, held=5e-7):
     model, base = model_of(urdf)
-    return model, base, free_body_quantities(model, base, named_relative_sigma(model, HELD, {"M_body": held}))
+    return model, base, free_body_quantities(model, base, prior_root(model, HELD, {"M_body": held}))
 
 
 class Gaussian(NamedTuple):
@@ -79,7 +80,7 @@ def test_a_joint_that_moves_the_centre_of_mass_is_refused():
 
 def test_an_identifier_that_cannot_tell_says_why():
     model, base, quantities = quantities_of()
-    sigma = named_relative_sigma(model, HELD, {"M_body": 5e-7})
+    sigma = prior_root(model, HELD, {"M_body": 5e-7})
     with pytest.raises(SignalError, match="no free-body quantities"):
         whole_body(Identifier(model, base, sigma, 0.1), 0.5)
     with pytest.raises(SignalError, match="no row could be used"):

@@ -16,7 +16,8 @@ from onboard.estimation.gates import GateReason
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.quantities import BODY
 from onboard.identification.rows.identifier import Identifier
-from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import RowModel, load_cell_row, standing
 from onboard.regressor.signals import SignalNoise, Signals
 
@@ -45,7 +46,7 @@ def identifier(payload="tool", cells=("wrist",)):
     extras |= {name: 5.0 if "force" in name else 0.5 for name in model.names if name.startswith("bias")}
     extras |= {name: 0.0025 for name in model.names if name.startswith("scale")}
     base = base_parameters(model, np.random.default_rng(0))
-    return Identifier(model, base, named_relative_sigma(model, links, extras), 5 * WIDTH_S)
+    return Identifier(model, base, prior_root(model, links, extras), 5 * WIDTH_S)
 
 
 def signals(seed, vehicle, tool=TOOL, swing=0.5):
@@ -195,5 +196,6 @@ def test_rows_that_cannot_tell_all_of_a_payload_do_not_name_it(run):
     vehicle = VehicleModel(URDF, VehicleSpec(BaseKind.FIXED, "bench", "tool"))
     model = RowModel(vehicle, [load_cell_row("cell", "wrist", (0, 0, 1), "moment")])
     base = base_parameters(model, np.random.default_rng(0))
-    prior = named_relative_sigma(model, dict.fromkeys(vehicle.links, 0.01), {"bias_cell": 1.0})
-    assert Identifier(model, base, np.maximum(prior, 1e-6), 5 * WIDTH_S).quantity_names == ()
+    prior = prior_root(model, dict.fromkeys(vehicle.links, 0.01) | {"tool": 0.0}, {"bias_cell": 1.0})
+    floor = 1e-6 * np.eye(len(prior))
+    assert Identifier(model, base, np.maximum(prior, floor), 5 * WIDTH_S).quantity_names == ()

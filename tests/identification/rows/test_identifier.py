@@ -15,7 +15,8 @@ from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
 from onboard.identification.quantities import inertia_about_joint, mass_quantities
 from onboard.identification.rows.considered import Considered, columns
 from onboard.identification.rows.identifier import Identifier
-from onboard.regressor.base_parameters import base_parameters, named_relative_sigma
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.prior import prior_root
 from onboard.regressor.rows import BaseMotion, RowModel, base_motion, load_cell_row
 from onboard.regressor.signals import SignalNoise, Signals
 
@@ -42,7 +43,7 @@ def identifier(considered=SCALE, zero_force=False, **options):
     _, model, base, quantities = setup(zero_force)
     links = {"plate": 1.0, "arm": 1.0, "tip_mass": 1.0}
     zeros = {f"zero_force_{axis}": 0.1 for axis in "xyz"} if zero_force else {}
-    sigma = named_relative_sigma(model, links, {"bias_load_cell": 1.0} | zeros)
+    sigma = prior_root(model, links, {"bias_load_cell": 1.0} | zeros)
     return Identifier(model, base, sigma, 5 * WIDTH_S, quantities, considered, imu_frame="imu_base", **options)
 
 
@@ -255,8 +256,8 @@ def test_what_is_taken_for_exact_is_the_limit_of_a_small_sigma(rng):
     found = []
     for relative in (0.0, 1e-5):
         links = {"plate": 1.0, "arm": relative, "tip_mass": 1.0}
-        sigma = named_relative_sigma(model, links, {"bias_load_cell": 1.0})
-        base = base_parameters(model, np.random.default_rng(0), known=sigma == 0.0)
+        sigma = prior_root(model, links, {"bias_load_cell": 1.0})
+        base = base_parameters(model, np.random.default_rng(0), known=~sigma.any(axis=1))
         one = Identifier(model, base, sigma, 5 * WIDTH_S, (), SCALE, imu_frame="imu_base")
         feed(one, signals, held)
         found.append(one.estimate())

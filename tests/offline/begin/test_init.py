@@ -6,10 +6,17 @@ from itertools import product
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants.body import Body
+from hil_sim.plants.draws import as_built
+from hil_sim.scenario.vehicle_tables import VehicleScenario
 from onboard import cli, config
-from onboard.flight.estimate.identification import build_online
+from onboard.dynamics.inertia import RigidBody
+from onboard.dynamics.payload import body_of, standard_of
+from onboard.flight.estimate.identification import build_identifier, build_online
 from onboard.flight.estimate.roles import roles_of
 from onboard.offline.begin.vehicle import ENCODERS, IMUS, LOAD_CELLS, Wanted, make
 
@@ -95,3 +102,44 @@ def test_a_vehicle_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.Ca
     assert "is there already" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["vehicle.toml"]
     assert (tmp_path / "vehicle.toml").read_text() == "mine"
+
+
+def test_the_sigma_of_a_torque_is_by_the_largest_of_its_joint(tmp_path: Path) -> None:
+    urdf = Path(__file__).parents[2] / "flight" / "own" / "bench_arm.urdf"
+    asked = ["init", str(tmp_path / "own"), "--base", "fixed", "--encoder", "cia402", "--urdf", str(urdf)]
+    assert cli.main(asked) == cli.OK
+    cells = roles_of(config.load(tmp_path / "own" / "vehicle.toml")).cells
+    assert [cell.keys.sigma_N_m for cell in cells] == [0.06, 0.06, 0.04, 0.015, 0.015, 0.008]  # type: ignore[union-attr]
+    silent = tmp_path / "silent.urdf"
+    silent.write_text(urdf.read_text().replace('effort="60"', 'effort="0"'))
+    asked = ["init", str(tmp_path / "silent"), "--base", "fixed", "--encoder", "cia402", "--urdf", str(silent)]
+    assert cli.main(asked) == cli.OK
+    cells = roles_of(config.load(tmp_path / "silent" / "vehicle.toml")).cells
+    assert [cell.keys.sigma_N_m for cell in cells][:3] == [0.01, 0.01, 0.04]  # type: ignore[union-attr]
+    silent.write_text(urdf.read_text().replace('effort="60"', 'effort="much"'))
+    assert cli.main([*asked[:-1], str(silent)]) == cli.BAD_INPUT
+
+
+@pytest.mark.parametrize("base", ["fixed", "prescribed"])
+def test_links_of_an_arm_scatter_in_rehearsals_as_its_file_says(base: str, tmp_path: Path) -> None:
+    make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), tmp_path)  # type: ignore[arg-type]
+    identifier, model = build_identifier(config.load(tmp_path / "vehicle.toml"))
+    scenario = scenario_of(str(tmp_path / "vehicle.toml"))
+    assert isinstance(scenario, VehicleScenario)
+    bodies = {
+        link: Body(one.mass_kg, one.centre_of_mass_m, one.inertia_kg_m2)
+        for link, one in ((link, body_of(model.chi[10 * k : 10 * k + 10])) for k, link in enumerate(model.links[:3]))
+    }
+    found = []
+    for seed in range(400):
+        chi = identifier.model.chi.copy()
+        for k, link in enumerate(bodies):
+            built = as_built(scenario, bodies, (), np.random.default_rng(seed))[link]
+            chi[10 * k : 10 * k + 10] = standard_of(
+                RigidBody(built.mass_kg, built.centre_of_mass_m, built.inertia_kg_m2)
+            )
+        found.append(identifier.base.value(chi))
+    told = [name.startswith(("M", "X", "Y", "Z")) and "payload" not in name for name in identifier.base.names]
+    sigma = np.sqrt(np.diag(identifier.base.covariance(identifier.prior_root)))[told]
+    assert sum(told) == 7
+    np.testing.assert_allclose(np.std(np.array(found)[:, told], axis=0), sigma, rtol=0.12)
