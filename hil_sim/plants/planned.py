@@ -1,7 +1,8 @@
 """What a rehearsal is planned to be, as numbers that the flight app's own model can take: no truth that is drawn.
 
 The joints' motion is the program's. What is drawn about a nominal value has that value here: the payload its middle
-mass (geometric) and, unless told, the shape of a cube; the release its rms; the capture the middle of its window.
+mass (geometric) and, unless told, the shape of a cube; the release its rms; the capture the middle of its window. How a
+prescribed base will sway nobody knows before: several motions are drawn, each as likely as the flight's.
 MuJoCo is not needed, so that a flight computer without it can plan too.
 """
 
@@ -21,6 +22,7 @@ from hil_sim.scenario.tables import Scenario, ScenarioError
 from hil_sim.scenario.vehicle_tables import PayloadTable, VehicleScenario
 
 _RMS = 3.0**-0.5  # of a number drawn between -1 and 1
+_SWAYS = 8  # motions of a prescribed base
 
 
 class BaseReadings(NamedTuple):
@@ -41,7 +43,7 @@ class Planned(NamedTuple):
     ddq: FloatArray
     phase: IndexArray  # (n,)
     held: BoolArray  # (n,) the payload is
-    base: BaseReadings | None  # of a prescribed base
+    bases: tuple[BaseReadings, ...]  # of a prescribed base: motions that it may make
     rate_rad_s: FloatArray  # (3,) of a free or planar base at the start
     velocity_m_s: FloatArray  # (3,)
     payload: Body | None  # in its link's frame; None: nothing is held
@@ -146,7 +148,7 @@ def planned(scenario: VehicleScenario, program: JointSwings, joints: Sequence[st
     body, drawn_shape = _payload(scenario.payload)
     return Planned(
         *(time_s, tuple(joints), *program.at(time_s), phase, _held(scenario, time_s)),
-        _readings(scenario, time_s) if prescribed else None,
+        _sways(scenario, time_s) if prescribed else (),
         _RMS * release.rate_rad_s * np.ones(3) + np.asarray(release.spin_rad_s),
         _RMS * release.velocity_m_s * np.ones(3),
         *(body, drawn_shape, pucks),
@@ -181,9 +183,16 @@ def _payload(table: PayloadTable | None) -> tuple[Body | None, bool]:
     return body, table.size_mm is None and table.centre_of_mass_mm is None
 
 
-def _readings(scenario: VehicleScenario, time_s: FloatArray) -> BaseReadings:
+def _sways(scenario: VehicleScenario, time_s: FloatArray) -> tuple[BaseReadings, ...]:
+    """Several, or one where all are alike: a base that is carried as it is told."""
+    found = [_readings(scenario, time_s, seed) for seed in range(1, _SWAYS + 1)]
+    alike = all(np.array_equal(one, other) for one, other in zip(found[0], found[1], strict=True))
+    return tuple(found[:1] if alike else found)
+
+
+def _readings(scenario: VehicleScenario, time_s: FloatArray, seed: int) -> BaseReadings:
     rigid = scenario.model_copy(update={"vibration": None})  # too fast for the grid, and nothing that is planned
-    path = carried(rigid, float(time_s[1] - time_s[0]), len(time_s), np.random.default_rng(1))
+    path = carried(rigid, float(time_s[1] - time_s[0]), len(time_s), np.random.default_rng(seed))
     felt = path.acceleration[:, :3] - np.asarray(scenario.physics.gravity_m_s2)
     turned = Rotation.from_quat(np.roll(path.pose[:, 3:], -1, axis=1)).inv().apply(felt)
     return BaseReadings(path.velocity[:, 3:], path.acceleration[:, 3:], np.asarray(turned, np.float64))

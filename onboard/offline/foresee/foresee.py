@@ -1,8 +1,11 @@
 """The bound of a planned motion, by the vehicle's method and base."""
 
+import numpy as np
+
 from onboard import config
+from onboard.identification.verdict import LEVELS
 from onboard.offline.foresee.free import foresee_free
-from onboard.offline.foresee.plan import Foreseen, Plan
+from onboard.offline.foresee.plan import Expected, Foreseen, Plan
 from onboard.offline.foresee.planar import foresee_planar
 from onboard.offline.foresee.rows import foresee_rows
 
@@ -24,4 +27,27 @@ def foresee(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -> For
         return foresee_planar(vehicle, plan)
     if vehicle.file.estimation.method == "exiddm":
         return foresee_free(vehicle, plan)
-    return foresee_rows(vehicle, plan, coarse=coarse)
+    return _over([foresee_rows(vehicle, one, coarse=coarse) for one in plan.by_base()])
+
+
+def _over(found: list[Foreseen]) -> Foreseen:
+    """Of several motions of the base that are all as likely: sigmas are rms of theirs, so that errors over them are."""
+    first = found[0]
+    if len(found) == 1:
+        return first
+    quantities, parameters = (
+        tuple(_rms(of) for of in zip(*each, strict=True))
+        for each in ([one.quantities for one in found], [one.parameters for one in found])
+    )
+    return first._replace(quantities=quantities, parameters=parameters)
+
+
+def _rms(of: tuple[Expected, ...]) -> Expected:
+    """One quantity over all motions; weak where most leave it weak."""
+    sigmas = np.array([one.sigma for one in of])
+    told = sigmas[np.isfinite(sigmas)]
+    by_level = sorted(of, key=lambda one: LEVELS.index(one.level))
+    middle = by_level[len(of) // 2]
+    return of[0]._replace(
+        sigma=float(np.sqrt(np.mean(told**2))) if told.size else np.nan, level=middle.level, why=middle.why
+    )

@@ -34,7 +34,7 @@ class Plan(NamedTuple):
     ddq: FloatArray
     phase: NDArray[np.intp]  # (n,)
     held: BoolArray  # (n,) the payload is
-    base: BaseMotion | None  # of a prescribed base
+    bases: tuple[BaseMotion, ...]  # of a prescribed base: motions that it may make, all as likely
     rate_rad_s: FloatArray  # (3,) of a free or planar base at the start
     velocity_m_s: FloatArray  # (3,)
     payload: RigidBody | None  # assumed, in its link's frame
@@ -42,9 +42,13 @@ class Plan(NamedTuple):
 
     def part(self, ticks: slice) -> "Plan":
         """Some of the ticks; the base's start is that of all."""
-        base = None if self.base is None else BaseMotion(*(signal[ticks] for signal in self.base))
+        bases = tuple(BaseMotion(*(signal[ticks] for signal in base)) for base in self.bases)
         kept = {name: getattr(self, name)[ticks] for name in ("time_s", "q", "dq", "ddq", "phase", "held")}
-        return self._replace(**kept, base=base)
+        return self._replace(**kept, bases=bases)
+
+    def by_base(self) -> "tuple[Plan, ...]":
+        """The plan with each of its base's motions alone; itself where it has none or one."""
+        return tuple(self._replace(bases=(base,)) for base in self.bases) or (self,)
 
     def used(self, vehicle: config.Vehicle) -> BoolArray:
         """Ticks in the phases that are identified, (n,)."""
@@ -81,7 +85,7 @@ def plan_of(vehicle: config.Vehicle, planned: Any) -> Plan:
         planned.ddq[:, order],
         planned.phase,
         planned.held,
-        None if planned.base is None else BaseMotion(*planned.base),
+        tuple(BaseMotion(*base) for base in planned.bases),
         planned.rate_rad_s,
         planned.velocity_m_s,
         payload,

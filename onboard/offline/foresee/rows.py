@@ -52,7 +52,7 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -
 
     Args:
         vehicle: its file.
-        plan: the motion, at the estimator's ticks.
+        plan: the motion, at the estimator's ticks; of a prescribed base the first of its motions.
         coarse: at fewer, each for as many.
 
     Raises:
@@ -89,8 +89,8 @@ def foresee_rows(vehicle: config.Vehicle, plan: Plan, *, coarse: bool = False) -
 
 def _base_motion(model: VehicleModel, plan: Plan, chi: FloatArray) -> BaseMotion:
     """What the base does: as planned, nothing, or what the joints make of a free one."""
-    if plan.base is not None:
-        return plan.base
+    if plan.bases:
+        return plan.bases[0]
     n = len(plan.time_s)
     if model.spec.base is not BaseKind.FREE:
         return standing(model, n)

@@ -144,6 +144,7 @@ class RowsBound(Bound):
     """
 
     def __init__(self, vehicle: config.Vehicle, plan: Plan, ticks: slice) -> None:
+        plan = plan.by_base()[0]  # one of many likely motions of a prescribed base: eight take eight times as long
         self._vehicle, self._plan, self._ticks, self._model = vehicle, plan, ticks, build_model(vehicle)
         self._chi = self._model.chi.copy()
         if plan.payload is not None:
@@ -170,11 +171,14 @@ class RowsBound(Bound):
     def base(self, moved: FloatArray, period_s: float) -> BaseMotion:
         """See the base class."""
         n, plan = moved.shape[1], self._plan
-        if plan.base is not None:  # prescribed: between the coarse ticks a straight line
+        if plan.bases:  # prescribed: between the coarse ticks a straight line
             coarse = plan.time_s[self._ticks]
             time_s = coarse[0] + period_s * np.arange(n)
             return BaseMotion(
-                *(np.stack([np.interp(time_s, coarse, x[self._ticks, k]) for k in range(3)], axis=1) for x in plan.base)
+                *(
+                    np.stack([np.interp(time_s, coarse, x[self._ticks, k]) for k in range(3)], axis=1)
+                    for x in plan.bases[0]
+                )
             )
         if self._model.spec.base is BaseKind.FIXED:
             return standing(self._model, n)

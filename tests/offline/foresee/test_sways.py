@@ -1,0 +1,43 @@
+"""What is expected of a prescribed base, whose sway nobody knows beforehand: over motions that are all as likely."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil_sim.devices.vehicle_file import scenario_of
+from hil_sim.plants.planned import default_plan
+from hil_sim.scenario.tables import Scenario
+from onboard import config
+from onboard.offline.begin.vehicle import Wanted, make
+from onboard.offline.foresee.foresee import foresee
+from onboard.offline.foresee.plan import Plan, plan_of
+
+HZ = 20.0
+STILL = "[base_motion]\nrate_rad_s = 0.0\nacceleration_m_s2 = 0.0\n"
+
+
+def plan(directory: Path, base: str, over: str = "") -> tuple[config.Vehicle, Plan]:
+    make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), directory / "it")  # type: ignore[arg-type]
+    (directory / "over.toml").write_text(over)
+    scenario: Scenario = scenario_of(str(directory / "it" / "vehicle.toml"), directory / "over.toml")
+    vehicle = config.load(directory / "it" / "vehicle.toml").with_row_rate(HZ)
+    return vehicle, plan_of(vehicle, default_plan(scenario, 1.0 / HZ))
+
+
+def test_a_sigma_is_the_rms_over_the_sways(tmp_path: Path) -> None:
+    vehicle, whole = plan(tmp_path, "prescribed")
+    assert len(whole.bases) == 8
+    each = np.array([[one.sigma for one in foresee(vehicle, part).parameters] for part in whole.by_base()])
+    found = foresee(vehicle, whole).parameters
+    np.testing.assert_allclose([one.sigma for one in found], np.sqrt(np.mean(each**2, axis=0)), rtol=1e-9)
+    told = [name for name in (one.name for one in found) if name.startswith("MX_payload")]
+    spread = each[:, [one.name for one in found].index(told[0])]
+    assert spread.max() > 1.5 * spread.min()  # so it matters which one is taken
+
+
+@pytest.mark.parametrize(("base", "over", "count"), [("prescribed", STILL, 1), ("fixed", "", 0)])
+def test_a_base_that_does_not_sway_is_computed_once(base: str, over: str, count: int, tmp_path: Path) -> None:
+    _, whole = plan(tmp_path, base, over)
+    assert len(whole.bases) == count
+    assert len(whole.by_base()) == 1
