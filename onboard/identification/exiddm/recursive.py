@@ -181,7 +181,7 @@ class RecursiveExiddm(BoundedWork):
     def _wanted(self) -> int:
         """Ticks until there is something to do."""
         whole = self._window_ticks() + self.unexplained.wait if self._hypotheses else BATCH_TICKS + 2
-        return whole - len(self._pending.time_s)
+        return max(whole - len(self._pending.time_s), 0)
 
     def _window_ticks(self) -> int:
         return round(self._grown * _WINDOWS_s[self._solves] / self.predictor.period_s)
@@ -251,11 +251,12 @@ class RecursiveExiddm(BoundedWork):
         anew = choice.instrument in self.fusion.trackers
         old = self._prior[0] is not self._initial[0] and (accused is None or choice.instrument == self.fusion.reference)
         self.fusion.leave_out(choice.instrument, for_good=accused is None or accused.for_good)
+        length = self._solves
         self._explained(choice.found, instrument=True)
         if anew or (old and (not self.held or self._innovations.misled(choice.found.state))):
             window, self._asked = self._window, None
             self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
-            self._pending = window
+            self._pending, self._solves = window, length
 
     def _not_explained(self) -> None:
         """The contact may not be over; estimates of the other unknowns are kept."""

@@ -28,9 +28,10 @@ class Resting(NamedTuple):
     """Joints that are still for a while, and come to their pace slowly."""
 
     motion: free_flyer.JointMotion
+    still_s: float = STILL_s
 
     def at(self, time_s):
-        since = np.maximum(time_s - STILL_s, 0.0)
+        since = np.maximum(time_s - self.still_s, 0.0)
         slow = since < SLOW_s
         at_s, pace, change = (
             np.where(slow, *both)
@@ -55,9 +56,9 @@ def caught():
     return recorded(flight.history, rng)
 
 
-def with_a_frozen_tracker(signals, seed=1):
+def with_a_frozen_tracker(signals, seed=1, held=False):
     """The ticks of a flight, every fourth with a pose; an estimator of them, and one without them."""
-    rng, bare = np.random.default_rng(seed), online(signals, held=False)
+    rng, bare = np.random.default_rng(seed), online(signals, held)
     own = bare.predictor
     tracker = FurtherPose("tracker", "imu_base", PRIOR)
     samples = signals.period_s, signals.samples
@@ -70,7 +71,7 @@ def with_a_frozen_tracker(signals, seed=1):
     poses += noise * rng.standard_normal((n, LINES))
     measured = np.hstack([ticks.measured, poses])
     sigma = np.hstack([ticks.sigma, noise])
-    return ticks._replace(measured=measured, sigma=sigma), RecursiveExiddm(predictor, WIDE, held=False), bare
+    return ticks._replace(measured=measured, sigma=sigma), RecursiveExiddm(predictor, WIDE, held), bare
 
 
 def test_it_is_named_and_nothing_that_it_told_is_kept(caught):
@@ -88,6 +89,26 @@ def test_it_is_named_and_nothing_that_it_told_is_kept(caught):
     sigma = np.sqrt(expected.covariance[0, 0])
     assert abs(found.body.mass_kg - expected.body.mass_kg) < 0.5 * sigma
     assert np.sqrt(found.covariance[0, 0]) < 1.2 * sigma
+
+
+def test_one_that_shows_in_the_second_window_of_a_payload_is_left_out_with_that_window():
+    """What was known before is given up; the next window has all ticks of this one, and is due at once."""
+    rng = np.random.default_rng(7)
+    motion = replace(free_flyer.JointMotion.draw(rng), phase_rad=np.full((5, 3), np.pi / 2))
+    moving = Resting(motion, still_s=1.0)
+    signals = recorded(free_flyer.fly(free_flyer.world(BOX), moving, np.zeros(3), 7.0), rng)
+    ticks, recursive, bare = with_a_frozen_tracker(signals, held=True)
+    ticks.measured[130:, -3:] += 0.3
+    recursive.update(ticks)
+    recursive.finish()  # was endless
+    bare.update(ticks_of(signals))
+    bare.finish()
+    assert recursive.fusion.contradicting == ("tracker",)
+    found, expected = recursive.estimate(), bare.estimate()
+    assert expected is not None
+    assert found is not None
+    assert abs(found.body.mass_kg - expected.body.mass_kg) < 0.5 * np.sqrt(expected.covariance[0, 0])
+    assert recursive.ticks_used >= bare.ticks_used
 
 
 def test_the_window_without_it_is_solved_with_nothing_known_of_before():
