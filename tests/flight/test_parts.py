@@ -22,7 +22,8 @@ from onboard.flight.estimate.identification import METHODS
 from onboard.flight.estimate.phases import PhaseTrack
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import ChannelAtTicks, SignalSmoother
-from onboard.flight.estimate.zeroing import Zeroing
+from onboard.flight.estimate.zeroing import Temperatures, Zeroing
+from onboard.identification.quantities import Findings
 from onboard.ring import RingReader, RingWriter
 from onboard.timebase.specs import FollowerChannel, ProducerChannel, RecordedChannel
 from onboard.timebase.timebase import Timebase
@@ -429,3 +430,16 @@ def test_every_method_of_the_vehicle_file_has_an_estimator_that_flies() -> None:
     named = get_args(Estimation.model_fields["method"].annotation)
     assert len(named) >= 3
     assert set(METHODS) == set(named)
+
+
+@pytest.mark.parametrize(("kelvin", "said"), [(12.0, ("imu_base is 12 K warmer than at first",)), (3.0, ())])
+def test_an_imu_that_has_warmed_is_named_before_what_speaks_against_all_answers(
+    kelvin: float, said: tuple[str, ...]
+) -> None:
+    rows = np.zeros(5, records.IMU)
+    temperatures = Temperatures(roles_of(ROCKSAT).imu)
+    temperatures.append({"imu_base": rows})
+    rows["temperature_raw"] = round(340.0 * kelvin)
+    temperatures.append({"imu_base": rows})
+    assert temperatures.noted(Findings(("it swings",))).against == (*said, "it swings")
+    assert temperatures.noted(Findings((), ("noisy",))) == Findings((), ("noisy",))

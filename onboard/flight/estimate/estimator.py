@@ -336,7 +336,7 @@ class Estimator:
         return self._numbered("row", made)
 
     def _answered(self, now_ns: int, vehicle_ns: int) -> list[Batch]:
-        online, findings = self.online, self.online.findings()
+        online, findings = self.online, self._temperatures.noted(self.online.findings())
         if self._witness is not None and self._witness.contradiction:
             findings = findings._replace(against=(*findings.against, self._witness.contradiction))
         estimate = self._zeroing.noted(online.estimate(), 1e-9 * self._period_ns)

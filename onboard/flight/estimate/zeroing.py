@@ -19,11 +19,12 @@ from drivers.records import Batch, Rows, SampleStatus, Severity, event
 from onboard import config
 from onboard.devices.roles import ImuRole
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.quantities import Estimate
+from onboard.identification.quantities import Estimate, Findings
 
 _EXPLAINED = 4.0  # sigmas
 _STEPS = 64  # temperatures kept: of some seconds
 _PLAUSIBLE_K = 100.0  # from the first temperature
+_WARMER_K = 5.0  # more than a chip warms by itself after power-up
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -53,6 +54,13 @@ class Temperatures:
         if abs(kelvin - self._first) < _PLAUSIBLE_K:
             self._times_ns = np.append(self._times_ns, float(np.median(good["host_ns"])))[-_STEPS:]
             self._values = np.append(self._values, kelvin - self._first)[-_STEPS:]
+
+    def noted(self, findings: Findings) -> Findings:
+        """Findings, with how much warmer the IMU has become before what speaks against all answers, if it is much."""
+        if not findings.against or not len(self._values) or abs(self._values[-1]) < _WARMER_K:
+            return findings
+        said = f"{self._channel} is {abs(self._values[-1]):.0f} K {'warmer' if self._values[-1] > 0.0 else 'colder'}"
+        return findings._replace(against=(f"{said} than at first", *findings.against))
 
     def at(self, at_ns: NDArray[np.int64]) -> FloatArray:
         """At each tick, (n,)."""

@@ -159,27 +159,30 @@ class Unexplained:
     Attributes:
         count: since the filter's last steps, windows that contradicted a shorter one or the steps since, that were not
             explained after a wait either, or that left a line.
+        between: which instruments contradict each other, where the last window was explained without either.
         wait: ticks to wait before the next window; its length comes on top.
     """
 
     def __init__(self, period_s: float) -> None:
         self._period_s, self._contact = period_s, round(CONTACT_s / period_s)
         self._first, self._longest = (round(wait_s / period_s) for wait_s in _WAITS_s)
-        self.count = self.wait = 0
+        self.count, self.wait, self.between = 0, 0, ""
         self._lines: list[tuple[float, float, Line]] = []  # first and last time of the window
 
     def begin(self, *, change: bool = False) -> None:
         """No window yet; the first one after a change waits until the contact is over."""
         self.wait = self._contact if change else 0
 
-    def add(self, end_s: float, residual: FloatArray | None, *, longer: bool) -> None:
+    def add(self, end_s: float, residual: FloatArray | None, *, longer: bool, between: str = "") -> None:
         """Take in a window.
 
         Args:
             end_s: vehicle time.
             residual: whitened, of the nearest fit, gyro then accelerometer, (n, 6); None if there was no fit.
             longer: a shorter window was explained.
+            between: see the attribute.
         """
+        self.between = between
         line = None if residual is None else line_of(residual, self._period_s)
         self.count += longer or self.wait > self._contact or line is not None
         waited = self.wait if self.wait > self._contact else 0
@@ -200,7 +203,7 @@ class Unexplained:
 
     def settle(self) -> None:
         """The filter steps again."""
-        self.count = self.wait = 0
+        self.count, self.wait, self.between = 0, 0, ""
 
 
 def line_of(residual: FloatArray, period_s: float) -> Line | None:

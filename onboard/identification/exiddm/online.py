@@ -38,7 +38,7 @@ IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for 
 
 _EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
 _CONTRADICTED = "no payload explains the motion"  # a reason has 128 characters in the log
-_SWINGING = "slosh, a flexible joint or an instrument's drift"
+_SWINGING = "slosh, a flexible joint or a drift"
 _WORST_MISFIT = 1.5  # of an instrument's innovations
 _MOST_SLOW, _SLOW_CHANCE, _NO_CHANCE = 4.0, 1e-4, 1e-7  # power below 1.5 Hz; at what chance it counts, and refuses
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
@@ -303,7 +303,7 @@ class ExiddmIdentifier:
         if len(left_out) > 1:
             return f"{' and '.join(left_out)} contradict the other instruments and the joints"
         if self.exiddm.undecided or self.exiddm.unexplained.count or self.exiddm.unexplained.swings:
-            return self.exiddm.undecided or self._contradicted()
+            return self.exiddm.undecided or self.exiddm.unexplained.between or self._contradicted()
         if unexplained >= _MOST_UNEXPLAINED:
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
         return ""

@@ -207,8 +207,7 @@ class RecursiveExiddm(BoundedWork):
         if self._stepped is not None and self._earlier is not None:
             if found is not None and found.hypothesis is Hypothesis.NOTHING:
                 self._prior = self._earlier.known
-            self._earlier = None
-            self._ask_again(self._stepped)
+            self._earlier, self._asked = None, self._stepped.asked
             return
         if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
             stepped, self._stepped = self._stepped, None
@@ -236,7 +235,7 @@ class RecursiveExiddm(BoundedWork):
         if choice is None and accused is not None:
             self._acquit(accused)
         elif choice is None or (accused is None and not choice.clear):
-            self._not_explained()
+            self._not_explained(choice.doubt(self.fusion.names) if choice else "")
         elif not choice.clear and self._solves + 1 < len(_WINDOWS_s):
             self._solves += 1  # wait for a longer window
         else:
@@ -258,12 +257,17 @@ class RecursiveExiddm(BoundedWork):
             self._reopen((Hypothesis.NEW if self.held else Hypothesis.NOTHING,), None)
             self._pending, self._solves = window, length
 
-    def _not_explained(self) -> None:
-        """The contact may not be over; estimates of the other unknowns are kept."""
+    def _not_explained(self, between: str = "") -> None:
+        """The contact may not be over; estimates of the other unknowns are kept.
+
+        Args:
+            between: which instruments contradict each other, if it is explained without either of them.
+        """
         if self._claim.held:
             self._hypotheses = (Hypothesis.NEW,)
         # a window that has grown contradicts none before it: they determined nothing
-        self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=self._solves > 0 and self._grown == 1.0)
+        longer = self._solves > 0 and self._grown == 1.0
+        self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=longer, between=between)
         self.state, self.held, self._start, self._solves, self._grown = None, None, None, 0, 1.0
         self._pending = self._pending.part(slice(-self._window_ticks(), None))
 
@@ -295,13 +299,6 @@ class RecursiveExiddm(BoundedWork):
             self._hypotheses, self._pending = (), ticks.part(slice(-2, None))
             self.unexplained.settle()
             self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
-
-    def _ask_again(self, stepped: Stepped) -> None:
-        """Ask for the window and the steps since; first, where it is not known what was held, for the motion before."""
-        if self._earlier is None:
-            self._asked = stepped.ticks, Trial((Hypothesis.NEW if stepped.held else Hypothesis.NOTHING,))
-        else:
-            self._asked = self._earlier.ticks, Trial((Hypothesis.SAME, Hypothesis.NOTHING))
 
     # ------------------------------------------------------------------ a batch, as a step
 
@@ -347,7 +344,7 @@ class RecursiveExiddm(BoundedWork):
                 self._open((Hypothesis.NOTHING,), self._prior, begun)
                 return
             if self._stepped.due:
-                self._ask_again(self._stepped)
+                self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
                 return
         self._snapshots.append(self.state, self.covariance)
         self._snapshots.moves(None if ticks.rest else ticks)

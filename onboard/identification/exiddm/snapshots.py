@@ -18,6 +18,8 @@ from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.guesses import first_pose, first_rate
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.trials import Trial
+from onboard.identification.exiddm.window import Hypothesis
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
 TIERS = ((8, 1), (28, 4), (80, 16))  # of the so many newest batches one in so many is kept
@@ -59,6 +61,11 @@ class Before(NamedTuple):
 
     ticks: Ticks
     known: Known
+
+    @property
+    def asked(self) -> tuple[Ticks, Trial]:
+        """How they are to be solved: whether what was found later was held already is not known."""
+        return self.ticks, Trial((Hypothesis.SAME, Hypothesis.NOTHING))
 
     def if_held(
         self, known: Known, now: Known, predictor: ImuPredictor, seen: Ticks, imu: int

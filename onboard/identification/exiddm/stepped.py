@@ -18,6 +18,7 @@ import numpy as np
 from onboard.identification.exiddm.imu_prediction import RATE, ImuPredictor
 from onboard.identification.exiddm.snapshots import Known
 from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.trials import Trial
 from onboard.identification.exiddm.window import Hypothesis, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
@@ -88,6 +89,11 @@ class Stepped:
         """All of them."""
         self._parts = [Ticks.joined(self._parts)]
         return self._parts[0]
+
+    @property
+    def asked(self) -> tuple[Ticks, Trial]:
+        """How they are to be solved again."""
+        return self.ticks, Trial((Hypothesis.NEW if self.held else Hypothesis.NOTHING,))
 
     def after(self, solved: Solved) -> "Stepped | None":
         """What is to be solved after the window of all is; None if steps are linearised well enough, or it was long."""

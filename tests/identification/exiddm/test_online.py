@@ -147,7 +147,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
             changes=[],
             undecided="",
             exchanged=False,
-            unexplained=SimpleNamespace(count=0, swings=False, line=None),
+            unexplained=SimpleNamespace(count=0, swings=False, line=None, between=""),
         )
     )
 
@@ -173,3 +173,13 @@ def test_a_contradicted_correction_refuses_where_the_mass_is_known_and_is_a_doub
         found = unsure(mean, np.array([0.2 * relative, *[1e-3] * 9]), moved=6.0).findings()
         assert bool(found.against) is refuses
         assert any("by 6 sigmas" in one for one in (found.against if refuses else found.doubts))
+
+
+def test_instruments_without_either_of_which_a_window_is_explained_are_named_before_what_swings() -> None:
+    refused = unsure(np.array([0.2, *np.zeros(9)]), np.ones(10))
+    both = "imu_base and imu_2 contradict each other, and nothing tells which is wrong"
+    unexplained = refused.exiddm.unexplained
+    unexplained.count, unexplained.line = 1, SimpleNamespace(instrument="gyro", frequency_Hz=2.0)
+    assert "the gyro swings at 2 Hz" in refused.findings().against[0]
+    unexplained.between = both
+    assert refused.findings().against == (both,)

@@ -46,6 +46,17 @@ def test_a_window_counts_where_it_contradicts_a_shorter_one_or_was_waited_for():
     assert (made.count, made.wait) == (0, 0)
 
 
+def test_what_contradicts_each_other_in_the_last_window_is_kept_until_the_filter_steps():
+    made = Unexplained(PERIOD_s)
+    made.add(1.0, None, longer=False, between="one and another")
+    assert made.between == "one and another"
+    made.settle()
+    assert not made.between
+    made.add(1.0, None, longer=False, between="one and another")
+    made.add(2.0, None, longer=False)
+    assert not made.between
+
+
 def test_windows_that_overlap_show_one_swing_once(rng):
     made, swinging = Unexplained(PERIOD_s), residual(rng, 1.0, 9.0, 4.0)
     for end_s, swings in ((10.0, False), (10.5, False), (11.2, True)):
