@@ -14,6 +14,7 @@ from hil_sim.scenario.tables import ScenarioError
 _KEPT = {"link": {"inertial"}, "joint": {"origin", "parent", "child", "axis", "limit"}}
 _MOVING = ("revolute", "continuous", "prismatic")
 _UNBOUNDED = 1e6
+_OF_A_ROD = 1e-6  # of its largest moment: MuJoCo takes no zero for one, and URDFs draw rods without thickness
 PREFIX = "l."  # of every link in MuJoCo, which takes a link called "world" for its own
 
 
@@ -85,6 +86,8 @@ def read(text: str, label: str) -> Drawing:
         for part in [part for part in element if part.tag not in _KEPT[element.tag]]:
             element.remove(part)
     links = tuple(str(link.get("name")) for link in robot.iterfind("link"))
+    for tensor in robot.iterfind("link/inertial/inertia"):
+        _thicken(tensor)
     for each in robot.iterfind("link"):
         each.set("name", PREFIX + str(each.get("name")))
     children = set()
@@ -131,6 +134,17 @@ def _add_joint(element: ET.Element, joints: dict[str, DrawnJoint], label: str) -
         low, high = -np.inf, np.inf
     told = (speed or np.inf, effort or np.inf)
     joints[name] = DrawnJoint(name, kind == "prismatic", low, high, *told, str(child.get("link")))
+
+
+def _thicken(tensor: ET.Element) -> None:
+    """Give a body without a moment about one of its axes a small one."""
+    try:
+        moments = {key: float(tensor.get(key, "nan")) for key in ("ixx", "iyy", "izz")}
+    except ValueError:
+        return  # MuJoCo says which
+    for key, moment in moments.items():
+        if moment == 0.0 < max(moments.values()):
+            tensor.set(key, repr(_OF_A_ROD * max(moments.values())))
 
 
 def _number(text: str, label: str, joint: str) -> float:

@@ -87,9 +87,10 @@ class UrdfModel:
                 fit(spec, self.model)
                 self.model = spec.compile()
         except ValueError as error:
+            why = str(error).replace(PREFIX, "")
             raise ScenarioError(
-                f"MuJoCo cannot simulate the URDF: {error}; give every link that moves a mass, and an inertia about "
-                "its centre of mass that a body can have"
+                f"MuJoCo cannot simulate the URDF: {why}; give every link that moves a mass, "
+                "and an inertia about its centre of mass that a body can have"
             ) from error
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self.model.opt.gravity = gravity_m_s2

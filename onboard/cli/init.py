@@ -35,7 +35,11 @@ def add(commands: Commands) -> None:
     init.add_argument(
         "--payload-link", metavar="LINK", help="of --urdf, that holds the payload (default: one is added)"
     )
-    init.add_argument("--joints", metavar="N|NAME,NAME", help="how many, or their names from the base outwards (2)")
+    init.add_argument(
+        "--joints",
+        metavar="N|NAME,NAME",
+        help="how many, or their names from the base outwards (2); of --urdf, those measured: others are fixed",
+    )
     init.add_argument("--imu", choices=("mpu6050", "nimu", "none"), help="on the base (mpu6050)")
     init.add_argument("--encoder", choices=("cia406", "cia402", "qsb"), help="of every joint (cia406)")
     init.add_argument("--load-cell", choices=("cia404", "modbus_load_cell", "dsc_load_cell", "none"), help="(none)")
@@ -47,6 +51,7 @@ def add(commands: Commands) -> None:
 def _init(arguments: argparse.Namespace) -> int:
     from onboard.offline.begin import vehicle
 
+    notes: tuple[str, ...] = ()
     if arguments.packaged:
         files = vehicle.copy(arguments.packaged, arguments.directory)
     else:
@@ -54,9 +59,13 @@ def _init(arguments: argparse.Namespace) -> int:
             if not sys.stdin.isatty():
                 raise ValueError("say what the base is: --base free, prescribed, fixed or planar; or give --from")
             _ask(arguments)
-        files = vehicle.make(_wanted(arguments), arguments.directory)
+        wanted = _wanted(arguments)
+        files = vehicle.make(wanted, arguments.directory)
+        notes = wanted.drawn.notes if wanted.drawn else ()
     for path in files:
         print(path)
+    for note in notes:
+        print(f"note: {note}")
     print(f"next: put your numbers in, then heft preflight {files[0]}")
     return OK
 
@@ -71,21 +80,24 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
     from onboard.offline.begin import drawing
     from onboard.offline.begin.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, Wanted
 
-    drawn = drawing.read(arguments.urdf) if arguments.urdf else None
-    joints = arguments.joints or "2"
-    names = [f"joint_{n + 1}" for n in range(int(joints))] if joints.isdecimal() else joints.split(",")
-    if drawn is not None:
-        if arguments.joints:
-            raise ValueError("--joints are those of --urdf; leave one of the two out")
-        names = list(drawn.joints)
-    for link in (arguments.imu_frame, arguments.payload_link):
-        if link and (drawn is None or link not in drawn.frames):
-            raise ValueError(f"the URDF has no link {link!r}" if drawn else f"{link!r}: give the --urdf that has it")
     imu = arguments.imu or ("none" if arguments.base == "fixed" else "mpu6050")
     encoder, cell = arguments.encoder or "cia406", arguments.load_cell or "none"
     for said, known in ((arguments.base, BASES), (imu, IMUS), (encoder, ENCODERS), (cell, LOAD_CELLS)):
         if said not in known:
             raise ValueError(f"{said!r} is none of {', '.join(known)}")
+    joints = arguments.joints or "2"
+    names = [f"joint_{n + 1}" for n in range(int(joints))] if joints.isdecimal() else joints.split(",")
+    drawn = None
+    if arguments.urdf:
+        if joints.isdecimal() and arguments.joints:
+            raise ValueError(
+                "--joints is a number, and --urdf has joints: name those that are measured, or leave it out"
+            )
+        drawn = drawing.read(arguments.urdf, arguments.base, names if arguments.joints else ())
+        names = list(drawn.joints)
+    for link in (arguments.imu_frame, arguments.payload_link):
+        if link and (drawn is None or link not in drawn.frames):
+            raise ValueError(f"the URDF has no link {link!r}" if drawn else f"{link!r}: give the --urdf that has it")
     name = arguments.name or arguments.directory.resolve().name
     urls = dict(bus_and_url(text, "--bus") for text in arguments.bus)
     frames = arguments.imu_frame or "imu_base", arguments.payload_link or "payload"

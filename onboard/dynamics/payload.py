@@ -81,9 +81,11 @@ def standard_root(chi: FloatArray, mass_relative: float, centre_m: float, inerti
         chi: its standard parameters, (10,).
         mass_relative: standard deviation of its mass.
         centre_m: of each coordinate of its centre of mass.
-        inertia_relative: of each element of its inertia about the centre of mass, of half that tensor's trace.
+        inertia_relative: of each element of its inertia about the centre of mass, of half that tensor's trace; of a
+            point's, that of its mass at ``centre_m``.
     """
     half_trace = 0.5 * float(np.trace(body_of(chi).inertia_kg_m2))
+    half_trace = max(half_trace, float(chi[0]) * centre_m**2)
     sigma = np.array([mass_relative * chi[0], *[centre_m] * 3, *[inertia_relative * half_trace] * 6])
     return np.asarray(np.linalg.solve(body_jacobian(chi), np.diag(sigma)), np.float64)
 

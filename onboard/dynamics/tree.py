@@ -55,7 +55,7 @@ def tree_of(model: pin.Model, joints: Sequence[TreeJoint], links: Sequence[str])
     body = {1: 0} | {joint: column + 1 for column, joint in enumerate(index)}
     parent = np.array([body[int(model.parents[joint])] for joint in index], np.intp)
     places = [model.jointPlacements[joint] for joint in index]
-    frames = [model.frames[model.getFrameId(name)] for name in links]
+    frames = [model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in links]
     on = np.array([body[int(frame.parentJoint)] for frame in frames], np.intp)
     path = np.zeros((len(joints) + 1, len(joints)))  # of each body
     for column, carrier in enumerate(parent):

@@ -16,13 +16,15 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from onboard.dynamics.errors import SignalError, UnknownFrameError, UrdfError
+from onboard.dynamics.errors import BaseWeightError, SignalError, UnknownFrameError, UrdfError
 from onboard.dynamics.tree import tree_of
 from onboard.estimation.arrays import FloatArray
 
 STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
 FREE_FLYER_NQ, FREE_FLYER_NV = 7, 6
 STANDARD_GRAVITY_M_S2 = 9.80665
+_LEAST_SHARE = 1e-6  # of the vehicle's mass: a lighter link is a frame, to which a converter gave some mass
+_NAMED = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)  # of a link and a joint, the link
 
 
 class BaseKind(StrEnum):
@@ -87,6 +89,8 @@ def _standard_parameters(link: ET.Element) -> FloatArray:
     I_cm = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     if not (np.isfinite(I_cm).all() and np.isfinite(c).all() and 0.0 <= m < np.inf):
         raise UrdfError(f"link {link.get('name')!r}: mass and inertia must be finite, the mass not negative")
+    if m == 0.0 and I_cm.any():
+        raise UrdfError(f"link {link.get('name')!r} has an inertia and no mass; give it its mass, or neither")
     try:
         return np.asarray(pin.Inertia(m, c, I_cm).toDynamicParameters(), np.float64)
     except RuntimeError as error:
@@ -100,7 +104,7 @@ class VehicleModel:
         spec: how the URDF was read.
         model: the Pinocchio model, gravity zero, free-flyer root.
         joints: the joints, in the order of the columns of q, dq, ddq.
-        links: links with mass, in the order of their columns; the payload link among them even without ``<inertial>``.
+        links: links with mass, in the order of their columns; the payload link among them even without.
         chi: standard parameters from the URDF, (10 x links,).
         tree: joints and links as arrays.
     """
@@ -125,14 +129,17 @@ class VehicleModel:
             )
         self.spec = spec
         self.model.gravity.setZero()
-        self.links = tuple(
-            frame.name
+        parameters = {
+            frame.name: _standard_parameters(elements[frame.name])
             for frame in self.model.frames
             if frame.type == pin.FrameType.BODY
-            and (elements[frame.name].find("inertial") is not None or frame.name == spec.payload_link)
-        )
-        self.chi = np.concatenate([_standard_parameters(elements[name]) for name in self.links])
+        }
+        least_kg = _LEAST_SHARE * sum(chi[0] for chi in parameters.values())
+        self.links = tuple(name for name, chi in parameters.items() if chi[0] > least_kg or name == spec.payload_link)
+        self.chi = np.concatenate([parameters[name] for name in self.links] or [np.zeros(0)])
         self.chi.setflags(write=False)
+        if spec.base in (BaseKind.FREE, BaseKind.PLANAR):
+            self.base_body()
         self.joints = tuple(self._joint(root, index) for index in range(2, self.model.njoints))
         self.tree = tree_of(self.model, self.joints, self.links)
         self._poses: dict[str, tuple[FloatArray, FloatArray]] = {}  # of frames fixed in the base
@@ -160,15 +167,16 @@ class VehicleModel:
         )
 
     def frame_id(self, name: str) -> int:
-        """Pinocchio's index of a link, joint or frame.
+        """Pinocchio's index of a link or joint; of the link where both have that name.
 
         Raises:
             UnknownFrameError: no such name.
         """
-        if not self.model.existFrame(name):
-            known = ", ".join(frame.name for frame in self.model.frames[1:])
-            raise UnknownFrameError(f"the URDF has no link, joint or frame {name!r}; it has {known}")
-        return int(self.model.getFrameId(name))
+        for kind in _NAMED:
+            if self.model.existFrame(name, kind):
+                return int(self.model.getFrameId(name, kind))
+        known = ", ".join(dict.fromkeys(frame.name for frame in self.model.frames[1:]))
+        raise UnknownFrameError(f"the URDF has no link, joint or frame {name!r}; it has {known}")
 
     def joint(self, name: str) -> Joint:
         """A joint by name.
@@ -197,6 +205,20 @@ class VehicleModel:
                 part.setflags(write=False)
             self._poses[frame] = pose
         return self._poses[frame]
+
+    def base_body(self) -> str:
+        """The base link, or the first link with a mass that is fixed to it.
+
+        Raises:
+            BaseWeightError: there is none.
+        """
+        for link in self.links:
+            if self.model.frames[self.frame_id(link)].parentJoint == 1 and link != self.spec.payload_link:
+                return str(link)
+        raise BaseWeightError(
+            f"the base, link {self.spec.base_link!r} with what is fixed to it, weighs nothing in the URDF; a base that "
+            f"is {self.spec.base} moves by its mass and inertia: give it <inertial>"
+        )
 
     def distal_links(self, frame: str) -> tuple[int, ...]:
         """Indices into :attr:`links` of the links beyond a cut at a frame."""

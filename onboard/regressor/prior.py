@@ -38,7 +38,7 @@ def prior_root(
 
     Raises:
         UnknownFrameError: a link or column that is missing, unknown, or stated twice.
-        UrdfError: a link without mass or inertia, of which the sigma would fix its parameters silently.
+        UrdfError: a link without mass, of which the sigma would fix its parameters silently.
         SignalError: a sigma that is negative or not finite.
     """
     vehicle, made = model.vehicle, made or {}
@@ -62,6 +62,6 @@ def prior_root(
 
 
 def _check(link: str, relative: float, root: FloatArray) -> None:
-    if relative > 0.0 and not root.any(axis=1).all():
-        text = f"link {link!r} has no mass or no inertia in the URDF that a relative sigma could be of"
+    if relative > 0.0 and not root[0].any():  # of a point the rest is as drawn
+        text = f"link {link!r} has no mass in the URDF that a relative sigma could be of"
         raise UrdfError(f"{text}; give absolute ones, M_{link} to ZZ_{link}, or a relative one of 0 if it is exact")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.dynamics.errors import ModelError, UnknownFrameError, UrdfError
+from onboard.dynamics.errors import BaseWeightError, ModelError, UnknownFrameError, UrdfError
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 
@@ -53,6 +53,36 @@ def test_a_payload_of_which_nothing_is_known_still_has_columns():
     without = VehicleModel(urdf(), VehicleSpec(BaseKind.FREE, "base"))
     assert without.links == ("base", "arm")
     assert without.payload_columns() == slice(0, 0)
+
+
+def test_a_link_of_a_millionth_of_the_mass_is_a_frame_and_an_inertia_needs_a_mass():
+    light = INERTIAL.replace('value="2"', 'value="3e-6"').replace(
+        'ixx="1" iyy="2" izz="2.5"', 'ixx="0" iyy="0" izz="0"'
+    )
+    light = light.replace('ixy="0.1" ixz="0.2" iyz="0.3"', 'ixy="0" ixz="0" iyz="0"')
+    assert VehicleModel(urdf(tip=light), VehicleSpec(BaseKind.FREE, "base")).links == ("base", "arm")
+    heavier = light.replace("3e-6", "1e-5")
+    assert VehicleModel(urdf(tip=heavier), VehicleSpec(BaseKind.FREE, "base")).links == ("base", "arm", "tip")
+    with pytest.raises(UrdfError, match="'tip' has an inertia and no mass"):
+        VehicleModel(urdf(tip=INERTIAL.replace('value="2"', 'value="0"')), VehicleSpec(BaseKind.FREE, "base"))
+
+
+def test_a_base_that_floats_needs_a_mass_and_others_do_not():
+    assert VehicleModel(urdf(base=""), VehicleSpec(BaseKind.FIXED, "base")).links == ("arm",)
+    for kind in (BaseKind.FREE, BaseKind.PLANAR):
+        with pytest.raises(BaseWeightError, match="the base, link 'base' with what is fixed to it, weighs nothing"):
+            VehicleModel(urdf(base=""), VehicleSpec(kind, "base"))
+
+
+def test_a_joint_and_a_link_may_share_a_name():
+    text = (
+        urdf(tip=INERTIAL)
+        .replace('joint name="mount"', 'joint name="tip"')
+        .replace('joint name="j"', 'joint name="arm"')
+    )
+    vehicle = VehicleModel(text, VehicleSpec(BaseKind.FREE, "base"))
+    assert vehicle.distal_links("arm") == (1, 2)
+    assert vehicle.distal_links("tip") == (2,)
 
 
 def test_continuous_joints_have_no_limits():

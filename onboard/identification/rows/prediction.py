@@ -46,7 +46,7 @@ def reference_of(model: RowModel, base: BaseParameters, normal: FloatArray) -> F
     vehicle, chi = model.vehicle, model.chi.copy()
     unknown = vehicle.payload_columns()
     if unknown.stop == 0:
-        unknown = slice(*(10 * vehicle.links.index(vehicle.spec.base_link) + np.array([0, 10])))
+        unknown = slice(*(10 * vehicle.links.index(vehicle.base_body()) + np.array([0, 10])))
     chi[unknown] = 0.0
     return base.value(chi)
 

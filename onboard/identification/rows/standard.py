@@ -67,7 +67,7 @@ def whole_estimate(link: str, whole: Whole, scale_sigma: float) -> LinkEstimate:
 def without_rotors(vehicle: VehicleModel, whole: RigidBody) -> RigidBody:
     """The base link of a free body estimated as one: the whole minus the URDF's other links."""
     others = vehicle.chi.copy()
-    base = 10 * vehicle.links.index(vehicle.spec.base_link)
+    base = 10 * vehicle.links.index(vehicle.base_body())
     others[base : base + 10] = 0.0
     return take_away(whole, body_of(composite_functional(vehicle) @ others))
 

@@ -19,6 +19,7 @@ IMUS = ("mpu6050", "nimu", "none")
 ENCODERS = ("cia406", "cia402", "qsb")
 LOAD_CELLS = ("cia404", "modbus_load_cell", "dsc_load_cell", "none")
 _VEHICLE, _URDF = "vehicle.toml", "vehicle.urdf"
+_PUCK = "puck_1"  # of an air-bearing table
 
 
 class Wanted(NamedTuple):
@@ -143,14 +144,14 @@ def _head(wanted: Wanted) -> str:
         "fixed": "stands still, in gravity",
         "planar": "floats on an air-bearing table: x, y and yaw are free",
     }[wanted.base]
-    planar = """
+    planar = f"""
 [planar]                       # 1 sigma
 tilt_sigma_m_s2 = 0.002        # as the table was levelled
 velocity_sigma_m_s = 0.02      # as the base is let go
 rate_sigma_rad_s = 1.0
 
 [[planar.puck]]
-frame = "puck_1"
+frame = "{_PUCK}"
 viscous_sigma_N_s_m = 5.0      # how much it may drag
 coulomb_sigma_N = 0.5
 """
@@ -250,8 +251,13 @@ def _of_torques(wanted: Wanted) -> str:
 
 def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
     """The URDF at hand, with the frames that it lacks."""
-    for name, parent in ((wanted.imu_frame, drawn.root), (wanted.payload_link, drawn.last)):
-        if name not in drawn.frames and (name == wanted.payload_link or wanted.imu != "none"):
+    needed = {wanted.payload_link: drawn.last}
+    if wanted.imu != "none":
+        needed[wanted.imu_frame] = drawn.root
+    if wanted.base == "planar":
+        needed[_PUCK] = drawn.root
+    for name, parent in needed.items():
+        if name not in drawn.frames:
             drawn = drawn._replace(text=drawing.with_frame(drawn, name, parent))
     return drawn.text
 
@@ -261,7 +267,7 @@ def _urdf(wanted: Wanted) -> str:
     if wanted.imu != "none":
         parts.append(_mount("imu_base", "base", "0 0 0"))
     if wanted.base == "planar":
-        parts.append(_mount("puck_1", "base", "0 0 0"))
+        parts.append(_mount(_PUCK, "base", "0 0 0"))
     before = "base"
     for number, name in enumerate(wanted.joints, 1):
         link = f"link_{number}"
