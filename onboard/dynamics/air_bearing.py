@@ -209,32 +209,50 @@ def _integrate(
         return ax + w * vy + down_x, ay - w * vx + down_y, dw, w
 
     states = np.empty((len(grid) // 2 + 1, 4))
-    x = states[0] = [*start.tolist(), 0.0]
+    x = states[0] = (*start.tolist(), 0.0)
+    half, sixth = 0.5 * h, h / 6.0
     for index in range(len(states) - 1):
         before, middle, after = grid[2 * index : 2 * index + 3]
-        one = rate(before, *x)
-        two = rate(middle, *(v + 0.5 * h * d for v, d in zip(x, one, strict=True)))
-        three = rate(middle, *(v + 0.5 * h * d for v, d in zip(x, two, strict=True)))
-        four = rate(after, *(v + h * d for v, d in zip(x, three, strict=True)))
-        x = [v + h / 6.0 * (a + 2.0 * (b + c) + d) for v, a, b, c, d in zip(x, one, two, three, four, strict=True)]
-        if not max(map(abs, x)) < _FASTEST:
+        vx, vy, w, yaw = x
+        a1, b1, c1, d1 = rate(before, vx, vy, w, yaw)
+        a2, b2, c2, d2 = rate(middle, vx + half * a1, vy + half * b1, w + half * c1, yaw + half * d1)
+        a3, b3, c3, d3 = rate(middle, vx + half * a2, vy + half * b2, w + half * c2, yaw + half * d2)
+        a4, b4, c4, d4 = rate(after, vx + h * a3, vy + h * b3, w + h * c3, yaw + h * d3)
+        vx += sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        vy += sixth * (b1 + 2.0 * (b2 + b3) + b4)
+        w += sixth * (c1 + 2.0 * (c2 + c3) + c4)
+        yaw += sixth * (d1 + 2.0 * (d2 + d3) + d4)
+        if not (abs(vx) < _FASTEST and abs(vy) < _FASTEST and abs(w) < _FASTEST and abs(yaw) < _FASTEST):
             states[index + 1 :] = np.nan
             break
+        x = vx, vy, w, yaw
         states[index + 1] = x
     return states
 
 
 def _sensitivities(F: FloatArray, B: FloatArray, h: float) -> FloatArray:
-    """Integrates ``dS/dt = F S + B`` by fourth-order Runge-Kutta; (n, 4, p)."""
+    """Integrates ``dS/dt = F S + B`` by fourth-order Runge-Kutta; (n, 4, p).
+
+    A step of a linear equation is linear: ``S' = M S + C``, with M and C of all steps at once.
+    """
+    F, B = np.ascontiguousarray(F), np.ascontiguousarray(B)
+
+    def slope(at: slice, of: FloatArray, past: FloatArray | float) -> FloatArray:
+        return F[at] @ of + past
+
+    before, middle, after = slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)
+    parts = []
+    for now, own in ((np.eye(4), (0.0, 0.0, 0.0)), (np.zeros((4, B.shape[2])), (B[before], B[middle], B[after]))):
+        one = slope(before, now, own[0])
+        two = slope(middle, now + 0.5 * h * one, own[1])
+        three = slope(middle, now + 0.5 * h * two, own[1])
+        four = slope(after, now + h * three, own[2])
+        parts.append(now + h / 6.0 * (one + 2.0 * (two + three) + four))
     S = np.zeros((len(F) // 2 + 1, 4, B.shape[2]))
     S[0, :3, :3] = np.eye(3)
-    for i in range(len(S) - 1):
-        now, j = S[i], 2 * i
-        one = F[j] @ now + B[j]
-        two = F[j + 1] @ (now + 0.5 * h * one) + B[j + 1]
-        three = F[j + 1] @ (now + 0.5 * h * two) + B[j + 1]
-        four = F[j + 2] @ (now + h * three) + B[j + 2]
-        S[i + 1] = now + h / 6.0 * (one + 2.0 * (two + three) + four)
+    for i, (M, C) in enumerate(zip(*parts, strict=True)):
+        np.matmul(M, S[i], out=S[i + 1])
+        S[i + 1] += C
     return S
 
 

@@ -199,9 +199,11 @@ def _ours(row: dict[str, Any]) -> tuple[str, str, str]:
         return "—", "not determined", ""
     value, low, high = (f"{row['factor'] * row[key]:.{row['digits']}f}" for key in ("value", "low", "high"))
     percent = row["our_error_percent"]
-    return value, f"{low} .. {high}", "" if percent is None else f"{percent:+.2f}"
+    a_share = percent is not None and abs(row["truth"]) > _NOTHING * (row["high"] - row["low"])
+    return value, f"{low} .. {high}", f"{percent:+.2f}" if a_share else ""
 
 
+_NOTHING = 0.05  # of an interval: of a truth so near zero an error is no share
 _SHOWN: dict[str, dict[str, Any]] = {
     "row": {"shown_in": "g", "factor": 1e3, "digits": 1},
     "centre": {"shown_in": "mm", "factor": 1e3, "digits": 2},
