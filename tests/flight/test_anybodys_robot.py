@@ -112,3 +112,25 @@ def test_what_it_has_not_is_named(
     assert cli.main([*given, *more]) == cli.BAD_INPUT
     assert said in capsys.readouterr().err
     assert not (tmp_path / "v").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="a"/></robot>',
+            "write it out first: xacro",
+        ),
+        ("<mujoco><worldbody/></mujoco>", "its root is <mujoco>, not <robot>"),
+        ("<robot><!-- \xe9 --></robot>", "is not UTF-8"),
+        ("<robot/>", "hangs on nothing"),
+        ("robot", "is no URDF"),
+    ],
+)
+def test_what_is_no_urdf_is_said(text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "robot.urdf").write_text(text, encoding="latin-1")
+    assert (
+        cli.main(["init", str(tmp_path / "v"), "--urdf", str(tmp_path / "robot.urdf"), "--base", "free"])
+        == cli.BAD_INPUT
+    )
+    assert said in capsys.readouterr().err

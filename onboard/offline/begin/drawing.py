@@ -66,8 +66,14 @@ def read(path: Path, base: str, joints: Sequence[str] = ()) -> Drawn:
     try:
         text = path.read_text(encoding="utf-8")
         robot = ET.fromstring(text)
-    except (OSError, UnicodeDecodeError, ET.ParseError) as error:
+    except UnicodeDecodeError as error:
+        raise config.ConfigError(f"{path} is not UTF-8: {error}; save it as that") from error
+    except (OSError, ET.ParseError) as error:
         raise config.ConfigError(f"{path} is no URDF: {error}; give the path of a URDF file") from error
+    if any("/xacro}" in element.tag for element in robot.iter()):
+        raise config.ConfigError(f"{path} is written for xacro; write it out first: xacro {path} > robot.urdf")
+    if robot.tag != "robot":
+        raise config.ConfigError(f"{path} is no URDF: its root is <{robot.tag}>, not <robot>; convert it")
     frames = tuple(str(link.get("name")) for link in robot.findall("link"))
     root, moving = _tree(path, robot, frames)
     if unknown := [name for name in joints if name not in moving]:
