@@ -170,6 +170,15 @@ class SquareRootRls:
         self._absorb(rows)
         self.rows = self.rows * factor + y.shape[0]
 
+    def consider(self, right: FloatArray) -> None:
+        """Replace what prior and rows so far have of the considered parameters.
+
+        Args:
+            right: (p, k) sum of ``Y' C / sigma^2`` over them.
+        """
+        found, _ = lapack.dtrtrs(self._check_rank(), right, trans=1)
+        self._triangle[: self.parameters, self.parameters : -1] = found
+
     def tried(self, Y: FloatArray, y: FloatArray, sigma: FloatArray) -> "SquareRootRls":
         """Another one with these rows taken in, (m, p), (m,), (m,); considered parameters do not move them."""
         other = SquareRootRls(self.parameters, self.considered)

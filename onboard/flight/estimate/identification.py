@@ -308,7 +308,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             imu_frame=roles.imu.frame if roles.imus else None,
             instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
             start=_start(vehicle, base.names) if settings.carried else None,
-            whitening=_whitening(vehicle, model, len(rows), len(base.names) + 1 + len(considered)),
+            whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error

@@ -1,7 +1,7 @@
 """Consider parameters (Schmidt): scales, zeros, drifts, biases, axes, delays of known sigma, which are not estimated.
 
 They are part of the intervals. One of a load cell changes its reading. One of a joint's sensor or of the base's IMU
-changes the regressor; its effect is the change of the predicted rows at the present estimate.
+changes the regressor: its effect is linear in the estimate (:mod:`onboard.identification.rows.considered_errors`).
 """
 
 from collections.abc import Callable, Sequence
@@ -85,9 +85,10 @@ def columns(
     signals: Signals,
     at: NDArray[np.intp],
     use: BoolArray,
-    expected: Callable[[Sequence[Signals]], FloatArray],
+    parameters: int,
+    regressors: Callable[[Sequence[Signals]], FloatArray],
 ) -> FloatArray | None:
-    """``d y / d c``, (r, k), at the ticks ``at`` (t,), of the rows in use (t, rows); differences for joints and IMU.
+    """``d y / d c``, at the ticks ``at`` (t,), of the rows in use (t, rows); differences for joints and IMU.
 
     Args:
         considered: k causes.
@@ -95,7 +96,11 @@ def columns(
         signals: all of them.
         at: ticks.
         use: which rows.
-        expected: what the rows at these ticks should read, (s, t, rows), of the estimate and each of s signals.
+        parameters: p.
+        regressors: rows at these ticks, (s, t, rows, p + 1), of each of s signals; last what is known.
+
+    Returns:
+        (r, k, p + 1) factors of the parameters, and of 1.
 
     Raises:
         SignalError: a delay, and no rate of the measured rows.
@@ -103,25 +108,25 @@ def columns(
     if not considered:
         return None
     names = [row.name for row in model.rows]
-    C = np.zeros((*use.shape, len(considered)))
+    D = np.zeros((*use.shape, len(considered), parameters + 1))
     misread: dict[int, tuple[Signals, float]] = {}  # by cause, with the size of the error
     for k, cause in enumerate(considered):
         if cause.effect == "scale":
-            C[:, names.index(cause.row), k] = signals.measured[at, names.index(cause.row)]
+            D[:, names.index(cause.row), k, -1] = signals.measured[at, names.index(cause.row)]
         elif cause.effect == "drift":
-            C[:, names.index(cause.row), k] = signals.time_s[at]
+            D[:, names.index(cause.row), k, -1] = signals.time_s[at]
         elif cause.effect == "delay":
             if signals.measured_rate is None:
                 raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
-            C[:, names.index(cause.row), k] = -signals.measured_rate[at, names.index(cause.row)]
+            D[:, names.index(cause.row), k, -1] = -signals.measured_rate[at, names.index(cause.row)]
         elif cause.sigma > 0.0:
             step = _STEP_S if cause.effect.endswith("delay") else _STEP
             misread[k] = _misread(signals, cause, model, step), step
     if misread:
-        before, *after = expected([signals, *(wrong for wrong, _ in misread.values())])
+        before, *after = regressors([signals, *(wrong for wrong, _ in misread.values())])
         for (k, (_, step)), wrongly in zip(misread.items(), after, strict=True):
-            C[..., k] = (before - wrongly) / step
-    return C[use]
+            D[..., k, :] = (before - wrongly) / step
+    return D[use]
 
 
 def _misread(signals: Signals, cause: Considered, model: RowModel, step: float) -> Signals:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from onboard.dynamics.errors import SignalError
@@ -32,7 +31,8 @@ from onboard.identification.quantities import (
     QuantityEstimate,
 )
 from onboard.identification.rows.agreement import InstrumentFit, instrument_fits, judged_fit
-from onboard.identification.rows.considered import Considered, check, columns, of_motion
+from onboard.identification.rows.considered import Considered, check, of_motion
+from onboard.identification.rows.considered_errors import ConsideredErrors
 from onboard.identification.rows.drawing import judged_drawing, leans_on, unstated
 from onboard.identification.rows.fitted_corrections import FittedCorrections
 from onboard.identification.rows.grasped import grasped_payload
@@ -139,6 +139,9 @@ class Identifier:
         free = model.vehicle.spec.base is BaseKind.FREE  # elsewhere the only reading is not told from a mass
         self._of_motion = of_motion(considered)
         self._corrections = FittedCorrections(p, considered, block_s) if free and self._of_motion else None
+        self._errors = ConsideredErrors(considered, model, self._fold, p)
+        if self._of_motion and not free and memory == FOR_EVER:
+            self._errors.remember((start.covariance, start.sensitivity) if start else None)
         self._corrected: tuple[int, dict[str, float]] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
@@ -251,12 +254,12 @@ class Identifier:
         times = signals.time_s[at][tick]
         rows, y, sigma = rows[kept], y[kept], sigma[kept]
         doubt = None if doubt is None else doubt[kept]
-        mean = self._on_trial(rows, y, sigma) if self._of_motion else np.zeros(0)
-        C = columns(self.considered, self.model, signals, at, use, lambda of: self._expected(of, at, attached, mean))
-        noisy = NoisyRows(rows, y, C, sigma, signals.sigma[at][use] * widening[kept], doubt)
+        mean = self._on_trial(rows, y, sigma) if self._of_motion else np.zeros(len(self.base.names))
+        D = self._errors.factors(signals, at, use, attached)
+        noisy = NoisyRows(rows, y, D, sigma, signals.sigma[at][use] * widening[kept], doubt)
         if self.whitening is not None:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
-        rows, y, C, sigma, own, doubt = noisy
+        rows, y, C, sigma, own, doubt = self._errors.at(noisy, mean)
         self._recursion.add(times, rows, y, sigma, C, doubt)
         if self._instruments is not None:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
@@ -270,17 +273,6 @@ class Identifier:
     def _on_trial(self, rows: FloatArray, y: FloatArray, sigma: FloatArray) -> FloatArray:
         """The estimate, (p,); of a free base with these rows taken in, as that before them may be the prior's."""
         return (self.rls if self._corrections is None else self.rls.tried(rows, y, sigma)).solve().mean
-
-    def _expected(
-        self, each: Sequence[Signals], at: NDArray[np.intp], attached: BoolArray, mean: FloatArray
-    ) -> FloatArray:
-        """What the rows of some ticks should read by an estimate, (s, t, rows), for each of s signals."""
-        parts = zip(*((one.q, one.dq, one.ddq, *one.motion) for one in each), strict=True)
-        q, dq, ddq, *motion = (np.concatenate([one[at] for one in part]) for part in parts)  # (s t, ...) each
-        none = np.zeros((len(q), len(self.model.rows)))
-        held = np.tile(attached[at], len(each))
-        Y = self.model.regressor(q, dq, ddq, BaseMotion(*motion), held, predicted=none, fold=self._fold)
-        return np.asarray(Y @ [*mean, 1.0], np.float64).reshape(len(each), at.size, -1)
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
@@ -332,6 +324,7 @@ class Identifier:
 
         Each considered error is taken as large as it was fitted, where that is more than one of its sigmas.
         """
+        self._errors.restate(self.rls)
         fitted = {} if exact else self.corrections
         sigma = [cause.sigma * max(float(not exact), abs(fitted.get(cause.name, 0.0))) for cause in self.considered]
         return self._recursion.block_jackknife(sigma, level)

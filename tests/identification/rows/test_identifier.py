@@ -1,5 +1,6 @@
 """The identifier on a RockSat-like flight: masses, intervals that cover, nothing said that the data do not hold."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -371,12 +372,10 @@ def test_impossible_set_ups_are_named():
         identifier(considered=(Considered("scale", "cell", "scale", 0.1),))
     with pytest.raises(UnknownFrameError, match="forearm"):
         mass_quantities(model, base, "joint_1", "forearm")
-    bare = (
-        packaged("rocksat")
-        .with_name("rocksat.urdf")
-        .read_text()
-        .replace('<mass value="0.06627"/>', '<mass value="0"/>')
-    )
+    drawn = packaged("rocksat").with_name("rocksat.urdf").read_text()
+    nothing = '<mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
+    bare = re.sub(r'<mass value="0.06627"/>\s*<inertia [^>]*/>', nothing, drawn)
+    assert nothing in bare
     light = VehicleModel(bare, vehicle.spec)
     with pytest.raises(SignalError, match="no mass"):
         mass_quantities(RowModel(light, model.rows), base, "joint_1", "arm")
@@ -434,9 +433,12 @@ def test_a_bias_of_the_imu_is_considered_as_it_changes_the_rows(rng, effect, sen
     read = [w @ R, dw @ R, at_imu @ R]
     read[2 * sensor] = read[2 * sensor] + bias
     biased = signals._replace(motion=base_motion(setup()[0], "imu_base", *read))
-    before, after = (who._expected([one], at, held, mean)[0] for one in (signals, biased))
+    before, after = (who._errors.regressors([one], at, held)[0] @ [*mean, 1.0] for one in (signals, biased))
     cause = Considered("bias", "imu_base", effect, 0.01, axis=axis)
     use = np.ones(before.shape, np.bool_)
-    C = columns([cause], who.model, signals, at, use, lambda of: who._expected(of, at, held, mean))
+    p = len(who.base.names)
+    D = columns([cause], who.model, signals, at, use, p, lambda of: who._errors.regressors(of, at, held))
+    assert D is not None
+    C = D @ [*mean, 1.0]
     np.testing.assert_allclose(C[:, 0], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
     assert np.abs(C).max() > 1e-3
