@@ -18,6 +18,7 @@ from onboard.identification.exiddm.window import WindowSolve
 
 BATCH_TICKS = 10
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
+LAST_WORK = 60_000  # the same when a flight ends: 7 s; a worker that has not ended 30 s after it was asked to is killed
 STEP_WORK = 50  # ticks in whose prediction's time a filter step is done
 
 
@@ -98,9 +99,10 @@ class BoundedWork(ABC):
         self._do(0, solves=True)
         self._due = min(self._due, 0)
 
-    def finish(self) -> None:
-        """Do all that is left to be done."""
-        self._do(-np.inf, solves=True)
+    def finish(self, most: float = np.inf) -> bool:
+        """Do all that is left to be done, or so many ticks' predictions; True if that was all."""
+        self._do(min(self._due, 0) - most, solves=True)
+        return not self.solving and not self._inbox
 
     def _do(self, least_due: float, *, solves: bool) -> None:
         while self.solving or self._inbox:

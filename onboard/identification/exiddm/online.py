@@ -17,6 +17,7 @@ from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, Together, contradicted, together, told, too_large
 from onboard.identification.exiddm.before_capture import Payload
+from onboard.identification.exiddm.bounded_work import LAST_WORK
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
@@ -39,6 +40,7 @@ IMU_ROWS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accelerometer") for 
 _EXCHANGED = "the payload changed without a release, so an instrument did: check the IMU and the joints"
 _CONTRADICTED = "no payload explains the motion"  # a reason has 128 characters in the log
 _SWINGING = "slosh, a flexible joint or a drift"
+_GIVEN_UP = "the end of the flight is not taken in: its windows take too long to solve"
 _WORST_MISFIT = 1.5  # of an instrument's innovations
 _MOST_SLOW, _SLOW_CHANCE, _NO_CHANCE = 4.0, 1e-4, 1e-7  # power below 1.5 Hz; at what chance it counts, and refuses
 _MOST_UNEXPLAINED = 3  # changes without a change of the payload, within _RECENT_s
@@ -99,6 +101,7 @@ class ExiddmIdentifier:
         self._held_against: tuple[FloatArray, IndexArray, Together] | None = None  # covariance, which corrections
         self._attached: bool | None = None
         self._told = 0
+        self._ended = True  # or what the flight's end left to be solved was given up
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Takes new ticks; a change of ``attached`` announces a capture or a release of the payload.
@@ -137,9 +140,9 @@ class ExiddmIdentifier:
         self._count(glitches)
 
     def finish(self) -> None:
-        """Solves what is under way, and processes the ticks that wait for it."""
+        """Solves what is under way, and processes the ticks that wait for it, as far as :data:`LAST_WORK` goes."""
         glitches = self.exiddm.glitches
-        self.exiddm.finish()
+        self._ended = self.exiddm.finish(LAST_WORK)
         self._count(glitches)
         self._tell_of_capture(self.exiddm.predictor.no_ticks)
 
@@ -242,7 +245,7 @@ class ExiddmIdentifier:
         against = too_large(dict(zip((names[k] for k in known), (state[known] / stated[known]).tolist(), strict=True)))
         at_once = self._at_once(state)
         moved = (*contradicted(self._by_the_data(state)), *at_once.refused())
-        doubts += at_once.doubted()
+        doubts += [*at_once.doubted(), *([] if self._ended else [_GIVEN_UP])]
         if not self._is_determined(state):  # far from it the linear test of what the data tell is not exact
             doubts, moved = [*doubts, *moved], ()
         return Findings((*swaying, *moved, *against), tuple(doubts))
@@ -306,7 +309,7 @@ class ExiddmIdentifier:
             return self.exiddm.undecided or self.exiddm.unexplained.between or self._contradicted()
         if unexplained >= _MOST_UNEXPLAINED:
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
-        return ""
+        return "" if self._ended or self.exiddm.state is not None else _GIVEN_UP
 
     def _contradicted(self) -> str:
         """What no payload explains, and how the rest of it swings."""

@@ -1,5 +1,7 @@
 """The windows the recursion starts from: solved in bounded pieces, and what comes in while one is solved."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.flight.estimate.state import Places, from_bytes, to_bytes
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS, WORK
 from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.exiddm.recorded_flights import PRIOR, online, recorded, same_bits, ticks_of
 
@@ -89,6 +92,23 @@ def test_a_window_of_nonsense_is_not_explained(held):
     recursive.finish()
     assert recursive.state is None
     assert not recursive.solving
+
+
+def test_a_flight_that_ends_leaves_to_be_solved_what_takes_too_long_and_says_so(held, monkeypatch):
+    ticks, recursive = ticks_of(held), online(held)
+    for first in range(0, 90, BATCH_TICKS):
+        recursive.update(ticks.part(slice(first, first + BATCH_TICKS)))
+    recursive.take(ticks.part(slice(90, 100)))
+    assert recursive.solving
+    copies = [ExiddmIdentifier(pickle.loads(pickle.dumps(recursive))) for _ in range(2)]
+    copies[0].finish()
+    assert not copies[0].findings().against
+    monkeypatch.setattr("onboard.identification.exiddm.online.LAST_WORK", 0)  # more than is due
+    copies[1].finish()
+    assert copies[1].exiddm.solving
+    assert "take too long" in copies[1].findings().against[0]
+    copies[1].exiddm.state, copies[1].exiddm.held = copies[0].exiddm.state, True  # of an earlier window
+    assert any("take too long" in one for one in copies[1].findings().doubts)
 
 
 def test_a_release_that_is_announced_while_a_window_is_solved_comes_after_it(held):
