@@ -59,10 +59,10 @@ def device_of(number: int, joint: str) -> str:
     return joint if _NAME.fullmatch(joint) else f"joint_{number}"
 
 
-def joint(kind: str, number: int, name: str, largest_N_m: float | None = None) -> NewDevice:
+def joint(kind: str, number: int, name: str, largest_N_m: float | None = None, *, smoothed: bool = True) -> NewDevice:
     """The device that measures joint ``name``, the ``number``-th from 1.
 
-    ``largest_N_m``: a drive's torque is a row too, and this is the joint's largest.
+    ``largest_N_m``: a drive's torque is used too, and this is the joint's largest; ``smoothed``: as rows are.
     """
     device = device_of(number, name)
     bus = f"tty_{device}" if kind == "qsb" else CAN
@@ -76,19 +76,20 @@ bus = "{bus}"
 counts_per_revolution = 500000 # of the joint: quadrature and gear included
 zero_count = 0                 # what it reads at joint angle zero
 noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
-{"" if largest_N_m is None else _torque(largest_N_m)}""",
+{"" if largest_N_m is None else _torque(largest_N_m, _OF_LARGEST if smoothed else _OF_A_TICK)}""",
         bus,
     )
 
 
 _OF_LARGEST = 1e-3  # of a torque by current: its noise of 0.2 % and steps of 0.1 % behind 100 ms of smoothing
+_OF_A_TICK = 2e-3  # the same of a mean over a tick, which has two samples or more: as a free base takes it
 
 
-def _torque(largest_N_m: float) -> str:
+def _torque(largest_N_m: float, share: float) -> str:
     """Keys of a drive's torque; the sigma is by the joint's largest, as the drive measures its current."""
-    sigma = f"torque_sigma_N_m = {_OF_LARGEST * largest_N_m:.2g}"
+    sigma = f"torque_sigma_N_m = {share * largest_N_m:.2g}"
     return f"""torque = true                  # recorded, by the motor's current
-{sigma:31s}# yours: 0.1 % of the joint's largest; more where friction and gear leave more
+{sigma:31s}# yours: {share:.1%} of the joint's largest; more where friction and gear leave more
 torque_scale_sigma = 0.01      # yours: of the torque constant, relative
 torque_still_rad_s = 0.02      # below this rate friction is not known
 """

@@ -129,7 +129,8 @@ def _require(wanted: Wanted) -> None:
 def _devices(wanted: Wanted) -> list[NewDevice]:
     chosen = [devices.imu(wanted.imu, wanted.imu_frame)] if wanted.imu != "none" else []
     for n, name in enumerate(wanted.joints, 1):
-        chosen.append(devices.joint(wanted.encoder, n, name, _largest(wanted, n) if wanted.by_torque else None))
+        largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
+        chosen.append(devices.joint(wanted.encoder, n, name, largest_N_m, smoothed=smoothed))
     if wanted.load_cell != "none":
         chosen.append(devices.load_cell(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1]))
     if any(device.bus == devices.CAN for device in chosen):

@@ -120,6 +120,12 @@ def test_the_sigma_of_a_torque_is_by_the_largest_of_its_joint(tmp_path: Path) ->
     assert cli.main([*asked[:-1], str(silent)]) == cli.BAD_INPUT
 
 
+def test_the_sigma_of_a_torque_of_which_a_free_base_takes_means_over_ticks_is_that_of_a_sample(tmp_path: Path) -> None:
+    make(Wanted("it", "free", ("shoulder", "elbow"), encoder="cia402"), tmp_path)
+    torques = [one.keys.sigma_N_m for one in roles_of(config.load(tmp_path / "vehicle.toml")).cells]  # type: ignore[union-attr]
+    assert torques == [0.02, 0.02]
+
+
 @pytest.mark.parametrize("base", ["fixed", "prescribed"])
 def test_links_of_an_arm_scatter_in_rehearsals_as_its_file_says(base: str, tmp_path: Path) -> None:
     make(Wanted("it", base, ("shoulder", "elbow"), load_cell="cia404"), tmp_path)  # type: ignore[arg-type]
