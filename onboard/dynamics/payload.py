@@ -46,6 +46,11 @@ def body_of(chi: FloatArray) -> RigidBody:
     return RigidBody(float(chi[0]), c, symmetric(chi[4:]) - parallel_axis(float(chi[0]), c))
 
 
+def numbers_of(body: RigidBody) -> FloatArray:
+    """Mass, centre of mass, inertia about it, (10,)."""
+    return np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
+
+
 def body_jacobian(chi: FloatArray) -> FloatArray:
     """Derivative of (m, c, I_C) by the standard parameters, (10, 10): that of the equations of :func:`body_of`."""
     m, h = chi[0], chi[1:4]

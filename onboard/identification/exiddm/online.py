@@ -7,8 +7,7 @@ from scipy.linalg import cholesky
 from scipy.special import ndtri
 
 from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import RigidBody, elements
-from onboard.dynamics.payload import body_jacobian, body_of, possible_body
+from onboard.dynamics.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.dynamics.tracked_pose import LINES
 from onboard.dynamics.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
@@ -55,11 +54,6 @@ def rows_of(further: Sequence[Further]) -> tuple[str, ...]:
         rows = {1: ("",), 6: IMU_ROWS, LINES: POSE_ROWS}[one.width]
         names += [f"{row}_{one.name}" if row else one.name for row in rows]
     return tuple(names)
-
-
-def _numbers(body: RigidBody) -> FloatArray:
-    """Mass, centre of mass, inertia about it, (10,)."""
-    return np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
 
 
 def gated(signals: Signals, excluded: ReasonArray) -> ReasonArray:
@@ -178,7 +172,7 @@ class ExiddmIdentifier:
             except (SignalError, ConvergenceError) as error:
                 note = str(error)
             else:
-                body, estimated = _numbers(possible), _numbers(body_of(mean))
+                body, estimated = numbers_of(possible), numbers_of(body_of(mean))
                 spread = np.hypot(np.sqrt(np.einsum("ij,jk,ik->i", D, P, D)), body - estimated)
                 shrinkage = spread / np.sqrt((D**2) @ exiddm.payload_sigma**2)
                 fine = shrinkage <= SUPPORTED_SHRINKAGE

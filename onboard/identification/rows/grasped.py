@@ -1,16 +1,18 @@
 """Payload from rows: mass, centre of mass, inertia about it, with intervals, where determined.
 
 The rows are linear in the standard parameters; the intervals of the non-linear quantities are linearised at the
-estimate (:func:`onboard.dynamics.payload.body_jacobian`).
+estimate (:func:`onboard.dynamics.payload.body_jacobian`). An estimate that no body has, as of a light payload whose
+inertia the rows hardly tell, is moved to the most likely one that can exist; how far a quantity was moved is a part of
+its sigma.
 """
 
 import numpy as np
 
 from onboard.dynamics.errors import SignalError
-from onboard.dynamics.inertia import elements
-from onboard.dynamics.payload import body_jacobian, body_of
+from onboard.dynamics.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.consistency import JackknifeEstimate
+from onboard.estimation.errors import ConvergenceError
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
@@ -78,11 +80,14 @@ class GraspedPayload:
                 for name, unit, s in zip(self.names, BODY_UNITS, shrinkage, strict=True)
             )
         weak[4:] |= weak[1:4].any()
-        found = jackknife.combination(self.weights(jackknife))
-        half = 0.5 * (found.high - found.low)
-        body = body_of(standard.mean)
-        value = np.concatenate([[body.mass_kg], body.centre_of_mass_m, elements(body.inertia_kg_m2)])
-        numbers = np.column_stack([value, found.sigma, value - half, value + half])
+        found, estimated = jackknife.combination(self.weights(jackknife)), numbers_of(body_of(standard.mean))
+        try:
+            value = numbers_of(possible_body(standard.mean, self._w @ jackknife.covariance @ self._w.T))
+        except ConvergenceError:
+            value, weak[4:] = estimated, True
+        sigma = np.hypot(found.sigma, value - estimated)
+        half = 0.5 * (found.high - found.low) * sigma / found.sigma
+        numbers = np.column_stack([value, sigma, value - half, value + half])
         numbers[weak] = np.nan
         said = ["not determined by the data so far" if lost else "" for lost in weak]
         return tuple(

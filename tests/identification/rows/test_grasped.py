@@ -11,6 +11,8 @@ from bench.identification.workshop import payload
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.plants.body import Body
 from hil_sim.plants.vehicle_plant import VehiclePlant
+from onboard.dynamics.inertia import RigidBody, pseudo_inertia, symmetric
+from onboard.dynamics.payload import body_of, numbers_of, standard_of
 from onboard.dynamics.vehicle import STANDARD, BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.gates import GateReason
 from onboard.estimation.smoothing import SmoothingWindow, correlation_inflation
@@ -116,6 +118,26 @@ def test_a_tool_is_weighed(run):
     assert np.linalg.norm(found.value[4:] - TRUTH[4:]) < 0.05 * np.linalg.norm(TOOL.inertia_kg_m2)
     assert ((found.low < TRUTH) & (found.high > TRUTH)).sum() >= 8
     assert (found.sigma[:4] < [2e-3, 5e-4, 5e-4, 5e-4]).all()
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_light_tool_is_a_body_that_can_exist(seed):
+    """Of 50 g in a cube of 2 cm the inertia is told to a few of its sizes: what was found had none that a body has."""
+    tool = Body.box(0.05, (0.02, 0.02, 0.02), (0.0, 0.0, 0.01))
+    who = identifier()
+    feed(who, signals(seed, who.model.vehicle, tool))
+    found = grasped(who)
+    assert found.supported.all()
+    weights = who.base.weights(np.eye(len(who.model.names))[who.model.vehicle.payload_columns()])
+    estimated = weights @ who.block_jackknife().mean
+    assert np.linalg.eigvalsh(pseudo_inertia(estimated))[0] < 0.0
+    body = RigidBody(found.value[0], found.value[1:4], symmetric(found.value[4:]))
+    assert np.linalg.eigvalsh(pseudo_inertia(standard_of(body)))[0] > 0.0
+    assert (found.sigma >= np.abs(found.value - numbers_of(body_of(estimated)))).all()
+    truth = np.array(
+        [tool.mass_kg, *tool.centre_of_mass_m, *tool.inertia_kg_m2[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+    )
+    assert ((found.low < truth) & (found.high > truth)).sum() >= 9
 
 
 def test_scales_do_not_follow_the_noise():
