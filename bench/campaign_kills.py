@@ -38,7 +38,7 @@ mission = "rocksat"
 [scenario]
 sequence = [
     {{phase = 0, action = "hold", duration_s = 1.5}},
-    {{phase = 3, action = "sweep", strokes = 5, amplitude_deg = 12, stroke_s = 0.6, pause_s = 0.05, transfer_s = 0.5}},
+    {{phase = 3, action = "strokes", strokes = 5, amplitude = {{joint_1 = 0.21}}, stroke_s = 0.6, transfer_s = 0.5}},
     {{phase = 9, action = "hold", duration_s = 0.2}},
 ]
 """

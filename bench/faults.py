@@ -53,11 +53,18 @@ from onboard.recording.reader import LogReader
 
 Fault = dict[str, Any]
 SHORTEST_S, LONGEST_S = 0.02, 4.0  # of a fault that ends
-_SWEEP = {"action": "sweep", "amplitude_deg": 11.5, "stroke_s": 0.6, "strokes": 3, "pause_s": 0.05, "transfer_s": 0.5}
+_SWEEP = {
+    "action": "strokes",
+    "amplitude": {"joint_1": 0.2007},
+    "stroke_s": 0.6,
+    "strokes": 3,
+    "pause_s": 0.05,
+    "transfer_s": 0.5,
+}
 _ROCKET = [
     {"phase": 0, "action": "hold", "duration_s": 2.5},
     {"phase": 4, **_SWEEP},
-    {"phase": 5, "action": "eject", "duration_s": 0.8},
+    {"phase": 5, "action": "hold", "duration_s": 0.8},
     {"phase": 4, **_SWEEP},
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]

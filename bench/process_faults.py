@@ -34,12 +34,12 @@ from onboard.offline.views.info import info
 
 TARGETS = {"recorder": "heft-record", "estimator": "heft-estimate", "acquisition": "heft-acquire"}
 LIMIT_S = 180.0  # after which a rehearsal hangs
-_STROKES = "amplitude_deg = 11.5, stroke_s = 0.6, strokes = 4, pause_s = 0.05, transfer_s = 0.5"
-_SWEEP = f'{{ phase = 4, action = "sweep", {_STROKES} }}'
+_STROKES = "amplitude = { joint_1 = 0.2007 }, stroke_s = 0.6, strokes = 4, pause_s = 0.05, transfer_s = 0.5"
+_SWEEP = f'{{ phase = 4, action = "strokes", {_STROKES} }}'
 SCENARIO = f"""sequence = [
   {{ phase = 0, action = "hold", duration_s = 3.0 }},
   {_SWEEP},
-  {{ phase = 5, action = "eject", duration_s = 0.8 }},
+  {{ phase = 5, action = "hold", duration_s = 0.8 }},
   {_SWEEP},
   {{ phase = 9, action = "hold", duration_s = 1.0 }},
 ]

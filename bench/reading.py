@@ -110,12 +110,12 @@ def fly_long(path: Path, minutes: float) -> float:
 
     table = tomllib.loads(files("hil_sim.scenario").joinpath("packaged", "rocksat.toml").read_text(encoding="utf-8"))
     sequence = table["sequence"]
-    eject = next(n for n, part in enumerate(sequence) if part["action"] == "eject")
-    sweeps = [n for n, part in enumerate(sequence) if part["action"] == "sweep"]
+    eject = next(n for n, part in enumerate(sequence) if part["phase"] == 5)
+    sweeps = [n for n, part in enumerate(sequence) if part["action"] == "strokes"]
     held, free = sequence[sweeps[0] : eject], sequence[sweeps[2] : sweeps[3] + 2]
     times = max(1, round((60 * minutes - 22) / 41.8))  # s of both pairs of sweeps
     flown = [*sequence[: sweeps[0]], *held * times, sequence[eject], *free * times, *sequence[sweeps[3] + 2 :]]
-    scenario = load("rocksat", {"sequence": flown, "reentry": {"reference_s": 60 * minutes}})
+    scenario = load("rocksat", {"sequence": flown, "air": {"reference_s": 60 * minutes}})
     vehicle = config.load(config.packaged("rocksat"))
     world, urls = open_in_process(scenario, 1)
     with world:

@@ -33,7 +33,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.verdict import LEVELS
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identify import identify
-from onboard.offline.views.own_mission import is_own, true_values
+from onboard.offline.views.own_mission import true_values
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
@@ -274,7 +274,7 @@ def main() -> int:
     for path in arguments.logs:
         log = LogReader(path)
         known = json.loads(Path(f"{path}.truth.json").read_text())
-        truth = true_values(vehicle, known) if is_own(known) else known["quantities"]
+        truth = true_values(vehicle, known)
         channels = [*vehicle.channels, *(() if arguments.alone or arguments.on_board else _ANSWERS)]
         for name, spoil in ways:
             if arguments.only not in name:

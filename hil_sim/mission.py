@@ -19,11 +19,9 @@ from hil_sim.buses.media import Bus, CanBus, PulseLine
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.faults import NEVER, Fault, FaultError, FaultKind, FaultPlan
 from hil_sim.plants.planned import Planned, planned
-from hil_sim.plants.rocket_arm import RocketArmPlant as RocketPlant
 from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Plant
 from hil_sim.scenario.load import Scenario, ScenarioError
-from hil_sim.scenario.rocket_tables import RocketScenario
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 from hil_sim.sensing.sensors import DriftingClock, ImuSensor, LoadCellSensor
 from hil_sim.twins import Sensor, Twins, emulators, sensor
@@ -88,11 +86,8 @@ class Mission:
                 raise FaultError(f"{said}, and the mission ends at {duration_s:g} s; give an earlier start.")
 
     def _plant(self) -> Plant:
-        match self.scenario:
-            case RocketScenario():
-                return RocketPlant(self.scenario, self._rng("rocket"))
-            case VehicleScenario():
-                return VehiclePlant(self.scenario, self._rng("vehicle"))
+        if isinstance(self.scenario, VehicleScenario):
+            return VehiclePlant(self.scenario, self._rng("vehicle"))
         raise TypeError(f"there is no plant for a {type(self.scenario).__name__}")
 
     def _rng(self, subsystem: str) -> np.random.Generator:
@@ -200,6 +195,7 @@ class Mission:
         program = self.plant.program
         return {
             "scenario": self.scenario.scenario.name,
+            "published": self.scenario.scenario.published,
             "seed": self.seed,
             **self.plant.truth(),
             "phases": [span._asdict() for span in program.spans],

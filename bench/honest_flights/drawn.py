@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-_SWEEP = {"action": "sweep", "amplitude_deg": 11.5, "pause_s": 0.05, "transfer_s": 0.5}
+_SWEEP = {"action": "strokes", "amplitude": {"joint_1": 0.2007}, "pause_s": 0.05, "transfer_s": 0.5}
 _SLOW, _FAST = (
     _SWEEP | {"phase": 3, "stroke_s": 1.0, "strokes": 3},
     _SWEEP | {"phase": 4, "stroke_s": 0.6, "strokes": 4},
@@ -26,7 +26,7 @@ def _hold(duration_s: float, phase: int = 0) -> dict[str, Any]:
 
 
 MISSION = [
-    *(_hold(2.5), _SLOW, _hold(0.4), _FAST, _hold(0.3), {"phase": 5, "action": "eject", "duration_s": 0.8}),
+    *(_hold(2.5), _SLOW, _hold(0.4), _FAST, _hold(0.3), {"phase": 5, "action": "hold", "duration_s": 0.8}),
     *(_SLOW, _hold(0.4), _FAST, _hold(0.5, 9)),
 ]
 """Of the rocket's arm: 17 s; one slow and one fast sweep with the tip mass and without."""
@@ -118,17 +118,12 @@ _IMUS = ("base", "2")
 _DATASHEET = {"scale_sigma": 0.015, "cross_axis_sigma": 0.01}
 MODEL_ERRORS: dict[str, dict[str, dict[str, Any]]] = {
     "rocket": {
-        "tip mass 2 mm off": {"body": {"tip_mass": {"com_mm": [2.0, -13.91, 0.0]}}},
+        "tip mass 2 mm off": {"as_built": {"tip_mass": {"centre_off_mm": [2.0, 0.0, 0.0]}}},
         "tip mass of 150 g, another shape": {
-            "body": {
-                "tip_mass": {
-                    "mass_g": 150.0,
-                    "inertia_g_mm2": {"xx": 2e4, "yy": 1e4, "zz": 2.5e4, "xy": 0.0, "xz": 0.0, "yz": 0.0},
-                }
-            }
+            "as_built": {"tip_mass": {"mass_factor": 2.2635, "inertia_factor": 1.85}},
         },
-        "arm 2 mm off": {"body": {"arm": {"com_mm": [41.75, 1.41, 5.0]}}},
-        "arm 6 % heavier": {"body": {"arm": {"as_built_factor": 1.06}}},
+        "arm 2 mm off": {"as_built": {"arm": {"centre_off_mm": [2.0, 0.0, 0.0]}}},
+        "arm 6 % heavier": {"as_built": {"arm": {"mass_factor": 1.06}}},
         "zero 3 mrad off": {"sensor": {"encoder": {"zero_sigma_mrad": 3.0}}},
         "IMU turned by 1.5 deg": {"sensor": {"imu": {"mounting_sigma_deg": 1.5}}},
         "IMU warms by 15 K": {"sensor": {"imu": _WARM}},

@@ -45,7 +45,7 @@ def scenario_of(name: str | Path, over: Over | None = None, campaign: str | None
     """
     days = None if campaign is None else bed.campaign(str(name), campaign)
     file = _read(Path(name)) if str(name).endswith(".toml") else {}
-    if "urdf" in file.get("vehicle", {}):
+    if "urdf" in file.get("vehicle", {}) and "scenario" not in file:
         return rehearsal(name, over)
     below = bed.find(str(file.get("scenario", {}).get("based_on")))
     if below is not None:
@@ -87,7 +87,6 @@ def rehearsal(vehicle: str | Path, *overs: Over | None) -> Scenario:
     table["scenario"] = {
         "name": str(said.get("name")),
         "description": f"the rehearsal of {vehicle}",
-        "plant": "vehicle",
     }
     for over in overs:
         if over is not None:

@@ -13,7 +13,6 @@ from scipy import signal
 
 from hil_sim.arrays import FloatArray
 from hil_sim.scenario.part_tables import AirTable, ConingTable, Mode, Vibration
-from hil_sim.scenario.rocket_tables import Reentry, Rocket, RocketScenario
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition
 
@@ -56,47 +55,6 @@ class Program:
         return tuple(first + [(b.start_s, b.code) for a, b in pairwise(self.spans) if a.code != b.code])
 
 
-class ArmProgram(Program):
-    """The sequence table as commanded joint angle: minimum-jerk strokes and the phases they belong to.
-
-    Attributes:
-        ejection_s: mission time of the tip mass's ejection; None without one.
-    """
-
-    def __init__(self, scenario: RocketScenario) -> None:
-        self._knots: list[tuple[float, float]] = [(0.0, 0.0)]  # (time, angle)
-        spans: list[PhaseSpan] = []
-        for step in scenario.sequence:
-            start_s = self._knots[-1][0]
-            if step.action == "push":
-                command = np.deg2rad(step.command_deg)
-                self._go(command, step.approach_s)
-                self._go(command, step.hold_s)
-                self._go(0.0, step.retreat_s)
-            elif step.action == "sweep":
-                side = -np.deg2rad(step.amplitude_deg)
-                self._go(side, step.transfer_s)
-                for _ in range(step.strokes):
-                    side = -side
-                    self._go(side, step.stroke_s)
-                    if step.pause_s > 0.0:
-                        self._go(side, step.pause_s)
-                self._go(0.0, step.transfer_s)
-            else:
-                self._go(0.0, step.duration_s)
-            spans.append(PhaseSpan(step.phase, step.action, start_s, self._knots[-1][0]))
-        self.spans = tuple(spans)
-        self.ejection_s = next((span.start_s for span in spans if span.action == "eject"), None)
-
-    def _go(self, angle: float, duration_s: float) -> None:
-        self._knots.append((round(self._knots[-1][0] + duration_s, 9), float(angle)))
-
-    def reference(self, times_s: FloatArray) -> Reference:
-        """Commanded motion at ``times_s`` (n,), (n,) each."""
-        times, angles = np.array(self._knots).T
-        return Reference(*(of[:, 0] for of in minimum_jerk(times, angles[:, None], times_s)))
-
-
 def minimum_jerk(knots_s: FloatArray, angles: FloatArray, times_s: FloatArray) -> Reference:
     """Quintics of zero end rates and accelerations from knot to knot, at times (n,); (n, joints) each.
 
@@ -116,52 +74,8 @@ def minimum_jerk(knots_s: FloatArray, angles: FloatArray, times_s: FloatArray) -
     )
 
 
-class PlateMotion(NamedTuple):
-    """Motion of frame 0 (the plate) on the plant's grid, in the axes of frame 0; row k is at ``t_k`` unless said."""
-
-    angular_accel_rad_s2: FloatArray  # (n, 3)
-    angular_rate_half_rad_s: FloatArray  # (n, 3), at t_k - h/2
-    origin_accel_m_s2: FloatArray  # (n, 3): of frame 0's origin, which is its specific force too: nothing falls here
-    dynamic_pressure_pa: FloatArray  # (n,), gusts included
-    wind: FloatArray  # (n, 3): unit vector, the way the air moves past the plate
-
-
-def base_motion(scenario: RocketScenario, step_s: float, count: int, rng: np.random.Generator) -> PlateMotion:
-    """Draw one flight of the rocket: free coning, structural vibration, re-entry.
-
-    Args:
-        scenario: parameters of the motion.
-        step_s: grid step h.
-        count: number of grid points n.
-        rng: source of phases and noise, in a fixed order.
-    """
-    times_s: FloatArray = step_s * np.arange(count, dtype=np.float64)
-    rigid_accel, rate_start = coning(scenario.rocket, times_s, step_s, rng)
-    linear_shake, angular_shake = vibration(scenario.vibration, step_s, count, rng)
-    air = scenario.reentry
-    mean = air.reference_deceleration_m_s2 / air.rocket_area_over_mass_m2_kg
-    pressure = dynamic_pressure(mean, air, times_s, step_s, rng)
-    wind = wind_direction(air, scenario.rocket.spin_rad_s, times_s, rng)
-    deceleration = air.rocket_area_over_mass_m2_kg * pressure[:, None] * wind  # (n, 3), along the wind
-    strength = np.linalg.norm(deceleration, axis=1)  # (n,)
-    rigid_accel += air.pitch_moment_rad_s2_per_m_s2 * np.cross([0.0, 0.0, 1.0], deceleration)
-    rigid_accel[:, 2] += air.roll_moment_rad_s2_per_m_s2 * strength
-    rigid_half = rate_start + step_s * (np.cumsum(rigid_accel, axis=0) - rigid_accel)  # (n, 3) at t_k - h/2
-    rigid_rate = rigid_half + 0.5 * step_s * rigid_accel  # (n, 3) at t_k
-    r = np.asarray(scenario.rocket.centre_of_mass_to_plate_m)
-    origin = np.cross(rigid_accel, r) + np.cross(rigid_rate, np.cross(rigid_rate, r))
-    shake_half = step_s * (np.cumsum(angular_shake, axis=0) - angular_shake)
-    return PlateMotion(
-        rigid_accel + angular_shake,
-        rigid_half + shake_half - shake_half.mean(axis=0),
-        origin + deceleration + linear_shake,
-        pressure,
-        wind,
-    )
-
-
 def coning(
-    rocket: Rocket | ConingTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
+    rocket: ConingTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Torque-free axisymmetric body: the transverse rate turns in body axes at (I_roll/I_pitch - 1) spin.
 
@@ -210,7 +124,7 @@ def _rms_gain(sos: FloatArray) -> float:
 
 
 def dynamic_pressure(
-    at_reference_pa: float, air: Reentry | AirTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
+    at_reference_pa: float, air: AirTable, times_s: FloatArray, step_s: float, rng: np.random.Generator
 ) -> FloatArray:
     """Exponential growth with gusts (first-order Gauss-Markov), (n,), Pa."""
     mean_pressure = at_reference_pa * np.exp((times_s - air.reference_s) / air.growth_time_s)
@@ -219,9 +133,7 @@ def dynamic_pressure(
     return np.asarray(mean_pressure * np.maximum(0.0, 1.0 + air.gust_fraction * gust))
 
 
-def wind_direction(
-    air: Reentry | AirTable, spin_rad_s: float, times_s: FloatArray, rng: np.random.Generator
-) -> FloatArray:
+def wind_direction(air: AirTable, spin_rad_s: float, times_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     """The wind's direction in the base's axes turns against the spin; (n, 3)."""
     azimuth = rng.uniform(0.0, 2.0 * np.pi) - spin_rad_s * (times_s - air.reference_s)
     elevation = np.deg2rad(air.wind_elevation_deg)

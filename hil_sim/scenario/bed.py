@@ -10,7 +10,7 @@ from typing import NamedTuple
 from hil_sim.scenario.tables import ScenarioError
 
 _FILES = Path(str(resources.files("hil_sim.scenario"))) / "beds"
-_VEHICLES = Path(str(resources.files("hil_sim"))).parent / "onboard" / "vehicles"
+VEHICLES = Path(str(resources.files("hil_sim"))).parent / "onboard" / "vehicles"
 
 
 class Bed(NamedTuple):
@@ -27,7 +27,7 @@ def names() -> tuple[str, ...]:
 
 def find(name: str) -> Bed | None:
     """The test bed of a name; None where there is none."""
-    return Bed(_VEHICLES / name / "vehicle.toml", _FILES / f"{name}.toml") if name in names() else None
+    return Bed(VEHICLES / name / "vehicle.toml", _FILES / f"{name}.toml") if name in names() else None
 
 
 def campaigns(name: str) -> tuple[str, ...]:

@@ -1,10 +1,10 @@
 """Reads scenario TOML into frozen objects; units are in the keys, unknown keys are refused.
 
-The schema: ``tables`` has the common tables, ``rocket_tables`` and ``vehicle_tables`` those of the plants,
+The schema: ``tables`` has the common tables, ``vehicle_tables`` and ``part_tables`` those of what moves,
 ``sensor_tables`` and ``bus_tables`` the rest; the keys of a device are read by its emulator where a mission is made.
-The TOML file gives the source of each number beside it. A scenario
-may be ``based_on`` another: its tables override those of the other, but the wiring (``bus``, ``device``, ``clock``) is
-taken from one of the two as a whole.
+The drawing that a file names is a packaged vehicle's, or lies beside it. The TOML file gives the source of each number
+beside it. A scenario may be ``based_on`` another: its tables override those of the other, but the wiring (``bus``,
+``device``, ``clock``) is taken from one of the two as a whole.
 """
 
 import tomllib
@@ -16,7 +16,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hil_sim.scenario.rocket_tables import RocketScenario
+from hil_sim.scenario import bed
 from hil_sim.scenario.tables import Scenario, ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
@@ -59,6 +59,7 @@ def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, d
         raise ScenarioError(f"{label} does not exist; packaged scenarios are {', '.join(names())}") from error
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{label} is not TOML: {error}; correct the file") from error
+    _take_drawing(table, source, label)
     base = table.get("scenario", {}).get("based_on")
     if base is None:
         return label, table
@@ -68,6 +69,20 @@ def _read(name_or_path: str | Path, above: tuple[str, ...] = ()) -> tuple[str, d
     return label, merged({key: value for key, value in below.items() if key not in _WIRING & table.keys()}, table)
 
 
+def _take_drawing(table: dict[str, Any], file: Traversable, label: str) -> None:
+    """The text of the drawing that a file names: beside it, or of a packaged vehicle."""
+    said = table.get("vehicle")
+    if not isinstance(said, dict) or "urdf" not in said:
+        return
+    name = str(said["urdf"])
+    beside = Path(str(file)).parent / name
+    path = beside if beside.is_file() else bed.VEHICLES / name
+    try:
+        table["vehicle"] = {"label": path.name, **said, "urdf": path.read_text(encoding="utf-8")}
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{label}: vehicle.urdf cannot be read ({error}); put it beside the file") from error
+
+
 def parse(table: Mapping[str, Any], label: str = "scenario") -> Scenario:
     """Check a table against the schema.
 
@@ -75,17 +90,10 @@ def parse(table: Mapping[str, Any], label: str = "scenario") -> Scenario:
         ScenarioError: naming each wrong key by its dotted path.
     """
     try:
-        return _schema(table).model_validate(table)
+        return VehicleScenario.model_validate(table)
     except ValidationError as error:
         problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors())
         raise ScenarioError(f"{label} cannot be used: {problems}. Correct these keys") from error
-
-
-def _schema(table: Mapping[str, Any]) -> type[Scenario]:
-    """Schema of the plant that the header names; an unknown name is reported by the header's own schema."""
-    header = table.get("scenario")
-    plant = header.get("plant") if isinstance(header, Mapping) else None
-    return VehicleScenario if plant == "vehicle" else RocketScenario
 
 
 def merged(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Tables of every scenario: header, sensors, clocks, buses, devices, faults."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -13,12 +13,15 @@ class ScenarioError(ValueError):
 
 
 class ScenarioHeader(Table):
-    """``[scenario]``. ``based_on``: the packaged scenario over which this one's tables lie. ``plant``: what moves."""
+    """``[scenario]``. ``based_on``: the packaged scenario over which this one's tables lie.
+
+    ``published``: it is a flight of which results were published, which its table shows beside.
+    """
 
     name: str
     description: str
     based_on: str | None = None
-    plant: Literal["rocket_arm", "vehicle"] = "rocket_arm"
+    published: bool = False
 
 
 class Scenario(Table):

@@ -1,4 +1,4 @@
-"""Tables of the scenario of any vehicle, made from its vehicle.toml and URDF: ``[scenario] plant = "vehicle"``.
+"""Tables of the scenario of any vehicle, made from its vehicle.toml and URDF.
 
 What stands here is what a scenario file may say over the defaults; ``hil_sim.devices.vehicle_file`` adds sensors,
 clocks, buses and devices.

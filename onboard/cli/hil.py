@@ -87,16 +87,13 @@ def _hil(arguments: argparse.Namespace) -> int:
     vehicle = with_hand_over(vehicle, arguments.hand_over)
     if arguments.controller:
         return controller.fly(arguments, vehicle, scenario, faults)
-    own = scenario.scenario.plant == "vehicle"
-    expected: list[dict[str, Any]] = []
-    if own or faults or arguments.faults or not arguments.realtime:  # what cannot be is refused here, with the reason
-        world, urls = open_in_process(scenario, seed, faults)
-        if arguments.faults or arguments.realtime:
-            world.close()
-        if arguments.faults:
-            _list_faults(world.possible_faults(), EFFECTS)
-            return OK
-        expected = _foresee(vehicle, world) if asks is None else []
+    world, urls = open_in_process(scenario, seed, faults)  # what cannot be is refused here, with the reason
+    if arguments.faults or arguments.realtime:
+        world.close()
+    if arguments.faults:
+        _list_faults(world.possible_faults(), EFFECTS)
+        return OK
+    expected = _foresee(vehicle, world) if asks is None else []
     log = arguments.log or next_log(vehicle.file.recording.directory, name)
     with progress() as bar:
         task = bar.add_task(f"{name}, seed {seed}", total=1.0)

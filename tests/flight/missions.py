@@ -14,8 +14,8 @@ from onboard.recording.reader import LogReader
 
 _SWEEP = {
     "phase": 3,
-    "action": "sweep",
-    "amplitude_deg": 11.5,
+    "action": "strokes",
+    "amplitude": {"joint_1": 0.2007},
     "stroke_s": 1.2,
     "strokes": 6,
     "pause_s": 0.1,
@@ -24,7 +24,7 @@ _SWEEP = {
 SWEPT = [  # of RockSat: 27 s in which all three masses are found
     {"phase": 0, "action": "hold", "duration_s": 5.0},
     _SWEEP,
-    {"phase": 5, "action": "eject", "duration_s": 1.5},
+    {"phase": 5, "action": "hold", "duration_s": 1.5},
     _SWEEP,
     {"phase": 9, "action": "hold", "duration_s": 1.0},
 ]
@@ -61,4 +61,5 @@ def fly(
 
 def inline(step: dict[str, object]) -> str:
     """A TOML inline table."""
-    return "{" + ", ".join(f"{key} = {json.dumps(value)}" for key, value in step.items()) + "}"
+    told = {key: inline(value) if isinstance(value, dict) else json.dumps(value) for key, value in step.items()}
+    return "{" + ", ".join(f"{key} = {value}" for key, value in told.items()) + "}"

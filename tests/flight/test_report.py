@@ -23,6 +23,7 @@ from onboard.offline.report.flight_data import SweepData
 from onboard.offline.report.gallery import Gallery
 from onboard.offline.tables import truth
 from onboard.offline.tables.phases import Phase
+from onboard.offline.views.own_mission import with_quantities
 from onboard.recording.writer import LogWriter
 from tests.flight.missions import Result
 
@@ -63,7 +64,8 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page(mission: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    truth.write(mission.path, mission.flown.truth)
+    vehicle = config.load(config.packaged("rocksat"))
+    truth.write(mission.path, with_quantities(vehicle, mission.flown.truth))
     path = tmp_path_factory.mktemp("report") / "rocksat.html"
     assert report(mission.path, path) == ()
     return path

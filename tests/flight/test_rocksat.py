@@ -20,7 +20,7 @@ from onboard.offline.views import mission_table as table
 from tests.flight.missions import SWEPT, Result, fly
 from tests.hil_sim.built import AS_DRAWN
 
-HEAVY = {"sequence": SWEPT, "body": {"tip_mass": {"as_built_factor": 1.2}}, "as_built": AS_DRAWN}
+HEAVY = {"sequence": SWEPT, "as_built": AS_DRAWN | {"tip_mass": AS_DRAWN["tip_mass"] | {"mass_factor": 1.2}}}
 
 
 def test_the_masses_are_found_within_what_was_promised(mission: Result) -> None:

@@ -17,8 +17,8 @@ from tests.flight.missions import Result, fly, inline
 SEED = 6  # the MPU-6050's clock is 1 % fast: one that is not polled at its own period loses samples
 SWEEP = {
     "phase": 4,
-    "action": "sweep",
-    "amplitude_deg": 11.5,
+    "action": "strokes",
+    "amplitude": {"joint_1": 0.2007},
     "stroke_s": 0.6,
     "strokes": 3,
     "pause_s": 0.05,
@@ -28,7 +28,7 @@ SHORT = {
     "sequence": [
         {"phase": 0, "action": "hold", "duration_s": 2.0},
         SWEEP,
-        {"phase": 5, "action": "eject", "duration_s": 0.5},
+        {"phase": 5, "action": "hold", "duration_s": 0.5},
         SWEEP,
         {"phase": 9, "action": "hold", "duration_s": 0.5},
     ],

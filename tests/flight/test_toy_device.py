@@ -52,6 +52,7 @@ drift_sigma_per_s = 1.0e-9
 [device.joint_1]
 kind = "toy_angle"
 bus = "tty_toy"
+at = "joint_1"
 measures = "encoder"
 
 """

@@ -55,13 +55,10 @@ def compared(flight: FlightData) -> list[Compared]:
 
 
 def truths_of(flight: FlightData) -> dict[str, float]:
-    """True values by quantity, SI, under the names of the truth file or of the published table."""
+    """True values by quantity, SI."""
     if flight.truth is None:
         return {}
     truths: dict[str, float] = dict(flight.truth.get("quantities", {}))
-    for row in _published(flight.name):
-        if row.get("truth") in flight.truth:
-            truths.setdefault(row["quantity"], float(flight.truth[row["truth"]]))
     for name in flight.quantities:  # the same mass, from the rows with the payload held alone
         if name.removesuffix("_held") in truths:
             truths.setdefault(name, truths[name.removesuffix("_held")])

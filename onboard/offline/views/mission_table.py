@@ -22,6 +22,7 @@ from drivers import records
 from onboard import config
 from onboard.flight.hil import Flown
 from onboard.offline.estimate_again import runs_view
+from onboard.offline.tables.truth import Truth
 from onboard.offline.tables.vehicle_file import vehicle_of
 from onboard.offline.views import accounts, own_mission
 from onboard.offline.views.standing import leans_on, shown
@@ -73,18 +74,17 @@ def result(flown: Flown) -> Result:
         elif batch.rows.dtype == records.EVENT:
             events.extend(batch.rows)
     name, answers = log.metadata["flight"]["vehicle"], _answers(last)
-    own, flown_runs, told = own_mission.is_own(flown.truth), list[Result](), False
-    if own:
-        with tempfile.TemporaryDirectory() as directory:
-            vehicle = vehicle_of(log, Path(directory))
-            phases = vehicle.file.estimation.phases
-            told = phases is not None and phases.payload_taken is not None
-            if own_mission.is_estimated_afterwards(vehicle):
-                answers, flown_runs = own_mission.after_the_run(vehicle, log)
-            compared = own_mission.compared(vehicle, answers, flown.truth)
-        published: Result = {"title": f"{name}: rehearsed", **compared}
-    else:
-        published = _published(name)
+    flown_runs, is_published = list[Result](), bool(flown.truth["published"])
+    with tempfile.TemporaryDirectory() as directory:
+        vehicle = vehicle_of(log, Path(directory))
+        phases = vehicle.file.estimation.phases
+        told = phases is not None and phases.payload_taken is not None
+        if own_mission.is_estimated_afterwards(vehicle):
+            answers, flown_runs = own_mission.after_the_run(vehicle, log)
+        if is_published:
+            published = _published(name, vehicle, flown.truth)
+        else:
+            published = {"title": f"{name}: rehearsed", **own_mission.compared(vehicle, answers, flown.truth)}
     masses, centres, inertias, parameters, motions = (
         [_compared(shown | row, answers, flown.truth) for row in published.get(section, [])]
         for section, shown in _SHOWN.items()
@@ -102,7 +102,9 @@ def result(flown: Flown) -> Result:
         "parameters": parameters,
         "motions": motions,
         "channels": {name: account.as_json() for name, account in counted.items()},
-        "identified": any(row["supported"] for row in every) if own else all(mass["supported"] for mass in masses),
+        "identified": all(one["supported"] for one in masses)
+        if is_published
+        else any(one["supported"] for one in every),
         "accounted": all(account.is_whole for account in counted.values()),
         "accounts": accounts.render(counted),
         "events": _troubles(events),
@@ -111,16 +113,22 @@ def result(flown: Flown) -> Result:
     }
 
 
-def _published(name: str) -> Result:
-    """What is compared of a packaged vehicle."""
-    return tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
+def _published(name: str, vehicle: config.Vehicle, truth: Truth) -> Result:
+    """What was published of a packaged vehicle, beside what is true of the one that was flown."""
+    published = tomllib.loads(config.packaged(name).with_name("published.toml").read_text(encoding="utf-8"))
+    true = own_mission.true_values(vehicle, truth)
+    given = {
+        section: [row | {"value": true[row["quantity"]]} for row in rows]
+        for section, rows in published.items()
+        if isinstance(rows, list)
+    }
+    return published | given
 
 
 def _compared(row: dict[str, Any], answers: dict[str, dict[str, Any]], truth: dict[str, Any]) -> dict[str, Any]:
     answer = answers.get(row["quantity"])
     supported = answer is not None and answer["supported"]
-    true = row.get("value", None if "truth" not in row else truth[row["truth"]])
-    true = float(truth["quantities"][row["quantity"]] if true is None else true)
+    true = float(row["value"] if "value" in row else truth["quantities"][row["quantity"]])
     standing = "" if answer is None else answer["standing"]
     leans = "" if answer is None else answer["leans"]
     made: dict[str, Any] = {**row, "value": None, "truth": true, "supported": supported}

@@ -37,11 +37,6 @@ _DIGITS = 5  # significant, of a truth
 _FEWER = 2  # digits, of what is about zero and has those of its interval
 
 
-def is_own(truth: Truth) -> bool:
-    """Whether a truth is of a world that was made from the vehicle itself."""
-    return "links" in truth
-
-
 def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
     """What a vehicle's answers should have been, by name, SI."""
     true = {**truth["quantities"]}
@@ -56,8 +51,6 @@ def true_values(vehicle: config.Vehicle, truth: Truth) -> dict[str, float]:
 
 def with_quantities(vehicle: config.Vehicle, truth: Truth) -> Truth:
     """A truth whose ``quantities`` are those of all that the vehicle answers, as far as the world knows them."""
-    if not is_own(truth):
-        return truth
     known = {name: value for name, value in true_values(vehicle, truth).items() if np.isfinite(value)}
     return {**truth, "quantities": known}
 

@@ -19,8 +19,8 @@ from tests.flight.missions import fly
 SEED = 3
 _SWEEP = {
     "phase": 4,
-    "action": "sweep",
-    "amplitude_deg": 11.5,
+    "action": "strokes",
+    "amplitude": {"joint_1": 0.2007},
     "stroke_s": 0.6,
     "strokes": 4,
     "pause_s": 0.05,
@@ -31,7 +31,7 @@ MISSION = {
         {"phase": 0, "action": "hold", "duration_s": 2.5},
         _SWEEP,
         {"phase": 0, "action": "hold", "duration_s": 0.3},
-        {"phase": 5, "action": "eject", "duration_s": 0.5},
+        {"phase": 5, "action": "hold", "duration_s": 0.5},
         _SWEEP,
         {"phase": 9, "action": "hold", "duration_s": 0.5},
     ]

@@ -1,17 +1,15 @@
 """The rocket's arm as a vehicle with servos, stops, air and an ejection, and its true signals."""
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.plants.carrier import turned
 from hil_sim.plants.vehicle_plant import VehiclePlant
-from onboard import config
+from hil_sim.scenario.load import load
+from tests.hil_sim import built
 
-_EXACT = {"mass_relative": 0.0, "centre_mm": 0.0, "inertia_relative": 0.0, "place_mm": 0.0}
-AS_DRAWN = {"as_built": {"plate": _EXACT, "arm": _EXACT, "tip_mass": _EXACT}}
+AS_DRAWN = {"as_built": built.AS_DRAWN}
 NO_AIR = {"air": {"pressure_Pa": 0.0}}
 NO_VIBRATION = {"vibration": {"broadband_mg": [0.0, 0.0, 0.0], "linear_mode_mg": [], "angular_mode_mrad_s": []}}
 AT_REST = {"coning": {"spin_rad_s": 0.0, "nutation_rate_rad_s": 0.0, "residual_rate_rad_s": [0.0, 0.0, 0.0]}}
@@ -52,7 +50,7 @@ class History(NamedTuple):
 
 def scenario(**overrides: Any):
     """The rocket's scenario with other tables."""
-    return rehearsal(config.packaged("rocksat"), Path(__file__).with_name("rocket.toml"), overrides)
+    return load("rocksat", overrides)
 
 
 def plant(seed: int = 7, **overrides: Any) -> VehiclePlant:

@@ -2,8 +2,11 @@
 
 import re
 
+import numpy as np
 import pytest
 
+from hil_sim.plants.urdf_drawing import read
+from hil_sim.plants.urdf_model import Places, UrdfModel, matrix_of
 from hil_sim.scenario import load as scenarios
 from hil_sim.scenario.sensor_tables import ImuTable
 
@@ -17,21 +20,18 @@ def test_packaged_scenario_loads() -> None:
 
 def test_geometry_and_masses_are_those_of_tables_4_5_and_4_6() -> None:
     flown = scenarios.load("rocksat")
-    g = flown.geometry
-    assert (g.frame_1_theta_deg, g.frame_2_a_mm, g.frame_3_d_mm, g.frame_4_a_mm, g.frame_5_a_mm) == (
-        -55.4,
-        116.1,
-        101.0,
-        155.7,
-        16.4,
-    )
-    arm, tip = flown.body.arm, flown.body.tip_mass
-    assert (arm.mass_g, arm.com_mm) == (233.13, (39.75, 1.41, 5.0))
-    e = arm.inertia_g_mm2
-    assert (e.xx, e.yy, e.zz, e.xy, e.xz, e.yz) == (52080.3, 6.99e5, 7.33e5, 7130.97, -38230.98, 1744.05)
-    assert (tip.mass_g, tip.com_mm) == (66.27, (0.0, -13.91, 0.0))
-    e = tip.inertia_g_mm2
-    assert (e.xx, e.yy, e.zz, e.xy, e.xz, e.yz) == (5978.9, 4389.61, 5978.9, 2.9e-8, 0.0, 0.0)
+    drawing = read(flown.vehicle.urdf, flown.vehicle.label)
+    model = UrdfModel(drawing, "prescribed", (0.0, 0.0, 0.0), Places((), ()))
+    at = {link: model.model.body(f"l.{link}").pos.tolist() for link in ("arm", "frame_4", "tip_mass")}
+    assert at == {"arm": [0.1161, 0.0, 0.101], "frame_4": [0.1557, 0.0, 0.0], "tip_mass": [0.0164, 0.0, 0.0]}
+    turned = matrix_of(model.model.body("l.frame_1").quat)
+    assert np.rad2deg(np.arctan2(turned[1, 0], turned[0, 0])) == pytest.approx(-55.4)
+    arm, tip = model.drawn["arm"], model.drawn["tip_mass"]
+    assert (arm.mass_kg, arm.centre_of_mass_m.tolist()) == (0.23313, [0.03975, 0.00141, 0.005])
+    elements = [[52080.3, 7130.97, -38230.98], [7130.97, 6.99e5, 1744.05], [-38230.98, 1744.05, 7.33e5]]
+    np.testing.assert_allclose(arm.inertia_kg_m2, 1e-9 * np.array(elements), rtol=1e-6, atol=1e-14)
+    assert (tip.mass_kg, tip.centre_of_mass_m.tolist()) == (0.06627, [0.0, -0.01391, 0.0])
+    np.testing.assert_allclose(tip.inertia_kg_m2, 1e-9 * np.diag([5978.9, 4389.61, 5978.9]), rtol=1e-6, atol=1e-14)
 
 
 def test_imu_filters_are_those_of_register_26() -> None:
@@ -55,9 +55,9 @@ def test_every_number_has_a_source_or_says_it_is_our_choice(name) -> None:
 
 
 def test_overrides_lie_over_the_file() -> None:
-    flown = scenarios.load("rocksat", {"body": {"tip_mass": {"as_built_factor": 0.75}}})
-    assert flown.body.tip_mass.as_built_factor == 0.75
-    assert flown.body.tip_mass.mass_g == 66.27
+    flown = scenarios.load("rocksat", {"as_built": {"tip_mass": {"mass_factor": 0.75}}})
+    assert flown.as_built["tip_mass"].mass_factor == 0.75
+    assert flown.as_built["tip_mass"].centre_mm == 1.0
 
 
 def test_a_path_is_read_as_a_file(tmp_path) -> None:
@@ -71,16 +71,15 @@ def test_a_path_is_read_as_a_file(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "named"),
     [
-        ({"joint": {"coulomb_friction_mNm": 1.0}}, "joint.coulomb_friction_mNm"),
-        ({"joint": {"coulomb_friction_Nm": -1.0}}, "joint.coulomb_friction_Nm"),
+        ({"servo": {"joint_1": {"coulomb_mNm": 1.0}}}, "servo.joint_1.coulomb_mNm"),
+        ({"servo": {"joint_1": {"coulomb_N_m": -1.0}}}, "servo.joint_1.coulomb_N_m"),
         ({"wind": {}}, "wind"),
-        ({"body": {"arm": {"mass_g": float("nan")}}}, "body.arm.mass_g"),
+        ({"as_built": {"arm": {"centre_mm": float("nan")}}}, "as_built.arm.centre_mm"),
         ({"sensor": {"imu": {"accel_g": {"delay_ms": [0.0]}}}}, "one entry for each of the 8 filter codes"),
         ({"sequence": [{"phase": 3, "action": "wave", "duration_s": 1.0}]}, "sequence.0"),
         ({"sequence": []}, "sequence"),
-        ({"stops": {"pad_deg": 16.0}}, "pad_deg"),
-        ({"stops": {"pad_deg": 11.0}}, "meets the pad"),
-        ({"sequence": [{"phase": 5, "action": "eject", "duration_s": 1.0}] * 2}, "one tip mass"),
+        ({"stop": [{"joint": "joint_1", "at_deg": 15.0}]}, "stop.0.end"),
+        ({"air": {"growth_time_s": 0.0}}, "air.growth_time_s"),
     ],
 )
 def test_what_cannot_be_used_is_refused_by_name(overrides, named) -> None:
@@ -90,8 +89,8 @@ def test_what_cannot_be_used_is_refused_by_name(overrides, named) -> None:
 
 def test_a_missing_key_is_named() -> None:
     table = scenarios.load("rocksat").model_dump()
-    del table["servo"]["torque_limit_Nm"]
-    with pytest.raises(scenarios.ScenarioError, match=r"servo\.torque_limit_Nm: Field required"):
+    del table["air"]["growth_time_s"]
+    with pytest.raises(scenarios.ScenarioError, match=r"air\.growth_time_s: Field required"):
         scenarios.parse(table)
 
 
@@ -107,7 +106,7 @@ def test_no_such_scenario_lists_those_there_are(tmp_path) -> None:
 def test_a_scenario_is_frozen() -> None:
     flown = scenarios.load("rocksat")
     with pytest.raises(ValueError, match="frozen"):
-        flown.joint.ripple_Nm = 1.0
+        flown.air.pressure_Pa = 1.0
 
 
 # Based on another
@@ -115,7 +114,7 @@ def test_a_scenario_is_frozen() -> None:
 
 def test_a_scenario_based_on_another_has_its_world_and_a_wiring_of_its_own() -> None:
     one, other = scenarios.load("rocksat"), scenarios.load("rocksat_serial")
-    for table in ("physics", "geometry", "body", "joint", "servo", "rocket", "vibration", "reentry", "sequence"):
+    for table in ("vehicle", "physics", "as_built", "servo", "stop", "coning", "vibration", "air", "drag", "sequence"):
         assert getattr(one, table) == getattr(other, table)
     assert one.sensor.items() <= other.sensor.items()
     assert "can_0" not in other.bus
@@ -131,16 +130,15 @@ def test_a_scenario_lies_over_the_one_it_is_based_on_key_by_key(tmp_path) -> Non
         name = "heavy"
         description = ""
         based_on = "rocksat"
-        [body.tip_mass]
-        as_built_factor = 1.2
+        [as_built.tip_mass]
+        mass_factor = 1.2
         [sensor.encoder]
         eccentricity_urad = 0.0
         """
     )
     flown, below = scenarios.load(path), scenarios.load("rocksat")
     assert flown.scenario.name == "heavy"
-    assert flown.body.tip_mass.as_built_factor == 1.2
-    assert flown.body.tip_mass.mass_g == below.body.tip_mass.mass_g
+    assert flown.as_built["tip_mass"] == below.as_built["tip_mass"].model_copy(update={"mass_factor": 1.2})
     assert flown.sensor["encoder"] == below.sensor["encoder"].model_copy(update={"eccentricity_urad": 0.0})
     assert flown.device == below.device
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from hil_sim.plants.rocket_arm import RocketArmPlant
+from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import Inertial, NotYetComputedError
 from hil_sim.scenario.load import load
 from hil_sim.sensing.interpolation import interpolate, interpolate_column, interpolate_one
@@ -136,10 +136,10 @@ def test_many_instants_at_once_give_the_same_bits_as_one_by_one() -> None:
     places = np.random.default_rng(5).uniform(-3.0, 60.0, 500)
     walk = np.random.default_rng(6).standard_normal(50).cumsum()
     assert interpolate_column(walk, places).tolist() == [interpolate_one(walk, at) for at in places.tolist()]
-    plant = RocketArmPlant(scenario, np.random.default_rng(1))
+    plant = VehiclePlant(scenario, np.random.default_rng(1))
     plant.advance(7.0)
-    cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
-    encoder = EncoderSensor(plant, scenario.sensor["encoder"], np.random.default_rng(4))
+    cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3), "joint_1")
+    encoder = EncoderSensor(plant, scenario.sensor["encoder"], np.random.default_rng(4), "joint_1")
     cell._full_scale_s = (6.2,)
     times_s = np.sort(np.random.default_rng(7).uniform(0.1, 6.9, 3000))
     for sensor in (cell, encoder):
@@ -290,9 +290,9 @@ def test_counts_do_not_hang_on_the_polling() -> None:
     times = np.arange(0.05, 1.9, 1.0037e-3)
     answers = []
     for batch in (1, 7, 2000):
-        plant = RocketArmPlant(scenario, np.random.default_rng(1))
-        imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2))
-        cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
+        plant = VehiclePlant(scenario, np.random.default_rng(1))
+        imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2), "imu_base")
+        cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3), "joint_1")
         rows, forces = [], []
         for part in np.split(times, range(batch, len(times), batch)):
             plant.advance(part[-1])
@@ -312,11 +312,11 @@ def test_changing_the_filter_does_not_disturb_the_other_one(rng) -> None:
 
 def test_no_sensor_answers_about_the_future() -> None:
     scenario = load("rocksat", {"sequence": [{"phase": 0, "action": "hold", "duration_s": 2.0}]})
-    plant = RocketArmPlant(scenario, np.random.default_rng(1))
+    plant = VehiclePlant(scenario, np.random.default_rng(1))
     plant.advance(1.0)
-    imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2))
-    cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3))
-    encoder = EncoderSensor(plant, scenario.sensor["encoder"], np.random.default_rng(4))
+    imu = ImuSensor(plant, scenario.sensor["imu"], np.random.default_rng(2), "imu_base")
+    cell = LoadCellSensor(plant, scenario.sensor["load_cell"], np.random.default_rng(3), "joint_1")
+    encoder = EncoderSensor(plant, scenario.sensor["encoder"], np.random.default_rng(4), "joint_1")
     assert imu.counts(np.array([1.0]), 8192.0, 131.0, 2).shape == (1, 7)
     assert imu.counts(np.array([]), 8192.0, 131.0, 2).shape == (0, 7)
     for ask in (
@@ -440,8 +440,8 @@ def test_two_single_samples_read_full_scale(rng) -> None:
 
 def test_flight_has_its_two_full_scale_readings_in_the_middle_of_sweeps() -> None:
     scenario = load("rocksat")
-    plant = RocketArmPlant(scenario, np.random.default_rng(0))
-    sweeps = [span for span in plant.program.spans if span.action == "sweep"]
+    plant = VehiclePlant(scenario, np.random.default_rng(0))
+    sweeps = [span for span in plant.program.spans if span.action == "strokes"]
     assert len(scenario.sensor["load_cell"].full_scale_readings_s) == 2
     for start in scenario.sensor["load_cell"].full_scale_readings_s:
         assert any(span.start_s + 1.0 < start < span.end_s - 1.0 for span in sweeps)
