@@ -8,7 +8,7 @@ import numpy as np
 from hil_sim.arrays import FloatArray
 from hil_sim.scenario.vehicle_tables import BaseSway
 
-_BLOCK = 64  # attitudes that are made side by side
+_BLOCK = 96  # attitudes that are made side by side
 
 
 class BasePath(NamedTuple):
@@ -76,25 +76,28 @@ def attitudes(turns_rad: FloatArray) -> FloatArray:
     blocks = -(-n // _BLOCK)
     turn = np.zeros((blocks * _BLOCK, 3))
     turn[1:n] = turns_rad[1:]
-    angle = np.linalg.norm(turn, axis=1)
-    steps = np.column_stack([np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi)[:, None] * turn])
-    own = steps.reshape(blocks, _BLOCK, 4)  # within each block, then from block to block
+    own = np.empty((4, _BLOCK, blocks))  # within each block, then from block to block
+    turns = turn.T.reshape(3, blocks, _BLOCK).transpose(0, 2, 1)
+    half = 0.5 * np.sqrt((turns * turns).sum(axis=0))
+    np.cos(half, out=own[0])
+    np.multiply(0.5 * np.sinc(half / np.pi), turns, out=own[1:])
     for k in range(1, _BLOCK):
         own[:, k] = _times(own[:, k - 1], own[:, k])
     starts = np.empty((blocks, 4))
     at = np.array([1.0, 0.0, 0.0, 0.0])
-    for start, whole in zip(starts, own[:, -1].copy(), strict=True):
+    for start, whole in zip(starts, own[:, -1].T.copy(), strict=True):
         start[:] = at
         mujoco.mju_mulQuat(at, start, whole)
         mujoco.mju_normalize4(at)
-    found = _times(np.repeat(starts, _BLOCK, axis=0), own.reshape(-1, 4))[:n]
-    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None], np.float64)
+    found = _times(starts.T[:, None], own)
+    found /= np.sqrt((found * found).sum(axis=0))
+    return np.ascontiguousarray(found.transpose(2, 1, 0).reshape(-1, 4)[:n])
 
 
 def _times(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products of quaternions w x y z, (n, 4)."""
-    (w, x, y, z), (p, q, r, s) = a.T, b.T
-    out = np.empty_like(a)
-    out.T[0], out.T[1] = w * p - x * q - y * r - z * s, w * q + x * p + y * s - z * r
-    out.T[2], out.T[3] = w * r - x * s + y * p + z * q, w * s + x * r - y * q + z * p
+    """Products of quaternions w x y z, (4, ...)."""
+    (w, x, y, z), (p, q, r, s) = a, b
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[0], out[1] = w * p - x * q - y * r - z * s, w * q + x * p + y * s - z * r
+    out[2], out[3] = w * r - x * s + y * p + z * q, w * s + x * r - y * q + z * p
     return out

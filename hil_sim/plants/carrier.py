@@ -58,27 +58,39 @@ def carried(scenario: VehicleScenario, step_s: float, count: int, rng: np.random
         pressure = dynamic_pressure(air.pressure_Pa, air, times, step_s, rng)
         wind = wind_direction(air, spin, times, rng)
         pushed = air.carrier_area_over_mass_m2_kg * pressure[:, None] * wind  # along the wind
-        turning += air.pitch_moment_rad_s2_per_m_s2 * np.cross([0.0, 0.0, 1.0], pushed)
+        turning[:, 0] -= air.pitch_moment_rad_s2_per_m_s2 * pushed[:, 1]  # across z and the push
+        turning[:, 1] += air.pitch_moment_rad_s2_per_m_s2 * pushed[:, 0]
         turning[:, 2] += air.roll_moment_rad_s2_per_m_s2 * np.linalg.norm(pushed, axis=1)
-    rigid_before = rate_start + step_s * (np.cumsum(turning, axis=0) - turning)
+    rigid_before, twist_before = _before(turning, step_s, rate_start), _before(twisted, step_s, np.zeros(3))
     rigid = rigid_before + 0.5 * step_s * turning
-    twist_before = step_s * (np.cumsum(twisted, axis=0) - twisted)
-    rate_before = before[:, 3:] + rigid_before + twist_before - twist_before.mean(axis=0)
-    angular = acceleration[:, 3:] + turning + twisted
-    attitude = attitudes(step_s * rate_before)
-    own = np.cross(turning, r) + np.cross(rigid, np.cross(rigid, r)) + pushed + shaken  # base axes
-    linear = acceleration[:, :3] + turned(attitude, own)
-    linear_before = before[:1, :3] + step_s * (np.cumsum(linear, axis=0) - linear)
-    place = step_s * np.cumsum(linear_before, axis=0)
-    half = 0.5 * step_s
-    return Carried(
-        np.hstack([place - place[0], attitude]),
-        np.hstack([linear_before + half * linear, rate_before + half * angular]),
-        np.hstack([linear, angular]),
-        np.hstack([linear_before, rate_before]),
-        pressure,
-        wind,
-    )
+    twist_before -= twist_before.mean(axis=0)
+    befores, accelerations, poses = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, 7))
+    rate_before = befores[:, 3:]
+    np.add(rigid_before, twist_before, out=rate_before)
+    rate_before += before[:, 3:]
+    np.add(turning, twisted, out=accelerations[:, 3:])
+    accelerations[:, 3:] += acceleration[:, 3:]
+    poses[:, 3:] = attitudes(step_s * rate_before)
+    arm = np.broadcast_to(r, turning.shape)
+    own = cross(turning, arm)  # base axes
+    own += cross(rigid, cross(rigid, arm))
+    own += pushed
+    own += shaken
+    np.add(acceleration[:, :3], turned(poses[:, 3:], own), out=accelerations[:, :3])
+    befores[:, :3] = _before(accelerations[:, :3], step_s, before[0, :3])
+    np.cumsum(befores[:, :3], axis=0, out=poses[:, :3])
+    poses[:, :3] -= poses[0, :3].copy()
+    poses[:, :3] *= step_s
+    return Carried(poses, befores + 0.5 * step_s * accelerations, accelerations, befores, pressure, wind)
+
+
+def _before(accelerations: FloatArray, step_s: float, first: FloatArray) -> FloatArray:
+    """Velocities half a step before each row, of those of the first and accelerations at the rows, (n, 3)."""
+    out: FloatArray = np.cumsum(accelerations, axis=0)
+    out -= accelerations
+    out *= step_s
+    out += first
+    return out
 
 
 def turned(attitude: FloatArray, vectors: FloatArray) -> FloatArray:

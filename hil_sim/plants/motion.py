@@ -99,21 +99,23 @@ def vibration(table: Vibration, step_s: float, count: int, rng: np.random.Genera
     milli_g = 1e-3 * STANDARD_GRAVITY
     band = signal.butter(2, table.broadband_band_Hz, "bandpass", fs=rate_Hz, output="sos")
     noise = signal.sosfilt(band, rng.standard_normal((count, 3)), axis=0)
-    linear = milli_g * np.asarray(table.broadband_mg) * noise / _rms_gain(band)
+    linear: FloatArray = noise
+    linear *= milli_g * np.asarray(table.broadband_mg) / _rms_gain(band)
     for mode in table.linear_mode_mg:
-        linear += milli_g * _resonance(mode, rate_Hz, count, rng)
+        linear += _resonance(mode, milli_g, rate_Hz, count, rng)
     angular = np.zeros((count, 3))
     for mode in table.angular_mode_mrad_s:
         # A narrow mode: rms acceleration = 2 pi f x rms rate.
-        angular += 2e-3 * np.pi * mode.frequency_Hz * _resonance(mode, rate_Hz, count, rng)
+        angular += _resonance(mode, 2e-3 * np.pi * mode.frequency_Hz, rate_Hz, count, rng)
     return linear, angular
 
 
-def _resonance(mode: Mode, rate_Hz: float, count: int, rng: np.random.Generator) -> FloatArray:
+def _resonance(mode: Mode, unit: float, rate_Hz: float, count: int, rng: np.random.Generator) -> FloatArray:
     b, a = signal.iirpeak(mode.frequency_Hz, 0.5 / mode.damping_ratio, fs=rate_Hz)
     sos = np.concatenate([b, a])[None, :]
-    noise = signal.sosfilt(sos, rng.standard_normal((count, 3)), axis=0)
-    return np.asarray(mode.rms) * noise / _rms_gain(sos)
+    noise: FloatArray = signal.sosfilt(sos, rng.standard_normal((count, 3)), axis=0)
+    noise *= unit * np.asarray(mode.rms) / _rms_gain(sos)
+    return noise
 
 
 def _rms_gain(sos: FloatArray) -> float:

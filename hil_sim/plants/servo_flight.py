@@ -15,7 +15,7 @@ forces that depend on where the joints are (drag, ripple, feed-forward) extrapol
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -33,6 +33,7 @@ from hil_sim.scenario.part_tables import DragTable, StopTable
 _HEAVIER = 1e6  # times the arm's mass, and at least so many kg, is a prescribed base
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_NEAR_rad = 1e-4  # before a stop, from where contacts are looked for
 _SLOW_rad_s = 0.01  # of the friction's feed-forward
 
 
@@ -80,30 +81,38 @@ class ServoFlight:
     ) -> None:
         self.vehicle, self._motion, self._link = vehicle, motion, link
         self._h, self._chunk, self._far, self._path, self._stops = step_s, chunk, far, path, tuple(stops)
-        self._drag = [(vehicle.body(table.link), table) for table in drag]
+        self._drag = [
+            (vehicle.body(table.link), table.area_m2, 1e-3 * np.asarray(table.centre_of_pressure_mm)) for table in drag
+        ]
         self._blown = np.zeros((0, 3))  # dynamic pressure along the wind, world axes, Pa
         if path is not None and self._drag:
-            self._blown = path.pressure_pa[:, None] * turned(path.pose[:, 3:], path.wind)
-        self._ahead = 0, (np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))  # row, and what is commanded from it
+            self._blown = turned(path.pose[:, 3:], path.wind)
+            self._blown *= path.pressure_pa[:, None]
+        self._ahead = 0, (np.zeros((0, 0)), np.zeros((0, 0)))  # row, and what is commanded from it
         self.model, self.data = vehicle.model, mujoco.MjData(vehicle.model)
         self._nb, self._np, self._nj = vehicle.freedom, vehicle.pose, len(vehicle.joints)
         self.count = 0
         self.caught: Body | None = None
         self.spring: Spring | None = None
         self.momenta = Momenta(vehicle, self.data, places)
-        self._base_kg = 0.0
+        self._inertia = np.zeros((self.model.nv, self.model.nv))
+        self._push = np.zeros((0, 6))  # on a prescribed base, N, N m
         model = self.model
         model.opt.timestep, model.opt.tolerance = step_s, 1e-15
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        for flag in (mujoco.mjtDisableBit.mjDSBL_EULERDAMP, mujoco.mjtDisableBit.mjDSBL_LIMIT):
+        bits = mujoco.mjtDisableBit
+        for flag in (bits.mjDSBL_EULERDAMP, bits.mjDSBL_LIMIT):
+            model.opt.disableflags |= int(flag)
+        for flag in (bits.mjDSBL_ISLAND, bits.mjDSBL_WARMSTART):  # one vehicle is one island; Newton's method is quick
             model.opt.disableflags |= int(flag)
         model.jnt_actfrclimited[:] = 0
         if path is not None:
             root = vehicle.body(vehicle.root)
-            self._base_kg = _HEAVIER * max(1.0, float(model.body_mass.sum() - model.body_mass[root]))
-            heavy = Body(self._base_kg, np.zeros(3), self._base_kg * np.eye(3))
-            vehicle.build({vehicle.root: heavy})
+            heavy_kg = _HEAVIER * max(1.0, float(model.body_mass.sum() - model.body_mass[root]))
+            vehicle.build({vehicle.root: Body(heavy_kg, np.zeros(3), heavy_kg * np.eye(3))})
+            self._push = heavy_kg * path.acceleration
+            self._push[:, :3] -= heavy_kg * model.opt.gravity
         q, dq, _ = motion.at(np.zeros(1))
         self._q, self._dq = q[0].copy(), dq[0].copy()
         self._stand()
@@ -121,11 +130,17 @@ class ServoFlight:
         self._control = np.zeros((1, n, mujoco.mj_stateSize(model, _CONTROL)))
         self._sensors = np.zeros((1, n, model.nsensordata))
         self._states = np.zeros((1, n, self._state.shape[1]))
-        self._q_at, self._v_at = (
-            slice(1 + self._np, 1 + model.nq),
-            slice(1 + model.nq + self._nb, 1 + model.nq + model.nv),
-        )
+        self._q_at = slice(1 + self._np, 1 + model.nq)
+        self._v_at = slice(1 + model.nq + self._nb, 1 + model.nq + model.nv)
         self._torques_at = [int(model.sensor(f"torque of {name}").adr[0]) for name in self.vehicle.joints]
+        later: FloatArray = self._h * np.arange(n, dtype=np.float64)
+        self._later = later[:, None]
+        self._powers = np.column_stack([np.ones(n), later, 0.5 * later**2])
+        self._lever_of = np.zeros((3, 3))  # a place about a centre of mass, and its derivatives
+        found = [(np.deg2rad(stop.at_deg), 1.0 if stop.end == "upper" else -1.0) for stop in self._stops]
+        self._ends = np.array(found).reshape(-1, 2).T  # angle, and 1 of an upper one, -1 of a lower one
+        self._stopped = [self.vehicle.joints.index(stop.joint) for stop in self._stops]
+        self._falls = bool(model.opt.gravity.any())
 
     def _stand(self) -> None:
         """Pose and velocity of the row at which the vehicle stands, and its inertia matrix."""
@@ -133,74 +148,87 @@ class ServoFlight:
         if self._path is not None:
             data.qpos[: self._np], data.qvel[:nb] = self._path.pose[self.count], self._path.before[self.count]
         data.qpos[self._np :], data.qvel[nb:] = self._q, self._dq
-        mujoco.mj_forward(self.model, data)
-        self._inertia = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fwdPosition(self.model, data)
+        mujoco.mj_fwdVelocity(self.model, data)
         mujoco.mj_fullM(self.model, data, self._inertia)
 
-    def advance(self, rows: int) -> Rows:
-        """The next ``rows`` rows; the vehicle then stands at the row after them."""
-        out = Rows(np.empty((rows, self.model.nsensordata)), *(np.empty((rows, self._nj)) for _ in range(3)))
-        first, done = self.count, 0
+    def advance(self, out: Rows) -> None:
+        """Fill the next rows; the vehicle then stands at the row after them."""
+        rows, done = len(out.sensors), 0
         while done < rows:
             n = min(self._chunk - self.count % self._chunk, rows - done)
-            self._run(n, Rows(*(values[done : done + n] for values in out)))
-            done = self.count - first
-        return out
+            self._run(out, slice(done, done + n))
+            done += n
 
-    def _run(self, n: int, out: Rows) -> None:
+    def _run(self, out: Rows, at: slice) -> None:
+        n = at.stop - at.start
         self._stand()
         mujoco.mj_getState(self.model, self.data, self._state[0], _STATE)
-        control = self._control[:, :n]
+        control, sensors, states = self._control[:, :n], self._sensors[:, :n], self._states[:, :n]
         self._command(control[0])
-        sensors, states = self._sensors[:, :n], self._states[:, :n]
-        options: dict[str, Any] = {"skip_checks": True, "nstep": n, "state": states, "sensordata": sensors}
-        bodies = [self.model], [self.data], self._state, control
-        self._rollout.rollout(*bodies, control_spec=int(_CONTROL), **options)
-        before = np.concatenate([self._state, states[0, :-1]])
-        out.sensors[:], out.joints[:] = sensors[0], before[:, self._q_at]
-        out.rates[:] = 0.5 * (before[:, self._v_at] + states[0, :, self._v_at])
-        out.torques[:] = sensors[0][:, self._torques_at]
-        self._q, self._dq = states[0, -1, self._q_at].copy(), states[0, -1, self._v_at].copy()
+        touches = self._touches(self._q)
+        self._roll(control, sensors, states, touches)
+        if not touches and self._touches(states[0, :, self._q_at]):
+            self._roll(control, sensors, states, True)
+        after, joints, rates = states[0], out.joints[at], out.rates[at]
+        out.sensors[at], out.torques[at] = sensors[0], sensors[0, :, self._torques_at].T
+        joints[0], joints[1:] = self._q, after[:-1, self._q_at]
+        rates[0], rates[1:] = self._dq, after[:-1, self._v_at]
+        rates += after[:, self._v_at]
+        rates *= 0.5
+        self._q, self._dq = after[-1, self._q_at].copy(), after[-1, self._v_at].copy()
         self.count += n
+
+    def _touches(self, q: FloatArray) -> bool:
+        """Whether a joint reaches a stop at angles (..., j)."""
+        return bool((self._ends[1] * (q[..., self._stopped] - self._ends[0]) > -_NEAR_rad).any())
+
+    def _roll(self, control: FloatArray, sensors: FloatArray, states: FloatArray, touches: bool) -> None:
+        """Integrate a chunk from the state; contacts are looked for where a stop is reached."""
+        no_contact = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.model.opt.disableflags &= ~no_contact
+        if not touches:
+            self.model.opt.disableflags |= no_contact
+        told = {"control_spec": int(_CONTROL), "skip_checks": True, "nstep": control.shape[1]}
+        at = [self.model], [self.data], self._state, control
+        self._rollout.rollout(*at, **told, state=states, sensordata=sensors)
 
     def _command(self, control: FloatArray) -> None:
         """Set-points, forces on base and joints, loads on links, for a chunk (n, ...)."""
         n, nu, nv, nb = len(control), self._nj, self.model.nv, self._nb
         rows = slice(self.count, self.count + n)
-        q, against, ddq = self._wanted(n)
+        target, ddq = self._wanted(n)
         of = self._of_servos
-        ahead = self._q + self._dq * self._h * np.arange(n)[:, None]
-        torque = ddq @ self._inertia[nb:, nb:] + against + self._against_gravity()  # rotors included
-        control[:, :nu] = q + torque / of.stiffness
+        control[:, :nu] = target + ddq @ (self._inertia[nb:, nb:] / of.stiffness)  # rotors included
+        if self._falls:
+            control[:, :nu] += self._against_gravity() / of.stiffness
+        ahead = self._q + self._dq * self._later[:n]
         control[:, nu + nb : nu + nv] = of.ripple * np.sin(of.cycles * ahead)
+        if len(self._push):
+            control[:, nu : nu + 6] = self._push[rows]
         loads = control[:, nu + nv :].reshape(n, -1, 6)
         loads[:] = 0.0
-        if self._path is not None:
-            push = self._base_kg * self._path.acceleration[rows]
-            push[:, :3] -= self._base_kg * self.model.opt.gravity
-            control[:, nu : nu + 6] = push
-            if self._drag:
-                self._drags(loads, self._blown[rows])
+        if len(self._blown):
+            self._drags(loads, self._blown[rows])
         spring = self.spring
         if spring is not None and spring.first < self.count + n and self.count < spring.first + len(spring.force):
             self._springs(loads, spring)
 
-    def _wanted(self, n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Commanded angles, torques against friction and the loop's own damping, accelerations, (n, j) each."""
+    def _wanted(self, n: int) -> tuple[FloatArray, FloatArray]:
+        """Set-points against friction and the loop's own damping, accelerations, (n, j) each."""
         first, known = self._ahead
         if not first <= self.count <= self.count + n <= first + len(known[0]):
             rows = self._far * self._chunk + n  # what is asked for later is not known yet
             q, dq, ddq = self._motion.at(self._h * np.arange(self.count, self.count + rows, dtype=np.float64))
             of = self._of_servos
-            first, known = self.count, (q, of.viscous * dq + of.dry * np.tanh(dq / _SLOW_rad_s), ddq)
+            against = of.viscous * dq + of.dry * np.tanh(dq / _SLOW_rad_s)
+            first, known = self.count, (q + against / of.stiffness, ddq)
             self._ahead = first, known
         mine = slice(self.count - first, self.count - first + n)
-        return known[0][mine], known[1][mine], known[2][mine]
+        return known[0][mine], known[1][mine]
 
-    def _against_gravity(self) -> FloatArray | float:
+    def _against_gravity(self) -> FloatArray:
         """Torques that hold the joints where they stand, of a controller that knows the vehicle."""
-        if not self.model.opt.gravity.any():
-            return 0.0
         data, velocity = self.data, self.data.qvel.copy()
         data.qvel[:] = 0.0
         mujoco.mj_fwdVelocity(self.model, data)
@@ -212,17 +240,16 @@ class ServoFlight:
     def _lever(self, body: int, place_m: FloatArray, n: int) -> FloatArray:
         """From a link's centre of mass to a place of its frame, world axes, as the link turns on, (n, 3)."""
         rate, _ = self.momenta.twist(body)
-        lever = self.data.xmat[body].reshape(3, 3) @ (place_m - self.model.body_ipos[body])
-        t = self._h * np.arange(n)[:, None]
-        first, second = np.zeros(3), np.zeros(3)
-        mujoco.mju_cross(first, rate, lever)
+        place, first, second = self._lever_of
+        place[:] = self.data.xmat[body].reshape(3, 3) @ (place_m - self.model.body_ipos[body])
+        mujoco.mju_cross(first, rate, place)
         mujoco.mju_cross(second, rate, first)
-        return np.asarray(lever + first * t + second * (0.5 * t * t), np.float64)
+        return np.asarray(self._powers[:n] @ self._lever_of, np.float64)
 
     def _drags(self, loads: FloatArray, blown_pa: FloatArray) -> None:
-        for body, table in self._drag:
-            force = table.area_m2 * blown_pa
-            lever = self._lever(body, 1e-3 * np.asarray(table.centre_of_pressure_mm), len(force))
+        for body, area_m2, place_m in self._drag:
+            force = area_m2 * blown_pa
+            lever = self._lever(body, place_m, len(force))
             loads[:, body, :3] += force
             loads[:, body, 3:] += cross(lever, force)
 

@@ -166,8 +166,7 @@ class VehiclePlant(world.Plant):
         """True signals of a flight whose rows are those of the sensors' grid, so many at least."""
         while self._filled < min(rows, self.rows):
             end = min([rows, self.rows, *(event.row for event in self._coming)])
-            for out, values in zip(self.rows_true, flight.advance(end - self._filled), strict=True):
-                out[self._filled : end] = values
+            flight.advance(Rows(*(values[self._filled : end] for values in self.rows_true)))
             if self._jolt is not None:
                 self.rows_true.sensors[self._filled] += self._jolt.sensors / self.step_s
             for made_of, made in self._live:

@@ -140,7 +140,7 @@ def test_a_grip_that_cannot_close_in_the_mission_is_refused(rng):
         "payload": {"mass_kg": (5.0, 5.0)},
         "capture": {"earliest_s": 1.0, "latest_s": 1.0, "contact_Hz": (1.0, 1.0)},
         "sequence": [{"phase": 0, "action": "hold", "duration_s": 2.0}],
-        "scenario": {"plant": "vehicle", "name": "x", "description": "x"},
+        "scenario": {"name": "x", "description": "x"},
         **{name: {} for name in ("sensor", "clock", "bus")},
         "device": {"x": {"kind": "x"}},
     }
