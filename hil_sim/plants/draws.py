@@ -40,8 +40,11 @@ def as_built(
 
 def _made(link: str, drawn: Body, sigma: Tolerance, rng: np.random.Generator) -> Body:
     centre = drawn.centre_of_mass_m + 1e-3 * np.asarray(sigma.centre_off_mm)
-    inertia = sigma.mass_factor * sigma.inertia_factor * drawn.inertia_kg_m2
-    drawn = Body(sigma.mass_factor * drawn.mass_kg, centre, inertia)
+    denser = sigma.mass_factor
+    if sigma.density_relative:
+        denser *= 1.0 + sigma.density_relative * rng.standard_normal()
+    inertia = denser * sigma.inertia_factor * drawn.inertia_kg_m2
+    drawn = Body(denser * drawn.mass_kg, centre, inertia)
     for _ in range(_DRAWS):
         one = built(drawn, sigma.mass_relative, 1e-3 * sigma.centre_mm, sigma.inertia_relative, rng)
         if one.is_possible:

@@ -44,6 +44,8 @@ class WorldPhysics(Table):
 class Tolerance(Table):
     """``[as_built.LINK]``, ``[as_built.default]``: standard deviations about the drawing; inertia of half its trace.
 
+    ``density_relative``: of mass and inertia together, of material and thickness; ``mass_relative`` of the mass alone.
+
     ``place_mm``: of the link's frame in the link before it, each coordinate; of an IMU's frame too.
 
     What is surely not as drawn: ``mass_factor`` (of mass and inertia), ``inertia_factor`` (of this besides),
@@ -53,6 +55,7 @@ class Tolerance(Table):
     mass_relative: NonNegative = 0.01
     centre_mm: NonNegative = 1.0
     inertia_relative: NonNegative = 0.01
+    density_relative: NonNegative = 0.0
     place_mm: NonNegative = 0.0
     mass_factor: PositiveFloat = 1.0
     inertia_factor: PositiveFloat = 1.0

@@ -1,7 +1,7 @@
 """Estimates as records: ESTIMATE, a QUANTITY with level and reason for every parameter and quantity, and events.
 
-A quantity is supported while the data determine it and its level is not *do not use*. Losing and regaining that are the
-events ``withdrawn`` and ``answers_again``.
+A quantity is supported while the data determine it and its level is not *do not use*. The event ``withdrawn``: one that
+was supported at any time is now *do not use*; ``answers_again``: it is supported again.
 """
 
 import re
@@ -29,7 +29,7 @@ class Answers:
 
     def __init__(self, estimate_dtype: np.dtype[np.void], nuisance: Collection[str]) -> None:
         self._dtype, self._nuisance = estimate_dtype, list(nuisance)
-        self._supported: set[bytes] = set()
+        self._told: set[bytes] = set()  # supported at some time, and not withdrawn since
         self._withdrawn: set[bytes] = set()
 
     def rows(
@@ -67,9 +67,8 @@ class Answers:
     def _changes(self, now_ns: int, quantities: Rows) -> list[Batch]:
         supported = {bytes(row["name"]): row for row in quantities if row["supported"]}
         refused = {bytes(row["name"]): row for row in quantities if row["level"] == LEVELS.index(Level.DO_NOT_USE)}
-        gone = sorted((self._supported & refused.keys()) - self._withdrawn)
-        back = sorted(self._withdrawn & supported.keys())
-        self._supported = set(supported)
+        gone, back = sorted(self._told & refused.keys()), sorted(self._withdrawn & supported.keys())
+        self._told = (self._told | supported.keys()) - set(gone)
         self._withdrawn = (self._withdrawn | set(gone)) - set(back)
         said = []
         if gone:

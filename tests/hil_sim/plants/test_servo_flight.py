@@ -11,6 +11,7 @@ from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.plants.world import NotYetComputedError
 from hil_sim.scenario.tables import ScenarioError
 from tests.hil_sim.plants.rocket import (
+    AS_DRAWN,
     AT_REST,
     EJECT,
     HOLD,
@@ -94,7 +95,7 @@ def test_mujoco_inertia_about_the_joint_is_the_parallel_axis_number(with_tip, zz
 
 def test_a_payload_in_the_shape_of_its_link_is_made_within_what_is_stated_of_that() -> None:
     told = scenario().as_built["tip_mass"]
-    assert (told.mass_relative, told.centre_mm, told.inertia_relative, told.place_mm) == (0.015, 1.0, 0.1, 0.25)
+    assert (told.density_relative, told.centre_mm, told.inertia_relative, told.place_mm) == (0.015, 1.0, 0.1, 0.25)
     plants = [VehiclePlant(scenario(), np.random.default_rng(seed)) for seed in range(20)]
     masses = np.array([one.payload.mass_kg for one in plants])
     assert 0.005 < np.std(masses / TIP_kg) < 0.03
@@ -106,6 +107,20 @@ def test_a_payload_in_the_shape_of_its_link_is_made_within_what_is_stated_of_tha
     assert again.payload.mass_kg == masses[3]
     with pytest.raises(ScenarioError, match="give it place_mm alone"):
         VehiclePlant(scenario(payload={"size_mm": [10.0, 10.0, 10.0]}), np.random.default_rng(3))
+
+
+def test_a_denser_part_keeps_its_radius_of_gyration() -> None:
+    exact = AS_DRAWN["as_built"]
+    dense = {"as_built": exact | {name: exact[name] | {"density_relative": 0.015} for name in exact}}
+    plants = [VehiclePlant(scenario(**dense), np.random.default_rng(seed)) for seed in range(20)]
+    for parts, mass_kg, moment in (
+        ([one.bodies["arm"] for one in plants], ARM_kg, ARM_I_kg_m2[2, 2]),
+        ([one.payload for one in plants], TIP_kg, TIP_I_kg_m2[2, 2]),
+    ):
+        masses = np.array([part.mass_kg for part in parts])
+        assert 0.005 < np.std(masses / mass_kg) < 0.03
+        moments = np.array([part.inertia_kg_m2[2, 2] for part in parts])
+        np.testing.assert_allclose(moments / masses, moment / mass_kg, rtol=1e-4)
 
 
 # ---------------------------------------------------------------- what the sensors feel
