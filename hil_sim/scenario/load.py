@@ -36,7 +36,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
 
     Args:
         name_or_path: ``"rocksat"``, or a path.
-        overrides: nested tables laid over the file's, e.g. ``{"body": {"tip_mass": {"as_built_factor": 0.9}}}``.
+        overrides: nested tables laid over the file's, e.g. ``{"as_built": {"tip_mass": {"mass_factor": 0.9}}}``.
 
     Raises:
         ScenarioError: no such scenario, not TOML, or a key that is unknown, missing, or out of range.
