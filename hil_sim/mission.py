@@ -29,7 +29,7 @@ from hil_sim.twins import Sensor, Twins, emulators, sensor
 _AHEAD_S = 1.0  # in virtual time
 _AHEAD_ASKED_S = 0.1  # where what the flight computer asks for is to come soon
 _KEPT_S = 60.0  # of the truth, before where all devices stand, and as long as an input's reading may be delayed
-_VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
+VIRTUAL_START_NS = 100_000_000_000  # CLOCK_MONOTONIC of mission time 0 where no real clock says otherwise
 
 
 class Mission:
@@ -70,7 +70,7 @@ class Mission:
         self._require_in_time()
         delays = [fault.value for fault in self.faults if fault.kind is FaultKind.DELAYED]
         self._kept_s = _KEPT_S + max([0.0, *delays])
-        self.start_ns = _VIRTUAL_START_NS
+        self.start_ns = VIRTUAL_START_NS
         self.now_ns = self.start_ns
         self.ahead_s = 0.0
         self._twins: Twins | None = None
@@ -110,7 +110,7 @@ class Mission:
         """Whether no device and no bus has a fault."""
         return not self.faults
 
-    def attach(self, buses: Mapping[str, Bus], start_ns: int = _VIRTUAL_START_NS) -> None:
+    def attach(self, buses: Mapping[str, Bus], start_ns: int = VIRTUAL_START_NS) -> None:
         """Make the devices, plug them into the buses, and power them all up at ``start_ns``.
 
         Args:

@@ -17,7 +17,7 @@ from onboard import config
 from onboard.channels import Act
 from onboard.flight import simulated
 from onboard.flight.acquire.acquisition import Acquisition
-from onboard.flight.acquire.arming import REQUESTS
+from onboard.flight.acquire.arming import REQUESTS, Arming
 from onboard.flight.acquire.devices import open_devices
 from onboard.flight.acquire.expected import expected
 from onboard.flight.acquire.publisher import Publisher
@@ -80,7 +80,7 @@ def fly_simulated(
     """Fly a world in this process, in virtual time, as fast as it goes.
 
     Args:
-        vehicle: what flies.
+        vehicle: what flies; its drives play their motion where it is armed.
         world: the devices.
         urls: bus name to URL.
         log: where to record; must not exist.
@@ -101,7 +101,8 @@ def fly_simulated(
         answers = create_rings(directory, estimator)
         opened = open_devices(flying, clock)
         stack.callback(opened.close)
-        acquisition = Acquisition(opened.devices, Publisher(devices), undisturbed=world.undisturbed)
+        arming = Arming(flying) if flying.arm else None
+        acquisition = Acquisition(opened.devices, Publisher(devices), arming, undisturbed=world.undisturbed)
         acquisition.report(opened.problems)
         for bus in flying.buses:
             acquisition.expect(expected(flying, bus), world.start_ns)

@@ -1,0 +1,111 @@
+"""A vehicle with servo drives in its joints and all of its sensors, in a process of its own, in real time.
+
+    python -m hil_sim.serve_driven VEHICLE.toml --directory DIR [--over SCENARIO] [--seed N] [--fault ...]
+
+What ``heft fly VEHICLE.toml --arm`` can be tried on, from the first set point to the answer: every cia402 device with
+``driven = true`` is a servo drive, every other device what a rehearsal makes of it, and all of them feel one vehicle,
+which floats, slides or stands as its file says and holds its payload from the start. Joints stand where the motion of
+``[drive]`` begins, else where the scenario says. The first JSON line gives the URL of each bus; the last, on SIGTERM,
+SIGINT or after ``--seconds``, what is true and where each joint has been.
+"""
+
+import argparse
+import csv
+import sys
+import time
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hil_sim.buses.realtime import MissionServer
+from hil_sim.devices.vehicle_file import rehearsal
+from hil_sim.driven_flight import DrivenFlight
+from hil_sim.driven_world import Wired
+from hil_sim.faults import parse
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.serve import do_not_wait, open_sockets, say, stops_on_signals
+
+_DEVICE = {"kind": "cia402", "driven": True}
+
+
+def world(path: Path, over: Path | None, seed: int, seconds: float, faults: Sequence[str] = ()) -> DrivenFlight:
+    """The world of a vehicle file.
+
+    Args:
+        path: of the file.
+        over: a scenario file whose tables lie over the rehearsal's, or None.
+        seed: of everything drawn.
+        seconds: how long it is there.
+        faults: ``KIND:DEVICE:START:END[:VALUE]``.
+
+    Raises:
+        ScenarioError: no driven joint, or something that cannot be simulated.
+        FaultError: a fault that its device cannot have.
+    """
+    file = tomllib.loads(path.read_text(encoding="utf-8"))
+    devices = file.get("device", {})
+    wired = [_wired(name, one) for name, one in devices.items() if _DEVICE.items() <= one.items()]
+    if not wired:
+        raise ScenarioError(f"{path} has no cia402 device with driven = true; nothing could be driven")
+    lasts = {"sequence": [{"phase": 0, "action": "hold", "duration_s": seconds}], "motion": _starts(path, file)}
+    scenario = rehearsal(path, over, lasts)
+    return DrivenFlight(scenario, seed, wired, devices[wired[0].name]["bus"], [parse(text) for text in faults])
+
+
+def _wired(name: str, device: dict[str, Any]) -> Wired:
+    counts, zero, reverse = device["counts_per_revolution"], device.get("zero_count", 0), device.get("gain", 1.0) < 0.0
+    return Wired(name, device["joint"], device["node"], int(counts), int(zero), reverse, device.get("gear_ratio", 1.0))
+
+
+def _starts(path: Path, file: dict[str, Any]) -> dict[str, Any]:
+    """``[motion]`` of joints that stand where that of ``[drive]`` begins."""
+    motion = file.get("drive", {}).get("motion")
+    if motion is None or not (path.parent / motion).is_file():
+        return {}
+    with (path.parent / motion).open(encoding="utf-8", newline="") as rows:
+        first = next(csv.DictReader(rows), {})
+    return {
+        "posture": {name: float(value) for name, value in first.items() if name != "time_s"},
+        "posture_spread": 0.0,
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve one vehicle; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m hil_sim.serve_driven", description="Serve a driven vehicle.")
+    parser.add_argument("vehicle", type=Path, help="vehicle.toml")
+    parser.add_argument("--over", type=Path, help="a scenario file whose tables lie over its rehearsal's")
+    parser.add_argument("--seed", type=int, default=0, help="of everything random")
+    parser.add_argument("--directory", type=Path, required=True, help="where terminals and sockets are to be")
+    parser.add_argument("--fault", action="append", default=[], help="KIND:DEVICE:START:END[:VALUE], repeatable")
+    parser.add_argument("--seconds", type=float, default=600.0, help="how long it is there (default 600)")
+    options = parser.parse_args(arguments)
+    try:
+        mission = world(options.vehicle, options.over, options.seed, options.seconds, options.fault)
+    except (OSError, ValueError, KeyError) as error:
+        parser.error(f"{options.vehicle}: {error}")
+    stops = stops_on_signals()
+    do_not_wait()
+    with open_sockets(mission.scenario.bus, options.directory, options.seed) as ports:
+        start_ns = time.monotonic_ns()
+        mission.attach(ports.buses, start_ns)
+        say({**ports.urls, "start_ns": start_ns})
+        server = MissionServer(ports, time.monotonic_ns)
+        server.run(mission, lambda: bool(stops))
+        joints = {
+            name: {
+                "lowest_rad": drive.axis.lowest_rad,
+                "highest_rad": drive.axis.highest_rad,
+                "fastest_rad_s": drive.axis.fastest_rad_s,
+                "rate_rad_s": drive.axis.rate_rad_s,
+                "state": f"{drive.drive_state:02X}h",
+            }
+            for name, drive in mission.drives.items()
+        }
+        say({"truth": mission.truth(), "joints": joints, "server": server.summary()})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,148 @@
+"""Servo drives and all sensors in one world: set points move the arm, the arm moves the base, the flight answers."""
+
+import contextlib
+import json
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil_sim.buses.in_process import in_process
+from hil_sim.driven_flight import DrivenFlight
+from hil_sim.scenario.tables import ScenarioError
+from hil_sim.serve_driven import world
+from onboard import cli, config
+from onboard.flight import hil
+from onboard.recording.reader import LogReader
+
+SECONDS = 16.0  # of the motion
+BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+
+
+def written(directory: Path, seconds: float = SECONDS) -> Path:
+    """A free-flyer of two driven joints, and a motion for them."""
+    path = directory / "it" / "vehicle.toml"
+    assert cli.main(["init", str(path.parent), "--base", "free", "--joints", "2", "--encoder", "cia402"]) == cli.OK
+    text = re.sub(r"torque_\w+ = .*\n", "", path.read_text().replace("torque = true ", "driven = true #"))
+    text = text[: text.index("[estimation.prior.absolute]")]
+    path.write_text(f'{text}\n[drive]\narmed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\n')
+    time_s = np.linspace(0.0, seconds, round(100 * seconds) + 1)
+    size = np.sin(np.pi * time_s / seconds) ** 2
+    one, two = 0.2 + 0.4 * size * np.sin(1.57 * time_s), 0.4 + 0.35 * size * np.sin(1.95 * time_s)
+    rows = "\n".join(f"{t:.4f},{a:.9f},{b:.9f}" for t, a, b in zip(time_s, one, two, strict=True))
+    (path.parent / "motion.csv").write_text(f"time_s,joint_1,joint_2\n{rows}\n")
+    return path
+
+
+@contextlib.contextmanager
+def plugged(mission: DrivenFlight) -> Iterator[dict[str, str]]:
+    """The world on buses in this process."""
+    with (
+        tempfile.TemporaryDirectory() as directory,
+        in_process(mission.scenario.bus, Path(directory), lambda: mission.now_ns, seed=1) as ports,
+    ):
+        mission.attach(ports.buses)
+        yield ports.urls
+
+
+def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path) -> None:
+    vehicle = written(tmp_path)
+    mission, log = world(vehicle, None, 8, SECONDS + 5.0), tmp_path / "flight.mcap"
+    with plugged(mission) as urls:
+        armed = config.load(vehicle).model_copy(update={"arm": True})
+        hil.fly_simulated(armed, mission, urls, log)
+    codes = LogReader(log).read("event")["code"].tolist()
+    assert b"drive_started" in codes
+    assert b"drive_done" in codes
+    truth, rows = mission.truth()["quantities"], LogReader(log).read("quantity")
+    last = {row["name"].decode(): row for row in rows[-len(BODY) :]}
+    assert set(last) == {f"{name}_payload" for name in BODY}
+    errors = {name: (row["value"] - truth[name]) / row["sigma"] for name, row in last.items()}
+    assert np.isfinite(list(errors.values())).all()
+    assert max(map(abs, errors.values())) < 3.0, errors
+    assert last["m_payload"]["sigma"] < 0.3 * truth["m_payload"]
+    gyro = LogReader(log).read("imu_base")["gyro_raw"]
+    assert (np.ptp(gyro, axis=0)[[1, 2]] > 500).all()  # the arm turned the base
+
+
+def test_a_drive_that_trips_ends_the_motion(tmp_path: Path) -> None:
+    vehicle = written(tmp_path)
+    mission, log = world(vehicle, None, 8, 10.0, ["trip:joint_1:6:"]), tmp_path / "flight.mcap"
+    with plugged(mission) as urls:
+        armed = config.load(vehicle).model_copy(update={"arm": True})
+        hil.fly_simulated(armed, mission, urls, log)
+    codes = LogReader(log).read("event")["code"].tolist()
+    assert b"drive_stopped" in codes
+    assert b"drive_done" not in codes
+    assert all(abs(drive.axis.rate_rad_s) < 1e-3 for drive in mission.drives.values())
+
+
+def test_what_cannot_be_driven_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace("driven = true", "driven = false"))
+    with pytest.raises(ScenarioError, match="nothing could be driven"):
+        world(path, None, 1, 10.0)
+    path.write_text(path.read_text().replace("driven = false", "driven = true"))
+    over = tmp_path / "over.toml"
+    over.write_text("[capture]\nearliest_s = 2.0\nlatest_s = 3.0\n")
+    with pytest.raises(ScenarioError, match="take capture"):
+        world(path, over, 1, 10.0)
+
+
+def _await(log: Path, seconds: float) -> None:
+    """Wait until the drives have played their motion, or were stopped."""
+    deadline, codes = time.monotonic() + seconds, set[bytes]()
+    while not codes & {b"drive_done", b"drive_stopped"} and time.monotonic() < deadline:
+        time.sleep(0.5)
+        if log.exists():
+            codes = set(LogReader(log).read("event")["code"].tolist())
+
+
+def flown(vehicle: Path, seed: int, seconds: float) -> tuple[Path, dict[str, Any]]:
+    """A flight on the real clock, and what was true."""
+    log, directory = vehicle.parent / f"{seed}.mcap", vehicle.parent / f"served_{seed}"
+    serve = [sys.executable, "-m", "hil_sim.serve_driven", str(vehicle), "--directory", str(directory)]
+    fly = [sys.executable, "-m", "onboard.cli", "fly", str(vehicle), "--arm", "--log", str(log)]
+    with subprocess.Popen([*serve, "--seed", str(seed)], stdout=subprocess.PIPE, text=True) as devices:
+        try:
+            assert devices.stdout is not None
+            urls = json.loads(devices.stdout.readline())
+            flight = subprocess.Popen([*fly, *(f"--url={bus}={url}" for bus, url in urls.items() if bus != "start_ns")])
+            try:
+                _await(log, seconds)
+                flight.send_signal(signal.SIGTERM)
+                assert flight.wait(60) == 0
+            finally:
+                flight.kill()
+            time.sleep(0.5)
+        finally:
+            devices.terminate()
+        return log, json.loads(devices.stdout.readline())
+
+
+@pytest.mark.realtime
+@pytest.mark.usefixtures("own_rings")
+def test_on_the_real_clock_the_base_moves_as_the_drives_do(tmp_path: Path) -> None:
+    """Stopped drives on a busy computer are tried again: what counts is a motion that was played."""
+    vehicle = written(tmp_path, 6.0)
+    for seed in range(3):
+        log, said = flown(vehicle, seed, 50.0)
+        codes = LogReader(log).read("event")["code"].tolist()
+        if b"drive_done" in codes:
+            break
+    else:
+        pytest.fail(f"no motion was played to its end: {codes}")
+    for name in ("joint_1", "joint_2"):
+        joint = said["joints"][name]
+        assert joint["highest_rad"] - joint["lowest_rad"] > 0.2
+        assert joint["state"] == "40h"
+    gyro = LogReader(log).read("imu_base")["gyro_raw"]
+    assert (np.ptp(gyro, axis=0)[[1, 2]] > 300).all()
