@@ -40,9 +40,11 @@ def add(commands: Commands) -> None:
         metavar="N|NAME,NAME",
         help="how many, or their names from the base outwards (2); of --urdf, those measured: others are fixed",
     )
-    init.add_argument("--imu", choices=("mpu6050", "nimu", "none"), help="on the base (mpu6050)")
-    init.add_argument("--encoder", choices=("cia406", "cia402", "qsb"), help="of every joint (cia406)")
-    init.add_argument("--load-cell", choices=("cia404", "modbus_load_cell", "dsc_load_cell", "none"), help="(none)")
+    init.add_argument("--imu", choices=("mpu6050", "nimu", "recorded", "none"), help="on the base (mpu6050)")
+    init.add_argument("--encoder", choices=("cia406", "cia402", "qsb", "recorded"), help="of every joint (cia406)")
+    init.add_argument(
+        "--load-cell", choices=("cia404", "modbus_load_cell", "dsc_load_cell", "recorded", "none"), help="(none)"
+    )
     init.add_argument("--no-pulse", action="store_true", help="no sync pulse is wired: clocks are then known to ms")
     init.add_argument("--bus", action="append", default=[], metavar="NAME=URL", help="URL of a bus, e.g. can_0=...")
     init.set_defaults(command=_init)
@@ -66,7 +68,10 @@ def _init(arguments: argparse.Namespace) -> int:
         print(path)
     for note in notes:
         print(f"note: {note}")
-    print(f"next: put your numbers in, then heft preflight {files[0]}")
+    if mappings := [path for path in files if path.name == "import.toml"]:
+        print(f"next: put your numbers in, then heft import {mappings[0]} RECORDING -o logs, and heft identify")
+    else:
+        print(f"next: put your numbers in, then heft preflight {files[0]}")
     return OK
 
 
@@ -80,8 +85,9 @@ def _wanted(arguments: argparse.Namespace) -> "Wanted":
     from onboard.offline.begin import drawing
     from onboard.offline.begin.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, Wanted
 
-    imu = arguments.imu or ("none" if arguments.base == "fixed" else "mpu6050")
     encoder, cell = arguments.encoder or "cia406", arguments.load_cell or "none"
+    usual = "recorded" if encoder == "recorded" else "mpu6050"
+    imu = arguments.imu or ("none" if arguments.base == "fixed" else usual)
     for said, known in ((arguments.base, BASES), (imu, IMUS), (encoder, ENCODERS), (cell, LOAD_CELLS)):
         if said not in known:
             raise ValueError(f"{said!r} is none of {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""``heft merge`` joins the logs of several recorders of one flight."""
+"""``heft merge`` joins the logs of several recorders of one flight, or recordings made one after the other."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from onboard.cli.common import DAMAGED, OK, Commands, progress, warn
 
 def add(commands: Commands) -> None:
     """Make the command known."""
-    merge = commands.add_parser("merge", help="merge the logs of several recorders of one flight")
+    merge = commands.add_parser("merge", help="merge the logs of several recorders of one flight, or of several runs")
     merge.add_argument("logs", type=Path, nargs="+", metavar="LOG")
     merge.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="log to write")
     merge.add_argument(
@@ -21,10 +21,17 @@ def add(commands: Commands) -> None:
         metavar="LOG=S[,RATE]",
         help="put LOG on the first log's clock: its time x RATE + S seconds (as printed by heft resync)",
     )
+    merge.add_argument(
+        "--in-turn",
+        metavar="CHANNEL",
+        help="recordings made one after the other, e.g. an arm without its load and with it: CHANNEL is added, and is "
+        "1 in the first, 2 in the second, ...: a phase channel",
+    )
     merge.set_defaults(command=_merge)
 
 
 def _merge(arguments: argparse.Namespace) -> int:
+    from onboard.offline.rescue.in_turn import in_turn
     from onboard.offline.rescue.merge import Part, merge
     from onboard.recording.segments import flights
 
@@ -36,8 +43,15 @@ def _merge(arguments: argparse.Namespace) -> int:
     if twice := sorted({name for name in clocks if names.count(name) > 1}):
         raise ValueError(f"--align {twice[0]}: two logs are called so; rename a file")
     parts = [Part(group, *clocks.get(name, (0, 1.0))) for group, name in zip(groups, names, strict=True)]
+    if arguments.in_turn and (arguments.rename or arguments.align):
+        raise ValueError(
+            "--in-turn joins recordings of the same channels, each with its own time: leave the others out"
+        )
     with progress() as bar:
-        made = merge(parts, arguments.output, rename=arguments.rename, progress=bar)
+        if arguments.in_turn:
+            made = in_turn(groups, arguments.in_turn, arguments.output, progress=bar)
+        else:
+            made = merge(parts, arguments.output, rename=arguments.rename, progress=bar)
     for name, rows in made.rows.items():
         print(f"{name}: {rows} rows")
     print(arguments.output)

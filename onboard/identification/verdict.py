@@ -62,9 +62,9 @@ class Standing(NamedTuple):
 def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
     """Level of a quantity, in flight and afterwards.
 
-    *Do not use*: a finding refuses all estimates, also those that the data do not determine, or a mass or moment of
-    inertia is not above zero. *Weak*: the data do not determine it; its interval contains zero; half its width is above
-    50 % of it; a finding weakens it. The text of a good one says which calibrations it leans on.
+    *Do not use*: a finding refuses all estimates, also those that the data do not determine, or the interval of a mass
+    or moment of inertia lies below zero. *Weak*: the data do not determine it; its interval contains zero; half its
+    width is above 50 % of it; a finding weakens it. The text of a good one says which calibrations it leans on.
     """
     if findings.against:
         return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
@@ -72,7 +72,7 @@ def standing(quantity: QuantityEstimate, findings: Findings) -> Standing:
         return Standing(Level.WEAK, quantity.note)
     reasons = []
     if is_positive(quantity.name, quantity.unit):
-        if quantity.mean <= 0.0:
+        if quantity.high <= 0.0:
             return Standing(Level.DO_NOT_USE, "it cannot be negative: check signs and units")
         if quantity.low <= 0.0:
             reasons.append("its interval contains zero")

@@ -144,6 +144,7 @@ def quantity(mean, half, name="m_payload", unit="kg", supported=True):
         (quantity(2.0, 0.1), Level.GOOD, ""),
         (quantity(-1e-4, 1e-6), Level.DO_NOT_USE, "cannot be negative"),
         (quantity(0.1, 0.2), Level.WEAK, "contains zero"),
+        (quantity(-0.1, 0.2, "I_xx_payload", "kg m^2"), Level.WEAK, "contains zero"),  # a small load: as noise has it
         (quantity(2.0, 1.2), Level.WEAK, "as wide as 60% of it"),
         (quantity(-0.3, 0.1, "I_xy_payload", "kg m^2"), Level.GOOD, ""),
         (quantity(-0.3, 0.1, "I_xx_payload", "kg m^2"), Level.DO_NOT_USE, "cannot be negative"),

@@ -5,8 +5,10 @@ Values are those of data sheets, or of a small arm where only the builder knows:
 
 import json
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
+RECORDED = "recorded"  # by somebody else: an import brings it in
 CAN, I2C, GPIO = "can_0", "i2c_1", "sync_line"
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
 URLS = {  # of the buses that the kinds below stand on; serial devices have one each
@@ -18,7 +20,7 @@ SERIAL_BAUD = {"nimu": 115200, "qsb": 230400, "modbus_load_cell": 115200, "dsc_l
 
 
 class NewDevice(NamedTuple):
-    """A table, and the bus that it stands on."""
+    """A table, and the bus that it stands on: "" of one that is read from a recording."""
 
     text: str
     bus: str
@@ -26,6 +28,18 @@ class NewDevice(NamedTuple):
 
 def imu(kind: str, frame: str) -> NewDevice:
     """The IMU that measures the base."""
+    if kind == RECORDED:
+        return NewDevice(
+            f"""
+[device.imu_base]
+kind = "recorded_imu"
+frame = "{frame}"           # link of the URDF whose axes are the sensor's
+period_ms = 5                  # yours
+accel_noise_m_s2 = 0.05        # one sample: yours
+gyro_noise_rad_s = 2e-3
+""",
+            "",
+        )
     head = f'\n[device.imu_base]\nkind = "{kind}"\n'
     if kind == "mpu6050":
         return NewDevice(
@@ -65,6 +79,8 @@ def joint(kind: str, number: int, name: str, largest_N_m: float | None = None, *
     ``largest_N_m``: a drive's torque is used too, and this is the joint's largest; ``smoothed``: as rows are.
     """
     device = device_of(number, name)
+    if kind == RECORDED:
+        return NewDevice(_recorded_joint(device, name, largest_N_m), "")
     bus = f"tty_{device}" if kind == "qsb" else CAN
     node = "" if kind == "qsb" else f"node = {number}\n"
     return NewDevice(
@@ -81,6 +97,29 @@ noise_rad = 4e-6               # one count / sqrt(12), plus what the gear adds
     )
 
 
+def _recorded_joint(device: str, name: str, largest_N_m: float | None) -> str:
+    angle = f"""
+[device.{device}]
+kind = "recorded_angle"
+joint = {json.dumps(name)}             # of the URDF
+period_ms = 5                  # yours
+noise_rad = 1e-5               # one sample: yours
+"""
+    if largest_N_m is None:
+        return angle
+    sigma = f"sigma_N_m = {_OF_RECORDED * largest_N_m:.2g}"
+    return f"""{angle}
+[device.{device}_torque]
+kind = "recorded_torque"       # N m; of a motor's current in A say gain_N_m_A too
+joint = {json.dumps(name)}
+period_ms = 5                  # yours
+{sigma:31s}# yours: what the model leaves; here 0.3 % of the joint's largest
+scale_sigma = 0.01             # yours: of the sensor, or of the torque constant
+still_rad_s = 0.02             # below this rate friction is not known
+"""
+
+
+_OF_RECORDED = 3e-3  # of a recorded arm, whose friction is known to that at best
 _OF_LARGEST = 1e-3  # of a torque by current: its noise of 0.2 % and steps of 0.1 % behind 100 ms of smoothing
 _OF_A_TICK = 2e-3  # the same of a mean over a tick, which has two samples or more: as a free base takes it
 
@@ -97,6 +136,8 @@ torque_still_rad_s = 0.02      # below this rate friction is not known
 
 def load_cell(kind: str, node: int, frame: str) -> NewDevice:
     """A load cell that feels the moment about z of ``frame``."""
+    if kind == RECORDED:
+        return NewDevice(f'\n[device.load_cell]\nkind = "recorded_load_cell"\nperiod_ms = 5\n{_felt(frame)}', "")
     bus = CAN if kind == "cia404" else "tty_load_cell"
     own = {
         "cia404": f"node = {node}\n",
@@ -108,7 +149,13 @@ def load_cell(kind: str, node: int, frame: str) -> NewDevice:
 [device.load_cell]
 kind = "{kind}"
 bus = "{bus}"
-{own}frame = "{frame}"            # the moment is about `axis` of this frame, of all that lies beyond it
+{own}{_felt(frame)}""",
+        bus,
+    )
+
+
+def _felt(frame: str) -> str:
+    return f"""frame = "{frame}"            # the moment is about `axis` of this frame, of all that lies beyond it
 axis = [0.0, 0.0, 1.0]
 measures = "moment"            # or "force": along `axis`
 lever_m = 0.04                 # yours
@@ -118,9 +165,60 @@ scale_sigma = 0.0025           # relative, of its calibration
 noise_N = 0.0025               # one sample
 delay_ms = 0.5                 # yours: of its filter, against the joints'
 delay_sigma_ms = 0.05
+"""
+
+
+def mapping(name: str, devices: Sequence[NewDevice]) -> str:
+    """How a recording's columns become these devices' channels, for ``heft import``; column names are the user's."""
+    text = f"""# Which column of a recording is what: put your column names in. Every key: docs/import.md.
+# heft import import.toml RECORDING.csv -o logs; heft identify --vehicle vehicle.toml logs/RECORDING.mcap
+
+[mapping]
+name = {json.dumps(name)}
+format = "csv"                 # or "npz"
+
+[time]
+column = "t"                   # yours
+unit = "s"
+"""
+    for device, kind in re.findall(
+        r'^\[device\.(\w+)\]\nkind = "(\w+)"', "".join(d.text for d in devices), re.MULTILINE
+    ):
+        text += _CHANNELS[kind].format(name=device)
+    return text
+
+
+_VALUE = """
+[channel.{name}]
+record = "scalar"
+
+[channel.{name}.value]
+column = "{name}"
+values = "physical"
+scale = %s
+unit = "%s"
+"""
+_CHANNELS = {
+    "recorded_angle": _VALUE % ("1e-8", "rad"),
+    "recorded_torque": _VALUE % ("1e-6", "N m"),
+    "recorded_load_cell": _VALUE % ("1e-6", "N"),
+    "recorded_imu": """
+[channel.{name}]
+record = "imu"
+
+[channel.{name}.accel]
+columns = ["ax", "ay", "az"]   # as the axes of its frame
+values = "physical"
+scale = 1e-3
+unit = "m/s^2"
+
+[channel.{name}.gyro]
+columns = ["gx", "gy", "gz"]
+values = "physical"
+scale = 1e-4
+unit = "rad/s"
 """,
-        bus,
-    )
+}
 
 
 SYNC = NewDevice(

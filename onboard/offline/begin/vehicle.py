@@ -15,9 +15,10 @@ from onboard.offline.begin.devices import NewDevice
 from onboard.offline.begin.drawing import Drawn
 
 BASES = ("free", "prescribed", "fixed", "planar")
-IMUS = ("mpu6050", "nimu", "none")
-ENCODERS = ("cia406", "cia402", "qsb")
-LOAD_CELLS = ("cia404", "modbus_load_cell", "dsc_load_cell", "none")
+IMUS = ("mpu6050", "nimu", "recorded", "none")
+ENCODERS = ("cia406", "cia402", "qsb", "recorded")
+LOAD_CELLS = ("cia404", "modbus_load_cell", "dsc_load_cell", "recorded", "none")
+_IMPORT = "import.toml"
 _VEHICLE, _URDF = "vehicle.toml", "vehicle.urdf"
 _PUCK = "puck_1"  # of an air-bearing table
 
@@ -57,7 +58,12 @@ class Wanted(NamedTuple):
     def by_torque(self) -> bool:
         """Whether the joints' torques are used: where they alone show the payload, and on a free base."""
         needed = self.load_cell == "none" and self.base in ("fixed", "prescribed")
-        return self.encoder == "cia402" and (needed or self.base == "free")
+        return (self.encoder == "cia402" and (needed or self.base == "free")) or (self.recorded and needed)
+
+    @property
+    def recorded(self) -> bool:
+        """Whether it is known by recordings of others alone."""
+        return self.encoder == devices.RECORDED
 
 
 def make(wanted: Wanted, directory: Path) -> list[Path]:
@@ -69,13 +75,14 @@ def make(wanted: Wanted, directory: Path) -> list[Path]:
     """
     _require(wanted)
     chosen = _devices(wanted)
-    buses = list(dict.fromkeys(device.bus for device in chosen))
+    buses = list(dict.fromkeys(device.bus for device in chosen if device.bus))
     if unknown := sorted(set(wanted.urls) - set(buses)):
         raise config.ConfigError(f"--bus {unknown[0]}: no device stands on it; the buses are {', '.join(buses)}")
-    text = "".join(
-        [_head(wanted), *(_bus(name, wanted) for name in buses), *(device.text for device in chosen), _rest(wanted)]
-    )
+    parts = [_head(wanted), *(_bus(name, wanted) for name in buses), *(device.text for device in chosen)]
+    text = "".join([*parts, _IN_TURN if wanted.recorded else "", _rest(wanted)])
     files = {_VEHICLE: text, _URDF: _urdf(wanted) if wanted.drawn is None else _taken_over(wanted, wanted.drawn)}
+    if wanted.recorded:
+        files[_IMPORT] = devices.mapping(wanted.name, chosen)
     return _write(directory, files)
 
 
@@ -121,6 +128,9 @@ def _require(wanted: Wanted) -> None:
         raise config.ConfigError(f"--joints {','.join(wanted.joints)}: give each a name of letters, digits and _ once")
     if wanted.imu == "none" and wanted.base != "fixed":
         raise config.ConfigError(f"a base that is {wanted.base} has to be measured: give --imu")
+    others = {one for one in (wanted.imu, wanted.load_cell) if one != "none"}
+    if (devices.RECORDED in others or wanted.recorded) and {wanted.encoder, *others} != {devices.RECORDED}:
+        raise config.ConfigError("what is recorded by somebody else is all of it: give recorded for each device")
     if wanted.load_cell == "none" and wanted.base in ("prescribed", "fixed") and not wanted.by_torque:
         text = "give --load-cell, or --encoder cia402 for the torques of the joints"
         raise config.ConfigError(f"a base that is {wanted.base} shows nothing of the payload: {text}")
@@ -135,7 +145,7 @@ def _devices(wanted: Wanted) -> list[NewDevice]:
         chosen.append(devices.load_cell(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1]))
     if any(device.bus == devices.CAN for device in chosen):
         chosen.append(devices.SYNC)
-    return [*chosen, devices.PULSE] if wanted.pulse else chosen
+    return [*chosen, devices.PULSE] if wanted.pulse and not wanted.recorded else chosen
 
 
 def _head(wanted: Wanted) -> str:
@@ -261,6 +271,18 @@ def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
         if name not in drawn.frames:
             drawn = drawn._replace(text=drawing.with_frame(drawn, name, parent))
     return drawn.text
+
+
+_IN_TURN = """
+# The arm without its load and with it: heft merge --in-turn recording EMPTY.mcap LOADED.mcap -o both.mcap, and then
+# [device.recording]
+# kind = "recorded_value"
+# period_ms = 100
+# [estimation.phases]
+# channel = "recording"        # 1 in the first recording, 2 in the second one
+# identify = [1, 2]
+# payload_taken = 2
+"""
 
 
 def _urdf(wanted: Wanted) -> str:

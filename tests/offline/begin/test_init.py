@@ -31,10 +31,13 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         wanted = Wanted("it", base, ("shoulder", "elbow"), imu, encoder, cell, pulse)  # type: ignore[arg-type]
         needs_cell, needs_imu = base in ("prescribed", "fixed"), base != "fixed"
         wanted_torques = base == "free" or (cell == "none" and needs_cell)  # of the drives, in place of a cell
-        torques = 2 if encoder == "cia402" and wanted_torques else 0
-        if (cell == "none" and needs_cell and not torques) or (imu == "none" and needs_imu):
+        alone = encoder == "recorded" and cell == "none" and needs_cell
+        torques = 2 if (encoder == "cia402" and wanted_torques) or alone else 0
+        given = {encoder, *({imu, cell} - {"none"})}
+        mixed = "recorded" in given and len(given) > 1
+        if mixed or (cell == "none" and needs_cell and not torques) or (imu == "none" and needs_imu):
             refused += 1
-            with pytest.raises(config.ConfigError, match="give --"):
+            with pytest.raises(config.ConfigError, match=r"give (--|recorded for each device)"):
                 make(wanted, where)
             assert not where.exists()
             continue
@@ -48,7 +51,7 @@ def test_every_choice_is_a_vehicle_or_refused(base: str, tmp_path: Path) -> None
         schema = schema or jsonschema.Draft202012Validator(json.loads((where / "vehicle.schema.json").read_text()))
         schema.validate(tomllib.loads(vehicle.text))
         assert vehicle.text.startswith("#:schema ./vehicle.schema.json\n")
-    assert refused == {"free": 12, "planar": 12, "prescribed": 16, "fixed": 6}[base]
+    assert refused == {"free": 54, "planar": 54, "prescribed": 58, "fixed": 46}[base]
 
 
 def test_a_packaged_vehicle_is_copied_and_names_its_schema(tmp_path: Path) -> None:
