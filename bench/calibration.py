@@ -39,8 +39,8 @@ DATASHEET = {
 UNCALIBRATED = (  # the vehicle file of who has the datasheet only
     ("gyro_scale = 0.003", "gyro_scale = 0.015"),
     ("accelerometer_scale = 0.003", "accelerometer_scale = 0.015"),
-    ("gyro_misalignment_rad = 3.5e-3", "gyro_misalignment_rad = 1.0e-2"),
-    ("accelerometer_misalignment_rad = 3.5e-3", "accelerometer_misalignment_rad = 1.0e-2"),
+    ("gyro_misalignment_rad = 8.7e-3", "gyro_misalignment_rad = 1.3e-2"),
+    ("accelerometer_misalignment_rad = 8.7e-3", "accelerometer_misalignment_rad = 1.3e-2"),
 )
 SLOWER = (("sample_rate_hz = 1000", "sample_rate_hz = 200"), ("poll_period_ms = 10", "poll_period_ms = 50"))
 PLACE = place(LATITUDE_deg)
@@ -156,6 +156,9 @@ def main() -> int:
     elif asked.what == "imu":
         for name in ("before", "after"):
             rows = [one[name] for one in results if one[name]["value"] is not None]
+            if not rows:
+                print(f"{name}: none of {len(results)} answered")
+                continue
             error = np.array([row["value"] / row["truth"] - 1.0 for row in rows])
             wide = np.array([(row["high"] - row["low"]) / row["truth"] for row in rows])
             inside = sum(row["inside"] for row in rows)
