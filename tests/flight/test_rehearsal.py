@@ -146,7 +146,7 @@ def test_a_urdf_at_hand_keeps_its_links_and_gets_the_frames_it_lacks(tmp_path):
     ("options", "why"),
     [
         (["--urdf", "none.urdf"], "no URDF"),
-        (["--urdf", str(OWN / "planar_arm.urdf"), "--joints", "2"], "leave one of the two out"),
+        (["--urdf", str(OWN / "planar_arm.urdf"), "--joints", "2"], "name those that are measured"),
         (["--urdf", str(OWN / "planar_arm.urdf"), "--imu-frame", "nose"], "no link 'nose'"),
         (["--payload-link", "fore"], "give the --urdf"),
     ],

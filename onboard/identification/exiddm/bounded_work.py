@@ -18,8 +18,14 @@ from onboard.identification.exiddm.window import WindowSolve
 
 BATCH_TICKS = 10
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
-LAST_WORK = 60_000  # the same when a flight ends: 7 s; a worker that has not ended 30 s after it was asked to is killed
+LAST_WORK_s = 10.0  # the same when a flight ends; a worker that has not ended 60 s after it was asked to is killed
+_TICK_s, _JOINT_s = 11e-6, 21e-6  # of a tick's prediction, and of each joint of it: measured with one and with five
 STEP_WORK = 50  # ticks in whose prediction's time a filter step is done
+
+
+def last_work(joints: int) -> int:
+    """Ticks that may be predicted when a flight ends, by the joints of the vehicle."""
+    return int(LAST_WORK_s / (_TICK_s + _JOINT_s * joints))
 
 
 class BoundedWork(ABC):

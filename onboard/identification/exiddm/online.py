@@ -16,7 +16,7 @@ from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, Together, contradicted, together, told, too_large
 from onboard.identification.exiddm.before_capture import Payload
-from onboard.identification.exiddm.bounded_work import LAST_WORK
+from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
@@ -134,9 +134,9 @@ class ExiddmIdentifier:
         self._count(glitches)
 
     def finish(self) -> None:
-        """Solves what is under way, and processes the ticks that wait for it, as far as :data:`LAST_WORK` goes."""
+        """Solves what is under way, and processes the ticks that wait for it, as far as :func:`last_work` goes."""
         glitches = self.exiddm.glitches
-        self._ended = self.exiddm.finish(LAST_WORK)
+        self._ended = self.exiddm.finish(last_work(len(self.exiddm.predictor.vehicle.joints)))
         self._count(glitches)
         self._tell_of_capture(self.exiddm.predictor.no_ticks)
 

@@ -262,9 +262,8 @@ def _of_torques(wanted: Wanted) -> str:
 
 def _taken_over(wanted: Wanted, drawn: Drawn) -> str:
     """The URDF at hand, with the frames that it lacks."""
-    needed = {wanted.payload_link: drawn.last}
-    if wanted.imu != "none":
-        needed[wanted.imu_frame] = drawn.root
+    needed = {wanted.imu_frame: drawn.root} if wanted.imu != "none" else {}
+    needed[wanted.payload_link] = drawn.last
     if wanted.base == "planar":
         needed[_PUCK] = drawn.root
     for name, parent in needed.items():

@@ -288,9 +288,11 @@ def test_a_link_whose_drawing_is_trusted_is_within_what_is_stated_of_it(tmp_path
     main(["init", str(tmp_path / "own"), "--base", "fixed", "--joints", "2", "--load-cell", "cia404"])
     path = tmp_path / "own" / "vehicle.toml"
     text = path.read_text()
-    assert '"link_1" = 0.02' in text
+    as_made = '"link_1" = { mass_relative = 0.02, centre_m = 2e-3, inertia_relative = 0.02 }\n'
+    assert as_made in text
     assert 'row_noise = "by_frequency"' in text
-    path.write_text(text.replace('"link_1" = 0.02', f'"link_1" = {stated}'))
+    relative = text.replace(as_made, "").replace('"payload" = 1.0\n', f'"payload" = 1.0\n"link_1" = {stated}\n')
+    path.write_text(relative)
     scenario = rehearsal(path)
     tolerance = scenario.as_built.get("link_1", Tolerance())
     assert (tolerance.mass_relative, tolerance.inertia_relative) == (drawn, drawn)

@@ -103,7 +103,7 @@ def test_a_flight_that_ends_leaves_to_be_solved_what_takes_too_long_and_says_so(
     copies = [ExiddmIdentifier(pickle.loads(pickle.dumps(recursive))) for _ in range(2)]
     copies[0].finish()
     assert not copies[0].findings().against
-    monkeypatch.setattr("onboard.identification.exiddm.online.LAST_WORK", 0)  # more than is due
+    monkeypatch.setattr("onboard.identification.exiddm.online.last_work", lambda joints: 0)  # more than is due
     copies[1].finish()
     assert copies[1].exiddm.solving
     assert "take too long" in copies[1].findings().against[0]

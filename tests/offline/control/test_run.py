@@ -240,6 +240,6 @@ def test_what_cannot_be_is_refused_with_a_sentence(directory, capsys, options, s
     assert said in capsys.readouterr().err
 
 
-def test_rocksat_has_no_arm_of_drives(capsys):
+def test_rocksat_s_base_moves_whatever_its_arm_does(capsys):
     assert cli.main(["hil", "rocksat", "--controller", "learning_pi"]) == cli.BAD_INPUT
-    assert "has no arm that drives move" in capsys.readouterr().err
+    assert "nothing to control" in capsys.readouterr().err
