@@ -21,6 +21,7 @@ from hil_sim.scenario.tables import ScenarioError
 from hil_sim.serve_driven import world
 from onboard import cli, config
 from onboard.flight import hil
+from onboard.recording.errors import ChannelError, LogFormatError
 from onboard.recording.reader import LogReader
 
 SECONDS = 16.0  # of the motion
@@ -103,7 +104,8 @@ def _await(log: Path, seconds: float) -> None:
     while not codes & {b"drive_done", b"drive_stopped"} and time.monotonic() < deadline:
         time.sleep(0.5)
         if log.exists():
-            codes = set(LogReader(log).read("event")["code"].tolist())
+            with contextlib.suppress(ChannelError, LogFormatError):  # of a log that has just begun
+                codes = set(LogReader(log).read("event")["code"].tolist())
 
 
 def flown(vehicle: Path, seed: int, seconds: float) -> tuple[Path, dict[str, Any]]:
@@ -131,15 +133,19 @@ def flown(vehicle: Path, seed: int, seconds: float) -> tuple[Path, dict[str, Any
 @pytest.mark.realtime
 @pytest.mark.usefixtures("own_rings")
 def test_on_the_real_clock_the_base_moves_as_the_drives_do(tmp_path: Path) -> None:
-    """Stopped drives on a busy computer are tried again: what counts is a motion that was played."""
+    """The motion is played; on a computer too busy for that the drives are stopped, with the reason, and hold."""
     vehicle = written(tmp_path, 6.0)
     for seed in range(3):
         log, said = flown(vehicle, seed, 50.0)
-        codes = LogReader(log).read("event")["code"].tolist()
+        events = LogReader(log).read("event")
+        codes = events["code"].tolist()
         if b"drive_done" in codes:
             break
+        assert b"drive_stopped" in codes
+        assert "SYNC" in b" ".join(events["text"][events["code"] == b"drive_stopped"]).decode()
     else:
-        pytest.fail(f"no motion was played to its end: {codes}")
+        assert {said["joints"][name]["state"] for name in ("joint_1", "joint_2")} <= {"07h", "40h"}
+        return
     for name in ("joint_1", "joint_2"):
         joint = said["joints"][name]
         assert joint["highest_rad"] - joint["lowest_rad"] > 0.2
