@@ -15,6 +15,7 @@ with ``start_ns`` answers. They end when stdin does, which is when the process t
 
 import argparse
 import contextlib
+import csv
 import gc
 import json
 import os
@@ -194,6 +195,16 @@ class _Leash:
         """Until it may begin, or is to end."""
         while not (self._stops or self._begun.wait(_LEASH_PERIOD_S)):
             pass
+
+
+def motion_starts(path: Path, file: dict[str, Any]) -> dict[str, float]:
+    """Where each joint stands at the beginning of a vehicle file's ``[drive] motion``, rad or m; empty without one."""
+    motion = file.get("drive", {}).get("motion")
+    if motion is None or not (path.parent / motion).is_file():
+        return {}
+    with (path.parent / motion).open(encoding="utf-8", newline="") as rows:
+        first = next(csv.DictReader(rows), {})
+    return {name: float(value) for name, value in first.items() if name != "time_s"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

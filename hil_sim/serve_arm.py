@@ -10,7 +10,6 @@ SIGTERM, SIGINT or after ``--seconds``, where each joint has been (rad) and how 
 """
 
 import argparse
-import csv
 import math
 import sys
 import time
@@ -26,7 +25,7 @@ from hil_sim.faults import FaultPlan, parse
 from hil_sim.plants import urdf_drawing
 from hil_sim.scenario.bus_tables import BusTable, CanBusTable, PulseLineTable
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.serve import do_not_wait, open_sockets, say, stops_on_signals
+from hil_sim.serve import do_not_wait, motion_starts, open_sockets, say, stops_on_signals
 
 _BIT_RATE = 1_000_000
 _EFFORT_N_M, _PER_EFFORT = 30.0, 0.1
@@ -44,7 +43,7 @@ def motors(path: Path, file: dict[str, Any], at: dict[str, float]) -> list[Motor
         ScenarioError: there is none, or the URDF does not have its joint.
     """
     drawing = urdf_drawing.read((path.parent / file["vehicle"]["urdf"]).read_text(encoding="utf-8"), "the URDF")
-    stands = _starts(path, file) | at
+    stands = motion_starts(path, file) | at
     found = []
     for name, device in file.get("device", {}).items():
         if device.get("kind") != "cia402" or not device.get("driven"):
@@ -60,15 +59,6 @@ def motors(path: Path, file: dict[str, Any], at: dict[str, float]) -> list[Motor
     if not found:
         raise ScenarioError(f"{path} has no cia402 device with driven = true; nothing could be driven")
     return found
-
-
-def _starts(path: Path, file: dict[str, Any]) -> dict[str, float]:
-    motion = file.get("drive", {}).get("motion")
-    if motion is None or not (path.parent / motion).is_file():
-        return {}
-    with (path.parent / motion).open(encoding="utf-8", newline="") as rows:
-        first = next(csv.DictReader(rows), {})
-    return {name: float(value) for name, value in first.items() if name != "time_s"}
 
 
 def _buses(file: dict[str, Any]) -> tuple[dict[str, BusTable], str, str | None, float]:

@@ -10,7 +10,6 @@ SIGINT or after ``--seconds``, what is true and where each joint has been.
 """
 
 import argparse
-import csv
 import sys
 import time
 import tomllib
@@ -24,7 +23,7 @@ from hil_sim.driven_flight import DrivenFlight
 from hil_sim.driven_world import Wired
 from hil_sim.faults import parse
 from hil_sim.scenario.tables import ScenarioError
-from hil_sim.serve import do_not_wait, open_sockets, say, stops_on_signals
+from hil_sim.serve import do_not_wait, motion_starts, open_sockets, say, stops_on_signals
 
 _DEVICE = {"kind": "cia402", "driven": True}
 
@@ -60,15 +59,8 @@ def _wired(name: str, device: dict[str, Any]) -> Wired:
 
 def _starts(path: Path, file: dict[str, Any]) -> dict[str, Any]:
     """``[motion]`` of joints that stand where that of ``[drive]`` begins."""
-    motion = file.get("drive", {}).get("motion")
-    if motion is None or not (path.parent / motion).is_file():
-        return {}
-    with (path.parent / motion).open(encoding="utf-8", newline="") as rows:
-        first = next(csv.DictReader(rows), {})
-    return {
-        "posture": {name: float(value) for name, value in first.items() if name != "time_s"},
-        "posture_spread": 0.0,
-    }
+    posture = motion_starts(path, file)
+    return {"posture": posture, "posture_spread": 0.0} if posture else {}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -235,18 +235,13 @@ def _sensitivities(F: FloatArray, B: FloatArray, h: float) -> FloatArray:
 
     A step of a linear equation is linear: ``S' = M S + C``, with M and C of all steps at once.
     """
-    F, B = np.ascontiguousarray(F), np.ascontiguousarray(B)
-
-    def slope(at: slice, of: FloatArray, past: FloatArray | float) -> FloatArray:
-        return F[at] @ of + past
-
     before, middle, after = slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)
     parts = []
-    for now, own in ((np.eye(4), (0.0, 0.0, 0.0)), (np.zeros((4, B.shape[2])), (B[before], B[middle], B[after]))):
-        one = slope(before, now, own[0])
-        two = slope(middle, now + 0.5 * h * one, own[1])
-        three = slope(middle, now + 0.5 * h * two, own[1])
-        four = slope(after, now + h * three, own[2])
+    for now, inputs in ((np.eye(4), np.zeros((len(B), 4, 4))), (np.zeros((4, B.shape[2])), B)):
+        one = F[before] @ now + inputs[before]
+        two = F[middle] @ (now + 0.5 * h * one) + inputs[middle]
+        three = F[middle] @ (now + 0.5 * h * two) + inputs[middle]
+        four = F[after] @ (now + h * three) + inputs[after]
         parts.append(now + h / 6.0 * (one + 2.0 * (two + three) + four))
     S = np.zeros((len(F) // 2 + 1, 4, B.shape[2]))
     S[0, :3, :3] = np.eye(3)

@@ -41,7 +41,7 @@ def in_turn(parts: Sequence[Sequence[Path]], phase: str, output: Path, *, progre
         raise ValueError("give two recordings or more to put one after the other")
     logs = [LogReader(part) for part in parts]
     _require(parts, logs, phase)
-    task = None if progress is None else progress.add_task("merge", total=2 * sum(log.size for log in logs))
+    task = None if progress is None else progress.add_task("merge", total=sum(log.size for log in logs))
     spans = [_span(log, part) for log, part in zip(logs, parts, strict=True)]
     rows = {name: 0 for log in logs for name in log.channels} | {phase: 0}
     end_ns, following = spans[0][0] - round(PAUSE_S * 1e9), dict[str, int]()
@@ -64,7 +64,7 @@ def in_turn(parts: Sequence[Sequence[Path]], phase: str, output: Path, *, progre
                 writer.write(name, moved)
                 rows[name] = rows.get(name, 0) + len(moved)
             if progress is not None and task is not None:
-                progress.update(task, advance=2 * logs[number - 1].size)
+                progress.update(task, advance=logs[number - 1].size)
             end_ns = last_ns + shift_ns
         sources = {str(number): ", ".join(path.name for path in part) for number, part in enumerate(parts, 1)}
         writer.add_metadata("in turn", sources)
