@@ -10,6 +10,7 @@ mode 10 the target is a torque, in thousandths of the rated one (6076h), on the 
 """
 
 import struct
+from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Final
@@ -19,6 +20,7 @@ import numpy as np
 from drivers.canopen_pdo import frame
 from drivers.canopen_pdo.cia402 import MODE, POSITION, RATED_TORQUE, STATUS, Cia402Config, Place
 from drivers.canopen_pdo.sdo import SdoData, SdoRead, SdoWrite, Setup, confirm, ensure_rpdo, read_unsigned
+from drivers.canopen_pdo.sync import SyncCounter
 from drivers.errors import ConfigurationError, SdoAbortError
 from drivers.records import CAN_FRAME
 from drivers.reporter import Reporter
@@ -38,6 +40,8 @@ ENABLING: Final = {  # the controlword that leads on from a state
 FOLLOWING_ERROR, ACKNOWLEDGE, REACHED = 1 << 13, 1 << 12, 1 << 10  # of the statusword
 FOLLOWING_MS: Final = 10
 LARGEST_TORQUE: Final = 32_767  # thousandths of the rated torque, in an I16
+RATE_SLACK: Final = 1.25  # of the rate limit, for the drive's own control
+RATE_WINDOW_NS: Final = 25_000_000
 _WRAP, _HALF = 1 << 32, 1 << 31
 _FRAME = struct.Struct("<i")
 
@@ -90,7 +94,7 @@ class DriveAxis:
     Args:
         config: The drive.
         mode: ``CYCLIC``, ``PROFILE`` or ``CYCLIC_TORQUE``.
-        period_ns: SYNC period.
+        sync: Numbers the SYNCs, which its positions are of.
         master: Our node number and, in ms, how long the drive does without our heartbeat.
         send: Sends a frame (COB-ID, data).
         report: Where its frames go as rows.
@@ -109,7 +113,7 @@ class DriveAxis:
         self,
         config: AxisConfig,
         mode: int,
-        period_ns: int,
+        sync: SyncCounter,
         master: tuple[int, int],
         send: Callable[[int, bytes], None],
         report: Reporter,
@@ -122,7 +126,8 @@ class DriveAxis:
         self.mode_shown: int | None = None
         self.position: int | None = None
         self.now_ns = 0
-        self._period_ns, self._master = period_ns, master
+        self._sync, self._master = sync, master
+        self._past: deque[tuple[int, int]] = deque()  # SYNC numbers, and positions
         self._transmit, self._report = send, report
         self._rows: list[tuple[int, int, int, int, list[int]]] = []
         self._sequence = 0
@@ -165,6 +170,7 @@ class DriveAxis:
             word = data[place.start : place.start + place.size]
             if entry == POSITION:
                 self.position = int.from_bytes(word, "little", signed=True)
+                self._past.append((self._sync.tick or 0, self.position))
             elif entry == STATUS:
                 self.status = int.from_bytes(word, "little")
             else:
@@ -181,6 +187,7 @@ class DriveAxis:
         """It is set up, and was started."""
         self.is_ready, self.failed = True, 0
         self.status = self.position = self.mode_shown = None
+        self._past.clear()
 
     def lost(self) -> None:
         """It has to be set up again."""
@@ -205,7 +212,21 @@ class DriveAxis:
             return f"has not answered SYNC for {silent_ns // 1_000_000} ms"
         if self.position is None or not self.config.low - slack <= self.position <= self.config.high + slack:
             return "is outside its limits"
-        return ""
+        return self._too_fast()
+
+    def _too_fast(self) -> str:
+        """Its rate between SYNCs, over a window long enough for the counts; when its frames arrived does not matter."""
+        window = -(-RATE_WINDOW_NS // self._sync.period_ns)
+        while len(self._past) > 2 and self._past[-1][0] - self._past[1][0] >= window:
+            self._past.popleft()
+        periods = self._past[-1][0] - self._past[0][0] if self._past else 0
+        if periods < window:
+            return ""
+        per_s = 1e9 / (periods * self._sync.period_ns)
+        rate = abs(self.distance(self._past[0][1])) * per_s
+        if rate <= RATE_SLACK * self.config.rate + 2.0 * per_s:
+            return ""
+        return f"moves at {360.0 * rate / self.config.drive.counts_per_revolution:.1f} deg/s, faster than its limit"
 
     # What it is told
 
@@ -285,7 +306,7 @@ class DriveAxis:
             objects += [(0x6081, 0, round(config.rate), 4)]
             objects += [(index, 0, round(config.acceleration), 4) for index in (0x6083, 0x6084)]
         else:
-            count, power = interpolation(self._period_ns)
+            count, power = interpolation(self._sync.period_ns)
             objects += [(0x60C2, 1, count, 1), (0x60C2, 2, power, 1)]
         return objects
 

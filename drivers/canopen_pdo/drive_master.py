@@ -6,7 +6,6 @@ is wrong becomes a quick stop of all drives, once; a master that has stopped doe
 """
 
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Iterator
 from enum import Enum, auto
 from functools import partial
@@ -24,8 +23,6 @@ ENABLE_NS: Final = 3_000_000_000
 REPEAT_NS: Final = 50_000_000  # of a controlword that is not obeyed
 STOP_NS: Final = 3_000_000_000  # of a quick stop
 BEATS: Final = 4  # heartbeats in the time that a drive does without
-RATE_SLACK: Final = 1.25  # of the rate limit, for the drive's own control
-RATE_WINDOW_NS: Final = 25_000_000
 
 
 class State(Enum):
@@ -93,12 +90,11 @@ class DriveMaster(ABC):
         self._sync, self._report, self._mode = sync, report, mode
         self._master, self._heartbeat_ms = config.master, config.heartbeat_ms
         own = self._master, self._heartbeat_ms
-        self.axes = [DriveAxis(axis, mode, sync.period_ns, own, send, report) for axis in config.axes]
+        self.axes = [DriveAxis(axis, mode, sync, own, send, report) for axis in config.axes]
         self._armed = self._was_armed = False
         self._limit_ns = round(config.sync_limit_ms * 1e6)
         self._since_ns = self._beat_ns = self._told_ns = self._now_ns = 0
         self._sent_tick: int | None = None
-        self._past: deque[tuple[int, list[int]]] = deque()
 
     @property
     def is_active(self) -> bool:
@@ -237,31 +233,13 @@ class DriveMaster(ABC):
                 return f"{axis.name} {wrong}"
             for wrong in self._astray(place, axis) if self.state is not State.ENABLING else ():
                 return f"{axis.name} {wrong}"
-        return self._too_fast()
+        return ""
 
     def _astray(self, place: int, axis: DriveAxis) -> Iterator[str]:
         if not axis.is_enabled:
             yield f"has left the operation enabled state, statusword {axis.status or 0:04X}h"
         if axis.mode_shown != self._mode:
             yield f"is in mode {axis.mode_shown}, not {self._mode} (6061h)"
-
-    def _too_fast(self) -> str:
-        """Rates over a window long enough for the counts."""
-        heard_ns = min(axis.heard_ns for axis in self.axes)
-        if not self._past or heard_ns > self._past[-1][0]:
-            self._past.append((heard_ns, [axis.position or 0 for axis in self.axes]))
-        while len(self._past) > 2 and self._past[-1][0] - self._past[1][0] >= RATE_WINDOW_NS:
-            self._past.popleft()
-        then_ns, positions = self._past[0]
-        elapsed_ns = self._past[-1][0] - then_ns
-        if elapsed_ns < RATE_WINDOW_NS:
-            return ""
-        for axis, position in zip(self.axes, positions, strict=True):
-            rate = abs(axis.distance(position)) * 1e9 / elapsed_ns
-            if rate > RATE_SLACK * axis.config.rate + 2e9 / elapsed_ns:
-                per_turn = axis.config.drive.counts_per_revolution
-                return f"{axis.name} moves at {360.0 * rate / per_turn:.1f} deg/s, faster than its limit"
-        return ""
 
     # Stopping and beating
 

@@ -4,7 +4,9 @@ Nothing is sent before ``arm``, but for the set-up. Armed, it beats (CiA 301 hea
 the drives where they stand, blends into the motion within ``BLEND_S``, and sends each target after the SYNC before
 the one it is for. It watches, on every pump: SYNC, each drive's answers, state, mode, position, rate, distance from
 the target, EMCY, reboot. Whatever is wrong becomes a quick stop of all drives, once; a player that has stopped does
-not start again. The row of the motion goes by SYNC number, so that a SYNC that was lost leaves no lag behind.
+not start again. The row of the motion goes by SYNC number, so that a SYNC that was lost leaves no lag behind. Where
+many were lost, or this computer was late, the drives catch up at their rate limits: no target is further away than a
+drive gets within a period.
 
 The drives stop by themselves when this process does not beat any more: that is set up before, and read back.
 """
@@ -39,6 +41,7 @@ class Player(DriveMaster):
         super().__init__(config, config.mode, sync, send, report)
         self.config = config
         self._first_tick = self._row = 0
+        self._played = -1  # SYNCs after the start, of the last target
         self._counts, self._name = config.counts, config.name  # of what is played now
         self._offsets: list[int] = []
         self._aimed: deque[tuple[int, list[int]]] = deque(maxlen=LATENCY + 1)
@@ -54,7 +57,7 @@ class Player(DriveMaster):
             self._report.event(self._now_ns, Severity.WARNING, "segment_refused", f"{name}: {why}")
             return
         self._counts, self._name, self._lead, self._offsets = counts, name, 0, [0] * len(self.axes)
-        self.state, self._first_tick = State.PLAYING, (self._sync.tick or 0) + 1
+        self.state, self._first_tick, self._played = State.PLAYING, (self._sync.tick or 0) + 1, -1
         self._report.event(self._now_ns, Severity.INFO, "drive_started", f"{name} is played")
 
     # Arming
@@ -78,7 +81,7 @@ class Player(DriveMaster):
         """Nothing is sent: a drive that gets no set point stays where it is enabled."""
 
     def _started(self) -> None:
-        self._first_tick, self._row = (self._sync.tick or 0) + 1, 0
+        self._first_tick, self._row, self._played = (self._sync.tick or 0) + 1, 0, -1
         self._report.event(self._now_ns, Severity.INFO, "drive_started", f"{self.config.name} is played")
 
     # Playing
@@ -92,17 +95,29 @@ class Player(DriveMaster):
                 self._aim(tick, self._row_at(0))  # where they stand
             self._enable()
         elif self.config.mode == CYCLIC:
-            self._aim(tick, self._row_at(tick + 1 - self._first_tick))
+            self._play(tick)
         else:
             self._way_point(tick)
         self._sent_tick = tick
+
+    def _play(self, tick: int) -> None:
+        """The next targets; later ones, up to those that are due, while no drive exceeds its rate limit for them."""
+        due, last = tick + 1 - self._first_tick, self._row_at(self._played)
+        self._played = min(self._played + 1, due)
+        while self._played < due and self._is_near(last, self._row_at(self._played + 1)):
+            self._played += 1
+        if self._played - self._lead >= len(self._counts) and self.state is State.PLAYING:
+            self._finish()
+        self._aim(tick, self._row_at(self._played))
+
+    def _is_near(self, last: list[int], targets: list[int]) -> bool:
+        most = [axis.config.rate * 1e-9 * self._sync.period_ns for axis in self.axes]
+        return all(abs(b - a) <= limit for a, b, limit in zip(last, targets, most, strict=True))
 
     def _row_at(self, since: int) -> list[int]:
         """Targets so many SYNCs after the start; the motion begins when the way to it is over."""
         rows = self._counts
         row = min(max(since - self._lead, 0), len(rows) - 1)
-        if since - self._lead >= len(rows) and self.state is State.PLAYING:
-            self._finish()
         share = min(max(since / self._blend, 0.0), 1.0)
         left = 1.0 - share**3 * (10.0 + share * (-15.0 + 6.0 * share))
         return [round(target + left * offset) for target, offset in zip(rows[row].tolist(), self._offsets, strict=True)]

@@ -142,7 +142,8 @@ def test_on_the_real_clock_the_base_moves_as_the_drives_do(tmp_path: Path) -> No
         if b"drive_done" in codes:
             break
         assert b"drive_stopped" in codes
-        assert "SYNC" in b" ".join(events["text"][events["code"] == b"drive_stopped"]).decode()
+        why = b" ".join(events["text"][events["code"] == b"drive_stopped"]).decode()
+        assert any(late in why for late in ("SYNC", "8130h")), why  # 8130h: our heartbeat came too late
     else:
         assert {said["joints"][name]["state"] for name in ("joint_1", "joint_2")} <= {"07h", "40h"}
         return

@@ -154,6 +154,16 @@ def test_a_computer_that_stood_still_stops_the_arm(bench):
     assert flown.is_at_rest()
 
 
+@pytest.mark.parametrize(("at_s", "late_s"), [(2.3, 0.02), (2.7, 0.03), (2.7, 0.05), (2.55, 0.07)])
+def test_a_computer_that_was_late_catches_up_within_the_rate_limits(bench, at_s, late_s):
+    flown = bench(drive="sync_limit_ms = 100").run(at_s).run(late_s, pumped=False)
+    flown.run(2.5)
+    assert flown.codes == ["drive_armed", "drive_started", "drive_done"]
+    rates = [axis.fastest_rad_s for axis in flown.rig.axes.values()]
+    assert max(rates) < 1.25, "the limit is 1 rad/s, the drives' own control comes on top"
+    assert flown.axis("shoulder").highest_rad == pytest.approx(0.5, abs=5e-3)
+
+
 def test_sigterm_in_mid_motion_is_a_quick_stop(bench):
     flown = bench().run(2.4)
     at = flown.axis("shoulder").angle_rad(1e-9 * (flown.rig.now_ns - START_NS))
