@@ -3,8 +3,12 @@
 It is data (:mod:`onboard.flight.estimate.state`) in a file that only this user can write. A step of the estimator
 is determined by the rows named in its TICK record, so a checkpoint and the ticks after it restore the estimator of a
 dead process.
+
+Two files take turns: memory that the system has to find for a new one costs more than all else that a checkpoint does.
 """
 
+import ctypes
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +17,7 @@ from onboard.flight.estimate.state import Places, StateError, from_bytes, write
 from onboard.flight.store.directories import open_private, write_private
 
 _NAME, _UNDERWAY = "estimator.checkpoint", "estimator.redoing"
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # fcntl.h, linux/fs.h
 
 
 class Checkpoint(NamedTuple):
@@ -44,9 +49,13 @@ class Checkpoints:
             StateError: a part of the estimator is not data.
         """
         unfinished = self._path.with_suffix(".new")
-        with open_private(unfinished) as file:
+        with open_private(unfinished, keep=True) as file:
             write(file, tuple(checkpoint), self._places)
-        unfinished.rename(self._path)
+            file.truncate()
+        if self._path.exists():
+            _exchange(unfinished, self._path)
+        else:
+            unfinished.rename(self._path)
         self.taken_over()
 
     def taken_over(self) -> None:
@@ -69,3 +78,10 @@ class Checkpoints:
             raise StateError(f"{self._path} holds no estimator")
         write_private(self._underway, b"")
         return checkpoint
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Let two files have each other's names, at once."""
+    names = (_AT_FDCWD, os.fsencode(one)), (_AT_FDCWD, os.fsencode(other))
+    if ctypes.CDLL(None, use_errno=True).renameat2(*names[0], *names[1], _RENAME_EXCHANGE):
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(one))

@@ -278,7 +278,7 @@ def write(file: IO[bytes], thing: object, places: Places) -> None:
         StateError: a part of it is neither data nor in ``places``; nothing is written.
     """
     writer = _Writer(places)
-    tree = json.dumps(writer.node(thing)).encode()
+    tree = json.dumps(writer.node(thing), check_circular=False).encode()
     tree += b" " * (-len(tree) % _WORD)  # so that the words of the arrays are aligned
     data = b"".join(writer.arrays)
     file.write(_HEAD.pack(_MAGIC, FORMAT, zlib.crc32(tree), len(tree), _sum(data)))

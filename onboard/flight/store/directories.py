@@ -184,10 +184,15 @@ def write_private(path: Path, data: bytes, *, durable: bool = False) -> None:
             os.fsync(file.fileno())
 
 
-def open_private(path: Path) -> BinaryIO:
+def open_private(path: Path, *, keep: bool = False) -> BinaryIO:
     """A file that only this user may read, to be written in place of what was there.
+
+    Args:
+        path: of the file.
+        keep: what was there stays until it is written over, and its memory with it.
 
     Raises:
         OSError: there is no room, or it cannot be made.
     """
-    return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600), "wb")
+    emptied = 0 if keep else os.O_TRUNC
+    return open(os.open(path, os.O_WRONLY | os.O_CREAT | emptied | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600), "wb")

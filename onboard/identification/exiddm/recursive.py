@@ -304,7 +304,7 @@ class RecursiveExiddm(BoundedWork):
 
     def _step(self) -> None:
         assert self.state is not None
-        ticks, self._due = self._pending, self._due - STEP_WORK
+        ticks, self._due, self._window = self._pending, self._due - STEP_WORK, self._none
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic, ticks.thrust)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)

@@ -38,6 +38,8 @@ def initially(predictor: ImuPredictor, payload: tuple[FloatArray, FloatArray] | 
     mean, covariance = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
     if payload is not None:
         mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = payload
+    for part in (mean, covariance):
+        part.setflags(write=False)  # a checkpoint names it
     return mean, covariance
 
 

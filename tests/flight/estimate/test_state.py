@@ -15,6 +15,7 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.state import _HEAD, _MAGIC, FORMAT, Places, StateError, from_bytes, to_bytes
+from onboard.identification.exiddm.online import ExiddmIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 
 NOTHING = Places(None)
@@ -151,3 +152,32 @@ def test_a_file_that_holds_something_else_is_no_checkpoint(tmp_path: Path) -> No
         (tmp_path / "estimator.checkpoint").write_bytes(to_bytes(thing, NOTHING))
         with pytest.raises(StateError):
             checkpoints.load()
+
+
+def test_checkpoints_take_turns_in_the_memory_of_two_files(tmp_path: Path) -> None:
+    vehicle = config.load(config.packaged("workshop"))
+    estimator = Estimator(vehicle)
+    checkpoints = Checkpoints(tmp_path, Places(estimator))
+    of_each = []
+    for ticks in range(6):
+        held = {
+            "a name": [0] * (50 if ticks == 4 else 5000)
+        }  # the fifth is shorter than the third, in whose place it is
+        checkpoints.save(Checkpoint(ticks, 0, held, estimator))
+        of_each.append([path.stat().st_ino for path in sorted(tmp_path.glob("estimator.*"))])
+        again = checkpoints.load()
+        assert again is not None
+        assert again.ticks == ticks
+        assert again.positions == held
+        checkpoints.taken_over()
+    assert len({*of_each[1]}) == 2
+    assert of_each[1:] == [of_each[1], of_each[1][::-1]] * 2 + [of_each[1]]
+
+
+def test_what_never_changes_of_a_free_flyers_estimator_is_not_in_a_checkpoint() -> None:
+    estimator = Estimator(config.load(config.packaged("dymaflex")))
+    assert isinstance(estimator.online, ExiddmIdentifier)
+    unknowns = len(estimator.online.exiddm.predictor.names)
+    assert unknowns > 100
+    size = len(to_bytes(estimator.online, Places(estimator)))
+    assert size < 1.5 * 8 * unknowns**2  # its covariance, of which the prior is a copy
