@@ -65,6 +65,7 @@ class BifilarSwing(NamedTuple):
     viscous: float  # C, N m s
     quadratic: float  # K_D, N m s^2
     residual_rad_s: float  # rms of the rate
+    by_scale_kg_m2: float  # what a gyro that shows so many times more than it turns does to the inertia
 
 
 def swing(
@@ -85,9 +86,10 @@ def swing(
     _check(t, w, suspension)
     t = t - t[0]
     start = _start(t, w, suspension)
-    found, spread, residual = _fitted(t, w, start, suspension, gyro_scale_sigma)
+    found, own, by_scale, residual = _fitted(t, w, start, suspension, gyro_scale_sigma)
     inertia, viscous, quadratic, angle, rate = found[:5].tolist()
-    parts = {"swings and gyro scale": spread / inertia, **suspension.relative_sigmas()}
+    parts = {"swings": own / inertia, "gyro scale": abs(by_scale) * gyro_scale_sigma / inertia}
+    parts |= suspension.relative_sigmas()
     omega = math.sqrt(suspension.stiffness() / inertia)
     amplitude = math.hypot(angle, rate / omega)
     if amplitude > LARGEST_ANGLE_rad:
@@ -102,6 +104,7 @@ def swing(
         viscous * inertia,
         quadratic * inertia,
         residual,
+        by_scale,
     )
 
 
@@ -133,8 +136,12 @@ def _start(t: FloatArray, w: FloatArray, suspension: Suspension) -> FloatArray:
 
 def _fitted(
     t: FloatArray, w: FloatArray, start: FloatArray, suspension: Suspension, scale_sigma: float
-) -> tuple[FloatArray, float, float]:
-    """Parameters (6 or 7,), sigma of the inertia, rms of the residual, taken for the noise with its colour."""
+) -> tuple[FloatArray, float, float, float]:
+    """Parameters (6 or 7,); of the inertia, sigma by noise and slope by the gyro's scale; rms of the residual.
+
+    The residual is taken for the noise with its colour. As far as the swing does not tell the scale, which starts at
+    zero with its sigma, the gyro's own scale s is left in the result: ``-P_Is s / sigma^2``, P the covariance.
+    """
     m, h, g, square = suspension.mass_kg, suspension.length_m, suspension.gravity_m_s2, suspension.spacing_m**2
 
     def residual(x: FloatArray) -> FloatArray:
@@ -183,7 +190,11 @@ def _fitted(
     length = np.linalg.norm(J, axis=0)
     covariance = np.linalg.inv((J / length).T @ (J / length)) / np.outer(length, length)
     variance = float(found.fun @ found.fun) / (len(t) - x.size) * _colour(found.fun[:-1])
-    return x, float(np.sqrt(variance * covariance[0, 0])), rms
+    if not scale_sigma:
+        return x, float(np.sqrt(variance * covariance[0, 0])), 0.0, rms
+    left = float(covariance[0, 6]) * (noise / scale_sigma) ** 2  # the prior's row of J is noise / sigma
+    by_noise = float(covariance[0, 0]) - float(covariance[0, 6]) ** 2 * (noise / scale_sigma) ** 2
+    return x, float(np.sqrt(variance * by_noise)), -left, rms
 
 
 def _colour(residual: FloatArray) -> float:
@@ -198,14 +209,14 @@ def _colour(residual: FloatArray) -> float:
 
 
 def inertia_tensor(
-    axes: FloatArray, inertia_kg_m2: FloatArray, sigma_kg_m2: FloatArray
+    axes: FloatArray, inertia_kg_m2: FloatArray, covariance_kg2_m4: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The tensor about the centre of mass from moments about axes through it: ``u' I u``, least squares.
 
     Args:
         axes: unit vectors in the body's axes, (k, 3); six or more for the products, not all in one cone.
         inertia_kg_m2: about each, (k,).
-        sigma_kg_m2: of each, (k,).
+        covariance_kg2_m4: of these, with what the axes' errors do to them (:func:`axis_errors`), (k, k).
 
     Returns:
         The tensor (3, 3), and the covariance (6, 6) of xx, yy, zz, xy, xz, yz.
@@ -213,17 +224,80 @@ def inertia_tensor(
     Raises:
         CalibrationError: axes that do not determine all six elements, or moments that no rigid body has together.
     """
-    u = np.asarray(axes, np.float64)
-    u = u / np.linalg.norm(u, axis=1, keepdims=True)
-    x, y, z = u.T
-    rows = np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z]) / sigma_kg_m2[:, None]
-    if len(u) < 6 or np.linalg.matrix_rank(rows, 1e-6 * np.abs(rows).max()) < 6:
-        raise CalibrationError("these axes do not determine six elements; swing about x, y, z and three axes between")
-    covariance = np.linalg.inv(rows.T @ rows)
-    xx, yy, zz, xy, xz, yz = covariance @ rows.T @ (np.asarray(inertia_kg_m2, np.float64) / sigma_kg_m2)
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    tensor, covariance = _least_squares(axes, inertia_kg_m2, covariance_kg2_m4)
     moments = np.linalg.eigvalsh(tensor)
     slack = 3.0 * float(np.sqrt(covariance[:3, :3].trace()))
     if moments[0] <= 0.0 or moments[2] > moments[0] + moments[1] + slack:
         raise CalibrationError(f"principal moments {moments} are no rigid body's; check which axis each run was about")
-    return tensor, np.asarray(covariance, np.float64)
+    return tensor, covariance
+
+
+def _least_squares(axes: FloatArray, values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    u = _unit(axes)
+    x, y, z = u.T
+    root = np.linalg.cholesky(covariance)
+    rows = np.linalg.solve(root, np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z]))
+    if len(u) < 6 or np.linalg.matrix_rank(rows, 1e-6 * np.abs(rows).max()) < 6:
+        raise CalibrationError("these axes do not determine six elements; swing about x, y, z and three axes between")
+    of_elements = np.linalg.inv(rows.T @ rows)
+    xx, yy, zz, xy, xz, yz = of_elements @ rows.T @ np.linalg.solve(root, np.asarray(values, np.float64))
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), np.asarray(of_elements, np.float64)
+
+
+def _unit(axes: FloatArray) -> FloatArray:
+    u = np.asarray(axes, np.float64)
+    return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True))
+
+
+class AxisErrors(NamedTuple):
+    """What makes a gyro show another axis than it turns about, 1 sigma; ``shown = (1 + E) true``, one E in all runs."""
+
+    misalignment_rad: float  # of the gyro's axes in the body, about each: antisymmetric part of E
+    scale: float = 0.0  # relative, each axis: diagonal of E
+    cross_axis: float = 0.0  # each element off the diagonal
+
+    def covariance(self) -> FloatArray:
+        """Of the nine elements of E row by row, in the gyro's axes, (9, 9)."""
+        diagonal = np.eye(3, dtype=bool).ravel()
+        variance = np.where(diagonal, self.scale**2, self.misalignment_rad**2 + self.cross_axis**2)
+        found = np.diag(variance)
+        transposed = np.arange(9).reshape(3, 3).T.ravel()
+        off = np.flatnonzero(~diagonal)
+        found[off, transposed[off]] = -(self.misalignment_rad**2)
+        return found
+
+
+def axis_errors(
+    axes: FloatArray,
+    inertia_kg_m2: FloatArray,
+    own_kg_m2: FloatArray,
+    by_scale_kg_m2: FloatArray,
+    errors: AxisErrors,
+    sway: FloatArray,
+    R_BS: FloatArray,
+) -> FloatArray:
+    """Covariance (k, k) of the moments as moments about the axes that the gyro showed.
+
+    About u, shown as ``v = (1 + E) u / |(1 + E) u|``, the moment ``u' I u`` is ``v' I v - 2 (I u - (u' I u) u)' E u``
+    to first order, and the scale ``u' E u`` moves it by ``by_scale``. E is the same in every run: it turns the tensor
+    found, and its products take up differences of the moments. A sway sideways tilts the axis shown of one run alone.
+
+    Args:
+        axes: as :func:`inertia_tensor`.
+        inertia_kg_m2: about each, (k,).
+        own_kg_m2: sigma of each by its own swing, (k,).
+        by_scale_kg_m2: of each by the gyro's scale (:class:`BifilarSwing`), (k,).
+        errors: of the gyro's axes.
+        sway: rate across the axis over that about it, (k,).
+        R_BS: rotation from the gyro's axes to the body's, (3, 3).
+
+    Raises:
+        CalibrationError: axes that do not determine all six elements.
+    """
+    u, values, own = _unit(axes), np.asarray(inertia_kg_m2, np.float64), np.diag(np.square(own_kg_m2))
+    tensor, _ = _least_squares(u, values, own)
+    across = 2.0 * (u @ tensor - values[:, None] * u)
+    moved = np.asarray(by_scale_kg_m2)[:, None] * u - across
+    slopes = np.einsum("ki,kj->kij", moved @ R_BS, u @ R_BS).reshape(len(u), 9)
+    tilted = np.diag(np.square(np.linalg.norm(across, axis=1) * sway))
+    return np.asarray(own + tilted + slopes @ errors.covariance() @ slopes.T, np.float64)

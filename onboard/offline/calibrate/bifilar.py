@@ -7,10 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
+from onboard.devices.roles import ImuRole
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_of
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.bifilar import BifilarSwing, Suspension, inertia_tensor, swing
+from onboard.estimation.calibration.bifilar import (
+    AxisErrors,
+    BifilarSwing,
+    Suspension,
+    axis_errors,
+    inertia_tensor,
+    swing,
+)
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.identification import build_model
 from onboard.flight.estimate.roles import roles_of
@@ -19,7 +27,7 @@ from onboard.offline.calibrate.result import Calibration, Change, Found, rounded
 
 SHORTEST_s = 12.0
 RATE_hz = 50.0
-AXIS_rad = 3e-3  # how well the axis of a hang is known, by the gyro's own axes
+AXIS_rad = 3e-3  # of the gyro's axes in the base, where the vehicle file says nothing
 ELEMENTS = ("XX", "XY", "YY", "XZ", "YZ", "ZZ")
 
 
@@ -29,6 +37,7 @@ class Hang(NamedTuple):
     span: Span
     axis: FloatArray  # (3,) base axes
     swing: BifilarSwing
+    sway: float  # rate across the axis over that about it, rms
 
 
 def calibrate_bifilar(
@@ -57,14 +66,15 @@ def calibrate_bifilar(
     if role is None:
         raise CalibrationError(f"{device} is no IMU: a gyro has to swing with the body")
     R_BS, _ = build_model(vehicle).pose_in_base(role.frame)
-    hangs = [_hang(read, span, R_BS, suspension, role.gyro_scale_sigma) for span in _swings(read, at)]
+    errors, stated = _of_gyro(vehicle, role)
+    hangs = [_hang(read, span, R_BS, suspension, errors.scale) for span in _swings(read, at)]
     if not hangs:
         raise CalibrationError("there is no swing in the log; let it go without a push and leave it alone for 30 s")
     axes = np.array([one.axis for one in hangs])
     values = np.array([one.swing.inertia_kg_m2 for one in hangs])
-    own = np.array([one.swing.parts["swings and gyro scale"] for one in hangs]) * values
-    own = np.hypot(own, AXIS_rad * np.ptp(values))
-    tensor, covariance = inertia_tensor(axes, values, own)
+    own = np.array([one.swing.parts["swings"] for one in hangs]) * values
+    by_scale, sway = np.array([[one.swing.by_scale_kg_m2, one.sway] for one in hangs]).T
+    tensor, covariance = inertia_tensor(axes, values, axis_errors(axes, values, own, by_scale, errors, sway, R_BS))
     causes = suspension.relative_sigmas() | {"gravity": gravity_sigma}
     common = float(np.linalg.norm(list(causes.values())))
     order = [0, 3, 1, 4, 5, 2]  # of xx yy zz xy xz yz
@@ -73,8 +83,22 @@ def calibrate_bifilar(
     result = Calibration(notes=[_told(one) for one in hangs])
     shared = ", ".join(f"{name} {100 * part:.2g} %" for name, part in causes.items())
     result.notes.append(f"common to all: {shared}")
+    result.notes.append(
+        f"axes of {device} in the base within {errors.misalignment_rad:.2g} rad ({stated}): products lean on it"
+    )
     _into(result, vehicle, six, sigma, suspension)
     return result, hangs
+
+
+def _of_gyro(vehicle: config.Vehicle, role: ImuRole) -> tuple[AxisErrors, str]:
+    """What the vehicle file states of its gyro's axes and scale, and where."""
+    if vehicle.file.estimation.method == "exiddm":
+        prior = vehicle.file.estimation.imu_prior
+        key = "estimation.imu_prior.gyro_misalignment_rad"
+        return AxisErrors(prior.gyro_misalignment_rad, prior.gyro_scale, prior.gyro_cross_axis), key
+    if role.misalignment_sigma_rad:
+        return AxisErrors(role.misalignment_sigma_rad, role.gyro_scale_sigma), "misalignment_sigma_rad"
+    return AxisErrors(AXIS_rad, role.gyro_scale_sigma), "assumed: state misalignment_sigma_rad"
 
 
 def _into(
@@ -134,7 +158,7 @@ def _hang(read: Readings, span: Span, R_BS: FloatArray, suspension: Suspension, 
         found = swing(t, about, suspension, scale_sigma)
     except CalibrationError as error:
         raise CalibrationError(f"swing at {span}: {error}") from error
-    return Hang(span, R_BS @ axis, found)
+    return Hang(span, R_BS @ axis, found, float(np.sqrt(max(strength[-2], 0.0) / strength[-1])))
 
 
 def _thinned(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
