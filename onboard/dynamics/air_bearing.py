@@ -113,18 +113,18 @@ def predict_planar(
     w, yaw = state[:, 2], state[:, 3]
     basis = np.column_stack([a, np.ones(m), w, w * w])
     D = np.zeros((m, 3, 3 + P + 2 * pucks + 2))
-    D[:, :, 3 : 3 + P] = -(inverse @ np.einsum("mijp,mj->mip", columns.T[..., wanted], basis))
-    D[:, :, 3 + P : -2] = inverse @ pull
-    F, B = _slopes(state, A, D, yaw, tilt)
-    S = _sensitivities(F, B, columns.period_s)
-    D[::2] += A[::2] @ S
+    by_columns = (-inverse[:, :, :, None] * basis[:, None, None, :]).reshape(m, 3, 18)
+    D[:, :, 3 : 3 + P] = (by_columns @ columns.T.reshape(m, 18, -1))[:, :, wanted]
+    np.matmul(inverse, pull, out=D[:, :, 3 + P : -2])
+    S = _sensitivities(*_slopes(state, A, D, yaw, tilt), columns.period_s)
+    D = D[::2] + A[::2] @ S
     n = len(states)
     zero, own = np.zeros((n, 3)), np.zeros((n, 3, D.shape[2]))
     rate, spin, force = zero.copy(), zero.copy(), zero.copy()
     force[:, 2] = columns.gravity_m_s2
     along = np.zeros((n, 9, D.shape[2]))  # of rate, specific force and angular acceleration
     rate[:, 2], spin[:, 2], force[:, :2] = states[:, 2], a[::2, 2], a[::2, :2]
-    along[:, 2], along[:, 8], along[:, 3:5] = S[:, 2], D[::2, 2], D[::2, :2]
+    along[:, 2], along[:, 8], along[:, 3:5] = S[:, 2], D[:, 2], D[:, :2]
     by_rate, by_wrench = np.zeros((n, 6, 3)), np.broadcast_to(np.eye(6), (n, 6, 6))
     base = BasePrediction(rate, spin, force, along, by_rate, by_wrench, zero, own)
     return PlanarPrediction(base, states)
@@ -168,8 +168,7 @@ def _slopes(
     F[:, 0, 3] = -s * tilt[0] + c * tilt[1]
     F[:, 1, 3] = -c * tilt[0] - s * tilt[1]
     F[:, 3, 2] = 1.0
-    B = np.zeros((m, 4, D.shape[2]))
-    B[:, :3] = D
+    B = D.copy()
     B[:, 0, -2], B[:, 0, -1], B[:, 1, -2], B[:, 1, -1] = c, s, -s, c
     return F, B
 
@@ -233,21 +232,24 @@ def _integrate(
 def _sensitivities(F: FloatArray, B: FloatArray, h: float) -> FloatArray:
     """Integrates ``dS/dt = F S + B`` by fourth-order Runge-Kutta; (n, 4, p).
 
-    A step of a linear equation is linear: ``S' = M S + C``, with M and C of all steps at once.
+    A step of a linear equation is linear: ``S' = M S + L B_before + N B_middle + h/6 B_after``, of all steps at once.
     """
-    before, middle, after = slice(0, -2, 2), slice(1, None, 2), slice(2, None, 2)
-    parts = []
-    for now, inputs in ((np.eye(4), np.zeros((len(B), 4, 4))), (np.zeros((4, B.shape[2])), B)):
-        one = F[before] @ now + inputs[before]
-        two = F[middle] @ (now + 0.5 * h * one) + inputs[middle]
-        three = F[middle] @ (now + 0.5 * h * two) + inputs[middle]
-        four = F[after] @ (now + h * three) + inputs[after]
-        parts.append(now + h / 6.0 * (one + 2.0 * (two + three) + four))
+    one, half, sixth = np.eye(4), 0.5 * h, h / 6.0
+    before, middle, after = F[:-2:2], F[1::2], h * F[2::2]
+    half_way = one + half * middle
+    second = middle @ (one + half * before)
+    third = middle @ (one + half * second)
+    M = one + sixth * (before + 2.0 * (second + third) + F[2::2] @ (one + h * third))
+    bent = half * half * middle @ middle
+    L = sixth * (one + h * middle + 2.0 * bent + after @ bent)
+    N = sixth * (2.0 * (one + half_way) + after @ half_way)
+    C = L[:, :, :3] @ B[:-2:2] + N[:, :, :3] @ B[1::2]
+    C[:, :3] += sixth * B[2::2]
     S = np.zeros((len(F) // 2 + 1, 4, B.shape[2]))
     S[0, :3, :3] = np.eye(3)
-    for i, (M, C) in enumerate(zip(*parts, strict=True)):
-        np.matmul(M, S[i], out=S[i + 1])
-        S[i + 1] += C
+    for i, (turn, own) in enumerate(zip(M, C, strict=True)):
+        np.matmul(turn, S[i], out=S[i + 1])
+        S[i + 1] += own
     return S
 
 
