@@ -17,7 +17,7 @@ from hil_sim.plants.vehicle_plant import VehiclePlant
 from hil_sim.scenario.tables import ScenarioError
 from hil_sim.scenario.vehicle_tables import VehicleScenario
 
-LATE_S = 2.0 * STEP_S  # the plant is three rows ahead of the devices; a drive's loop has made the step after them
+LATE_S = 5.0 * STEP_S  # the plant is four to five rows ahead of the devices: no loop may act before it is told
 
 
 class _LateJoint(DrivenJoint):

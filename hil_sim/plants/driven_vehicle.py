@@ -63,6 +63,10 @@ class DrivenJoint:
         """Angle at ``time_s``, up to half a second ago, with the encoder's noise."""
         return self._vehicle.angle_rad(self._place, time_s)
 
+    def motor_n_m(self, time_s: float) -> float:
+        """Torque of the motor at ``time_s``, up to half a second ago."""
+        return self._vehicle.motor_n_m(self._place, time_s)
+
 
 class Drivable(NamedTuple):
     """What a plant has drawn, to be driven.
@@ -114,6 +118,7 @@ class DrivenVehicle:
         mujoco.mj_forward(self.model, self.data)
         self._noise = noise_rad * np.random.default_rng([seed, 0xE1]).standard_normal((_NOISE, len(built.joints)))
         self._past = deque([self.angles_rad], _KEPT)
+        self._torques = deque([[0.0] * len(built.joints)], _KEPT)  # of the step before each
         self.axes = {
             name: DrivenJoint(self, place, built.efforts_n_m[name], self._inertia(place))
             for place, name in enumerate(built.joints)
@@ -186,6 +191,12 @@ class DrivenVehicle:
         before, after = self._past[back][place], self._past[back + 1][place]
         return before + (at - last) * (after - before) + noise
 
+    def motor_n_m(self, place: int, time_s: float) -> float:
+        """Torque of a joint's motor in the step that ``time_s`` is in, up to half a second ago."""
+        self.advance(time_s)
+        back = self._count - math.floor(max(time_s / STEP_S, 0.0))
+        return self._torques[-min(max(back, 1), len(self._torques))][place]
+
     def _step(self) -> None:
         time_s, rates, data = self._count * STEP_S, self.rates_rad_s, self.data
         if self.built.pucks:
@@ -200,6 +211,7 @@ class DrivenVehicle:
         self._count += 1
         angles = self.angles_rad
         self._past.append(angles)
+        self._torques.append([axis.torque_n_m for axis in self.axes.values()])
         for angle, rate, axis in zip(angles, self.rates_rad_s, self.axes.values(), strict=True):
             axis.lowest_rad, axis.highest_rad = min(axis.lowest_rad, angle), max(axis.highest_rad, angle)
             axis.fastest_rad_s = max(axis.fastest_rad_s, abs(rate))

@@ -43,6 +43,9 @@ class Axis(Protocol):
     def angle_rad(self, time_s: float) -> float:
         """Angle at ``time_s``, up to half a second ago."""
 
+    def motor_n_m(self, time_s: float) -> float:
+        """Torque of the motor at ``time_s``, up to half a second ago."""
+
 
 class ServoAxis:
     """One joint, at rest at time 0.
@@ -113,6 +116,11 @@ class ServoAxis:
         before, after = self._past[back][0], self._past[back + 1][0]
         return before + (place - last) * (after - before)
 
+    def motor_n_m(self, time_s: float) -> float:
+        """Torque of the motor in the step at ``time_s``, or in the newest."""
+        self.advance(time_s)
+        return self.torque_n_m
+
     def _step(self) -> None:
         time_s, rate = self._count * STEP_S, self._rate
         torque = None if self.controller is None else self.controller(time_s, rate)
@@ -154,5 +162,4 @@ class AxisTorque:
 
     def value(self, time_s: float) -> float:
         """See ``ScalarAnalog``."""
-        self._axis.advance(time_s)
-        return self._axis.torque_n_m
+        return self._axis.motor_n_m(time_s)

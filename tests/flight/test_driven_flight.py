@@ -28,12 +28,14 @@ SECONDS = 16.0  # of the motion
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 
 
-def written(directory: Path, seconds: float = SECONDS) -> Path:
-    """A free-flyer of two driven joints, and a motion for them."""
+def written(directory: Path, seconds: float = SECONDS, torque: bool = False) -> Path:
+    """A free-flyer of two driven joints, whose torques are read or not, and a motion for them."""
     path = directory / "it" / "vehicle.toml"
     assert cli.main(["init", str(path.parent), "--base", "free", "--joints", "2", "--encoder", "cia402"]) == cli.OK
-    text = re.sub(r"torque_\w+ = .*\n", "", path.read_text().replace("torque = true ", "driven = true #"))
-    text = text[: text.index("[estimation.prior.absolute]")]
+    text = path.read_text().replace("torque = true ", f"driven = true\ntorque = {str(torque).lower()} ")
+    if not torque:
+        text = re.sub(r"torque_\w+ = .*\n", "", text)
+        text = text[: text.index("[estimation.prior.absolute]")]
     path.write_text(f'{text}\n[drive]\narmed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\n')
     time_s = np.linspace(0.0, seconds, round(100 * seconds) + 1)
     size = np.sin(np.pi * time_s / seconds) ** 2
@@ -54,8 +56,10 @@ def plugged(mission: DrivenFlight) -> Iterator[dict[str, str]]:
         yield ports.urls
 
 
-def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path) -> None:
-    vehicle = written(tmp_path)
+@pytest.mark.parametrize("torque", [False, True])
+def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path, torque: bool) -> None:
+    """Torques that are read are what moves the arm and what the drives' friction takes."""
+    vehicle = written(tmp_path, torque=torque)
     mission, log = world(vehicle, None, 8, SECONDS + 5.0), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         armed = config.load(vehicle).model_copy(update={"arm": True})
