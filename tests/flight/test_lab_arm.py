@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from bench import arms
-from drivers.records import SCALAR
-from onboard import cli
+from drivers.records import SCALAR, Batch
+from onboard import cli, config
+from onboard.flight.estimate.estimator import Estimator
+from onboard.offline.estimate_again.feed import feed
+from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 from tests.conftest import SEED
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
@@ -125,6 +128,25 @@ def test_friction_rotors_and_a_coupled_wrist_come_out_of_currents(tmp_path: Path
     for name in ("Fc_joint_link_1", "Fv_joint_link_1", "Fv_wrist"):
         assert abs(found[name]["value"] / (OFF * TRUTH[name]) - 1.0) < 0.03  # all scale with the gain
         assert found[name]["sigma"] > 0.015 * TRUTH[name]  # and its 2 % is in the interval
+
+
+def test_answers_of_the_last_step_are_those_of_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.flight.test_lab_arm.END_S", 5.0)
+    rng = np.random.default_rng(SEED)
+    links = random_vehicle(rng, ["revolute"] * 3)
+    log = LogReader(recorded(tmp_path, links, rng))
+    vehicle = config.load(vehicle_toml(tmp_path, to_urdf(links), 0.02), urdf=tmp_path / "drawing.urdf")
+    made: list[list[Batch]] = []
+    for at_the_end in (False, True):
+        estimator = Estimator(vehicle, at_the_end=at_the_end)
+        made.append([one for one in feed(estimator, log) if one.channel in ("quantity", "estimate")])
+    every, last = made
+    assert len(every) > 60
+    assert [one.channel for one in last] == ["estimate", "quantity"]
+    every[-1].rows["sequence"] = last[-1].rows["sequence"]
+    assert every[-1].rows.tobytes() == last[-1].rows.tobytes()
+    assert every[-2].rows["mean"].tobytes() == last[-2].rows["mean"].tobytes()
+    assert last[-1].rows["supported"].any()
 
 
 def test_a_gain_that_is_not_given_leaves_currents_out(tmp_path: Path, run: tuple[list, Path]) -> None:

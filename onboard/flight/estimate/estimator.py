@@ -58,6 +58,7 @@ class Estimator:
         vehicle: its file.
         identifier: goes on with what another estimator of the same vehicle has learned, from another log say; a fresh
             one where not given.
+        at_the_end: answers are made of the last step alone. Making them teaches nothing: the last are the same.
 
     Attributes:
         online: what has been learned.
@@ -66,8 +67,10 @@ class Estimator:
         outputs: dtype of every channel it makes.
     """
 
-    def __init__(self, vehicle: config.Vehicle, identifier: OnlineIdentifier | None = None) -> None:
-        self.vehicle = vehicle
+    def __init__(
+        self, vehicle: config.Vehicle, identifier: OnlineIdentifier | None = None, *, at_the_end: bool = False
+    ) -> None:
+        self.vehicle, self._at_the_end = vehicle, at_the_end
         settings = vehicle.file.estimation
         self.inputs = tuple(vehicle.channels)
         fresh, self.model = build_online(vehicle)
@@ -224,7 +227,8 @@ class Estimator:
             if change.kind == "release_contradicted":
                 self._phases.reject_release()
             made.append(change_event(now_ns, change))
-        if self.online.rows_used or self._sequence["quantity"]:  # an answer that no longer holds does not stand
+        told = self.online.rows_used or self._sequence["quantity"]  # an answer that no longer holds does not stand
+        if told and (final or not self._at_the_end):
             made += self._answered(now_ns, int(at_ns[-1]))
         if self._asking is not None:
             said = self._asking.step(now_ns, float(time_s[-1]), joints[:2, -1], measured[-1, :3], self.online)

@@ -123,7 +123,7 @@ def identify(
     for reader, load in zip(readers, loads, strict=True):
         found.append(_one(vehicle, reader, load) if by_rows else by_likelihood(vehicle, reader))
         if load is not None and load.role != "load":
-            again = Estimator(vehicle, calibration.get(load.role))
+            again = Estimator(vehicle, calibration.get(load.role), at_the_end=True)
             calibration[load.role] = again.identifier
             for _ in feed(again, reader):
                 pass
@@ -140,7 +140,7 @@ def likelihood_of(vehicle: config.Vehicle) -> Callable[[config.Vehicle, LogReade
 
 
 def _one(vehicle: config.Vehicle, log: LogReader, load: config.Load | None) -> Identified:
-    estimator = Estimator(vehicle)
+    estimator = Estimator(vehicle, at_the_end=True)
     who = estimator.identifier
     kept = keep_rows(who)
     method = vehicle.file.estimation.method

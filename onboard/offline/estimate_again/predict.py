@@ -26,7 +26,7 @@ def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutF
         ChannelError: a log of another vehicle, or one without a row that could be used.
         ConfigError: the vehicle's method has no rows.
     """
-    estimator = Estimator(vehicle)
+    estimator = Estimator(vehicle, at_the_end=True)
     for _ in feed(estimator, LogReader(other)):
         pass
     who = estimator.identifier
