@@ -25,9 +25,10 @@ from onboard.dynamics.inertia import RigidBody, elements
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.smoothing import SPLINE, Response, correlation_inflation, filtered_inflation, smooth
+from onboard.flight.estimate.cyclic import cyclic_functions
 from onboard.flight.estimate.identification import UNMARKED_CLOCK_s, build_exiddm, build_model
 from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import CYCLIC_LEFT, cyclic_functions
+from onboard.flight.estimate.signals import CYCLIC_LEFT
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
@@ -161,7 +162,8 @@ def _sensed(
         q += np.sqrt(2.0) * rms * np.sin(periods * truth.q_rad + rng.uniform(0.0, 2.0 * np.pi, free_flyer.JOINTS))
     seen = truth._replace(q_rad=q, specific_force_m_s2=truth.specific_force_m_s2 + swing)
     sampled = sample(seen, _imu_errors(), rng)
-    waves = np.hstack([cyclic_functions(angle, _ripple()) for angle in sampled.angle_rad.T])
+    periods = [one for one, _ in _ripple()]
+    waves = np.hstack([cyclic_functions(np.outer(angle, periods)) for angle in sampled.angle_rad.T])
     functions = tick_signals(*sampled._replace(angle_rad=waves)[:4], sampled[4:], SAMPLES, SMOOTHING_s)
     cyclic = np.stack([functions.q, functions.dq, functions.ddq], axis=1)
     return tick_signals(*sampled[:4], sampled[4:], SAMPLES, SMOOTHING_s), cyclic

@@ -19,6 +19,9 @@ _CERTAIN = 1e-9  # of the largest
 _BARRIER = 0.1
 _NEWTON_STEPS = 100
 _WORTH_A_STEP = 1e-6
+_BY_MOMENT = np.array(  # (6, 3, 3): times h, the derivative of h.h 1 - h h' by h
+    [[elements(2.0 * (a @ b) * np.eye(3) - np.outer(a, b) - np.outer(b, a)) for b in np.eye(3)] for a in np.eye(3)]
+).transpose(2, 0, 1)
 
 
 class BodyEstimate(NamedTuple):
@@ -59,9 +62,7 @@ def body_jacobian(chi: FloatArray) -> FloatArray:
     D[1:4, 1:4] = np.eye(3) / m
     # I_C = I_O - (h.h 1 - h h') / m
     D[4:, 0] = elements(parallel_axis(1.0, h)) / m**2
-    for k, unit in enumerate(np.eye(3)):
-        change = 2.0 * (h @ unit) * np.eye(3) - np.outer(h, unit) - np.outer(unit, h)
-        D[4:, 1 + k] = -elements(change) / m
+    D[4:, 1:4] = -(_BY_MOMENT @ h) / m
     return D
 
 

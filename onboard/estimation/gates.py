@@ -32,7 +32,8 @@ class GateReason(IntFlag):
 
 def reasons(refused: ArrayLike, reason: GateReason) -> ReasonArray:
     """``reason`` where ``refused``, (n,) bool, is true; 0 elsewhere."""
-    return np.where(np.asarray(refused, bool), np.int64(reason), np.int64(0))
+    found: ReasonArray = np.multiply(np.asarray(refused, bool), int(reason), dtype=np.int64)
+    return found
 
 
 def window_contains(times_s: ArrayLike, bad: ArrayLike, at_s: ArrayLike, width_s: float) -> BoolArray:
@@ -116,8 +117,9 @@ def phase_gate(
     if change.size == 0:
         return reasons(np.ones(at.shape, bool), GateReason.PHASE)
     index = np.searchsorted(change, at, side="right") - 1  # (n,)
-    wanted = np.isin(entered[np.maximum(index, 0)], np.asarray(identify)) & (index >= 0)
-    since = at - change[np.maximum(index, 0)]
+    last = np.maximum(index, 0)
+    wanted = (entered[last][:, None] == np.asarray(identify)).any(axis=1) & (index >= 0)
+    since = at - change[last]
     following = np.append(change, np.inf)[index + 1] - at
     return reasons(~wanted | (since < settle_s + half_width_s) | (following < half_width_s), GateReason.PHASE)
 

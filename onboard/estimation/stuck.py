@@ -81,6 +81,10 @@ class StuckReadings:
         if not n:
             return np.zeros(0, np.bool_), NONE
         if self._differ(readings) and usable.all():
+            if n >= _RUNS:
+                self._values, self._lengths = readings[-_RUNS:].copy(), np.ones(_RUNS, np.int64)
+                self._stuck = np.zeros(_RUNS, np.bool_)
+                return np.zeros(n, np.bool_), NONE
             lengths = np.concatenate([self._lengths, np.ones(n, np.int64)])
             self._values = np.concatenate([self._values, readings])[-_RUNS:]
             found = np.concatenate([self._stuck, np.zeros(n, np.bool_)])

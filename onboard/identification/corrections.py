@@ -20,7 +20,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.linalg.blas import dsymv
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.special import chdtrc, chdtri, ndtri
 
 from onboard.estimation.arrays import FloatArray
@@ -78,14 +79,18 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     k = len(corrections)
     if not k:
         return Together(0.0, 0.0)
-    L, failed = dpotrf((1.0 + _LEAST_TOLD) * np.eye(k) - posterior, lower=True)
+    told = -posterior.T  # LAPACK's order; A + e I
+    told.flat[:: k + 1] += 1.0 + _LEAST_TOLD
+    L, failed = dpotrf(told, lower=True, overwrite_a=True)
     if failed:  # some of them have a wider prior for now than what is stated
         return Together(0.0, 0.0)
-    root = np.tril(dtrtri(L, lower=True)[0])  # root' root = (A + e I)^-1
-    whitened, inverse = root @ corrections, root.T @ root
-    mean = k - _LEAST_TOLD * float(np.trace(inverse))  # sum of the weights a / (a + e)
-    square = k - 2.0 * _LEAST_TOLD * float(np.trace(inverse)) + _LEAST_TOLD**2 * float(np.vdot(inverse, inverse))
-    return Together(float(whitened @ whitened) * mean / square, mean * mean / square)
+    inverse = dpotri(L, lower=True, overwrite_c=True)[0]  # its lower triangle, zeros above
+    own = np.diag(inverse)
+    squares, trace = float(corrections @ dsymv(1.0, inverse, corrections, lower=True)), float(own.sum())
+    mean = k - _LEAST_TOLD * trace  # sum of the weights a / (a + e)
+    of_all = 2.0 * float(np.vdot(inverse, inverse)) - float(own @ own)
+    square = k - 2.0 * _LEAST_TOLD * trace + _LEAST_TOLD**2 * of_all
+    return Together(squares * mean / square, mean * mean / square)
 
 
 def told(prior: FloatArray, posterior: FloatArray) -> FloatArray:

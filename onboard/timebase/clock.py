@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.timebase.polygon import Moments, Polygon, box, clip, moments, shear, widen
+from onboard.timebase.polygon import Moments, Polygon, box, clip, moments, widen
 
 DRIFT_PER_S = 100e-6 / 60.0  # 100 ppm per minute: a gyro-referenced oscillator warming up
 CRYSTAL_DRIFT_PER_S = 1e-6 / 60.0
@@ -294,7 +294,7 @@ class DeviceClock:
         seconds = self._seconds(tick - view.tick)
         advance_ns = (tick - view.tick) * self.nominal_period_ns
         whole_ns = math.floor(advance_ns)
-        polygon = [(x + advance_ns - whole_ns, y) for x, y in shear(view.polygon, seconds)]
+        polygon = [(x + y * seconds + advance_ns - whole_ns, y) for x, y in view.polygon]
         drift = 1e9 * self._least_drift_per_s * self.LARGER[bound] * seconds
         if drift > 0.0:
             # the effect of a bounded drift on (offset, rate) lies in the sum of two segments: a steady drift, and one

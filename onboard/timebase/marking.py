@@ -318,8 +318,8 @@ class SyncSource(TickSource):
         began_ns = edge.latest_ns - place.dither_ns
         if self.clock.trusted:
             near = round(self.clock.tick_at(began_ns))
-            known = [t for t, counter, _ in self._recent if t == near and self._fits(counter, place)]
-            return known[0] if known else None
+            at, counter = next(((t, counter) for t, counter, _ in reversed(self._recent) if t <= near), (None, 0))
+            return at if at == near and self._fits(counter, place) else None
         spacing_ns = _CYCLE_COUNTS * self.period_ns
         found = [
             (t, counter)

@@ -34,35 +34,35 @@ def box(x_low: float, x_high: float, y_low: float, y_high: float) -> Polygon:
 
 def clip(polygon: Polygon, a: float, b: float, c: float) -> Polygon:
     """The part of ``polygon`` with ``a x + b y <= c``, possibly empty (Sutherland and Hodgman, 1974)."""
-    kept: Polygon = []
     excess = [a * x + b * y - c for x, y in polygon]
-    for place, (here, there) in enumerate(zip(excess, excess[1:] + excess[:1], strict=True)):
-        p = polygon[place]
+    if max(excess) <= 0.0:
+        return polygon if len(polygon) > 2 else []
+    kept: Polygon = []
+    following = zip(polygon[1:] + polygon[:1], excess[1:] + excess[:1], strict=True)
+    for p, here, (q, there) in zip(polygon, excess, following, strict=True):
         if here <= 0.0:
             kept.append(p)
         if (here < 0.0 < there) or (there < 0.0 < here):
-            q = polygon[(place + 1) % len(polygon)]
             share = here / (here - there)
             kept.append((p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1])))
     return kept if len(kept) > 2 else []
 
 
-def shear(polygon: Polygon, seconds: float) -> Polygon:
-    """Propagated by ``seconds``: ``x + y seconds``."""
-    return [(x + y * seconds, y) for x, y in polygon]
-
-
 def widen(polygon: Polygon, x: float, y: float) -> Polygon:
     """Minkowski sum with the segment from (-x, -y) to (x, y)."""
-    sides = zip([polygon[-1], *polygon], polygon, strict=False)
-    facing = [(by - ay) * x - (bx - ax) * y for (ax, ay), (bx, by) in sides]  # outward normals projected on the segment
+    facing: list[float] = []  # outward normals projected on the segment
+    ax, ay = polygon[-1]
+    for bx, by in polygon:
+        facing.append((by - ay) * x - (bx - ax) * y)
+        ax, ay = bx, by
     out = next((side > 0.0 for side in reversed(facing) if side != 0.0), True)
     wider: Polygon = []
     for (px, py), side, following in zip(polygon, facing, facing[1:] + facing[:1], strict=True):
-        out = out if side == 0.0 else side > 0.0
-        turned = out if following == 0.0 else following > 0.0
-        for forward in (out,) if turned is out else (out, turned):
-            wider.append((px + x, py + y) if forward else (px - x, py - y))
+        if side != 0.0:
+            out = side > 0.0
+        wider.append((px + x, py + y) if out else (px - x, py - y))
+        if following != 0.0 and (following > 0.0) is not out:
+            wider.append((px - x, py - y) if out else (px + x, py + y))
     return wider if len(wider) <= _MOST_VERTICES else _hull(wider)
 
 
@@ -106,15 +106,14 @@ def _hull(points: list[Point]) -> Polygon:
 
 def _chain(ordered: list[Point]) -> Polygon:
     chain: Polygon = []
-    for p in ordered:
-        while len(chain) > 1 and _turn(chain[-2], chain[-1], p) <= 0.0:
+    for x, y in ordered:
+        while len(chain) > 1:
+            (ax, ay), (bx, by) = chain[-2:]
+            if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:  # it turns to the left there
+                break
             chain.pop()
-        chain.append(p)
+        chain.append((x, y))
     return chain
-
-
-def _turn(a: Point, b: Point, c: Point) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _simplified(polygon: Polygon) -> Polygon:

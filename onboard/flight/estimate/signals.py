@@ -17,6 +17,7 @@ from onboard.devices.roles import SmoothedChannel, TrackerRole
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
+from onboard.flight.estimate.cyclic import Cyclic, cyclic_functions, cyclic_of
 from onboard.flight.estimate.history import History
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.stuck import Said, StuckWatch
@@ -35,17 +36,6 @@ class ChannelAtTicks(NamedTuple):
     refused: NDArray[np.int64]  # (n,) GateReason
     cyclic: FloatArray | None = None  # (n, derivatives, 2 x errors) smoothed cosine and sine of each cyclic error
     of_samples: tuple[FloatArray, ...] = ()  # each (n, columns): share of the noise's variance by independent samples
-
-
-def cyclic_functions(angle_rad: FloatArray, ripple: Sequence[tuple[float, float]]) -> FloatArray:
-    """Cosine and sine of each cyclic error of a joint's encoder, (n, 2 x errors).
-
-    Args:
-        angle_rad: of the joint, (n,).
-        ripple: see :class:`onboard.devices.roles.SmoothedChannel`.
-    """
-    turns = np.outer(angle_rad, [periods for periods, _ in ripple])
-    return np.stack([np.cos(turns), np.sin(turns)], axis=-1).reshape(len(angle_rad), -1)
 
 
 def kernel_of(vehicle: config.Vehicle) -> Kernel:
@@ -117,7 +107,10 @@ class SignalSmoother:
             if told is not None:
                 said.append((name, told))
             history.mark(before, GateReason.STUCK)
-            history.append(rows, values, reasons(~usable, GateReason.SATURATED) | reasons(stuck, GateReason.STUCK))
+            wrong = reasons(~usable, GateReason.SATURATED)
+            if stuck.any():
+                wrong |= reasons(stuck, GateReason.STUCK)
+            history.append(rows, values, wrong)
         return said
 
     def _continued(self, name: str, values: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
@@ -236,7 +229,7 @@ class SignalSmoother:
         if derivatives:
             self._ripple(group, out[1], sigma)
         of_samples /= np.maximum(sigma * sigma, _TINY)
-        found, column, cyclic = {}, 0, self._cyclic(group, window, derivatives)
+        found, column, cyclic = {}, 0, self._cyclic(group, values, window, derivatives)
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])
             refused, column = gaps, part.stop
@@ -255,34 +248,38 @@ class SignalSmoother:
             rate: of each, (n, columns) rad/s.
             sigma: (orders, n, columns), which changes.
         """
-        column, errors = 0, list[tuple[int, float, float]]()
-        for name, recent in group.items():
-            errors += [(column, *error) for error in self._signals[name].ripple]
-            column += recent.values.shape[1]
-        if not errors:
+        columns, periods, rms, _ = self._errors(group)
+        if not columns.size:
             return
-        columns, periods, rms = (np.array(part) for part in zip(*errors, strict=True))
         left = rms * CYCLIC_LEFT if self._cyclic_fitted else rms
         for order in range(len(sigma)):
             passed = left * self._response.gain(periods * rate[:, columns], order)
             for k, column in enumerate(columns.tolist()):
                 sigma[order, :, column] = np.hypot(sigma[order, :, column], passed[:, k])
 
+    def _errors(self, group: Mapping[str, "_Recent"]) -> Cyclic:
+        """Cyclic errors of a group's channels."""
+        ripples = tuple(self._signals[name].ripple for name in group)
+        return cyclic_of(ripples, tuple(recent.values.shape[1] for recent in group.values()))
+
     def _cyclic(
-        self, group: Mapping[str, "_Recent"], window: SmoothingWindow, derivatives: int
+        self, group: Mapping[str, "_Recent"], values: FloatArray, window: SmoothingWindow, derivatives: int
     ) -> dict[str, FloatArray]:
-        """Functions of the cyclic errors of the channels that have some, see :class:`ChannelAtTicks`."""
-        each = {
-            name: cyclic_functions(recent.values[:, 0], ripple)
-            for name, recent in group.items()
-            if derivatives and self._cyclic_fitted and (ripple := self._signals[name].ripple)
-        }
-        if not each:
+        """Functions of the cyclic errors of the channels that have some, see :class:`ChannelAtTicks`.
+
+        Args:
+            group: the channels.
+            values: of each, beside each other, (k, columns).
+            window: of their samples.
+            derivatives: that are wanted.
+        """
+        columns, periods, _, ends = self._errors(group)
+        if not (derivatives and self._cyclic_fitted and columns.size):
             return {}
-        smoothed = window.derivatives(np.hstack(list(each.values())), range(derivatives + 1))
+        smoothed = window.derivatives(cyclic_functions(values[:, columns] * periods), range(derivatives + 1))
         functions = np.stack([one.values for one in smoothed], axis=1)
-        ends = np.cumsum([one.shape[1] for one in each.values()])[:-1]
-        return dict(zip(each, np.split(functions, ends, axis=2), strict=True))
+        parts = zip(group, [0, *ends], ends, strict=False)
+        return {name: functions[:, :, 2 * first : 2 * last] for name, first, last in parts if last > first}
 
     def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> ChannelAtTicks:
         channel, recent = self._signals[name], self._recent(name, timebase, at_ns)
@@ -296,24 +293,29 @@ class SignalSmoother:
         at_s, half_s = (at_ns - at_ns[0]) * 1e-9, 0.5e-9 * period_ns
         refused = np.zeros(n, np.int64)
         delays_s, noise = np.array(channel.delays_s), channel.inflation * np.array(channel.noise)
-        for delay_s in dict.fromkeys(channel.delays_s):
-            mine = delays_s == delay_s
-            t = recent.times_s - delay_s
-            low, high = np.searchsorted(t, at_s - half_s), np.searchsorted(t, at_s + half_s)
-            refused |= reasons(high - low <= half_s / channel.period_s, GateReason.GAP)
-            for reason, count in unusable.items():
-                refused |= reasons(count[high] > count[low], reason)
-            index = low[:, None] + np.arange(int((high - low).max(initial=1)))
-            under = index < high[:, None]
-            index = np.minimum(index, len(t) - 1)
-            samples = np.maximum(under.sum(axis=1, keepdims=True), 1)
-            offset_s = np.where(under, t[index] - at_s[:, None], 0.0)  # (n, l)
-            middle_s = offset_s.sum(axis=1, keepdims=True) / samples
-            away_s = np.where(under, offset_s - middle_s, 0.0)
-            spread = np.maximum((away_s * away_s).sum(axis=1, keepdims=True), _TINY)
-            weights = np.where(under, 1.0 / samples, 0.0) - middle_s * away_s / spread
-            values[:, mine] = (weights[:, None] @ recent.values[index][:, :, mine])[:, 0]
-            sigma[:, mine] = noise[mine] * np.sqrt((weights * weights).sum(axis=1, keepdims=True))
+        each_s = list(dict.fromkeys(channel.delays_s))
+        times_s = recent.times_s - np.array(each_s)[:, None]  # (d, k)
+        low, high = (
+            np.array([np.searchsorted(t, at_s + side) for t in times_s])[..., None] for side in (-half_s, half_s)
+        )  # (d, n, 1)
+        refused |= reasons((high - low <= half_s / channel.period_s).any(axis=0)[:, 0], GateReason.GAP)
+        for reason, count in unusable.items():
+            refused |= reasons((count[high] > count[low]).any(axis=0)[:, 0], reason)
+        index = low + np.arange(int((high - low).max(initial=1)))  # (d, n, l)
+        under = index < high
+        index = np.minimum(index, times_s.shape[1] - 1)
+        samples = np.maximum(high - low, 1)
+        offset_s = np.where(under, np.take_along_axis(times_s[:, None], index, axis=2) - at_s[:, None], 0.0)
+        middle_s = offset_s.sum(axis=2, keepdims=True) / samples
+        away_s = np.where(under, offset_s - middle_s, 0.0)
+        spread = np.maximum((away_s * away_s).sum(axis=2, keepdims=True), _TINY)
+        weights = np.where(under, 1.0 / samples, 0.0) - middle_s * away_s / spread
+        spreads = np.sqrt((weights * weights).sum(axis=2, keepdims=True))
+        for k, delay_s in enumerate(each_s):
+            mine = _contiguous(delays_s == delay_s)
+            under_it = recent.values.T[mine].take(index[k], axis=1)  # (columns, n, l)
+            values[:, mine] = (weights[k, :, None] @ under_it.transpose(1, 2, 0))[:, 0]
+            sigma[:, mine] = noise[mine] * spreads[k]
         values[refused != 0] = sigma[refused != 0] = np.nan
         return ChannelAtTicks((values,), (sigma,), refused, of_samples=(np.ones_like(values),))
 
@@ -330,6 +332,13 @@ class _Recent(NamedTuple):
     def is_with(self, other: "_Recent") -> bool:
         """Whether both were sampled at the same times, as well known."""
         return self[3:] == other[3:] and np.array_equal(self.times_s, other.times_s)
+
+
+def _contiguous(which: NDArray[np.bool_]) -> slice | NDArray[np.bool_]:
+    """Columns as a slice, where they lie beside each other."""
+    at = np.flatnonzero(which)
+    together = slice(int(at[0]), int(at[-1]) + 1)
+    return together if together.stop - together.start == len(at) else which
 
 
 def _reasons_in(wrong: NDArray[np.int64]) -> Iterable[GateReason]:

@@ -49,16 +49,10 @@ class StuckWatch:
         if self._readings is None:
             self._readings = StuckReadings(len(self._signal.noise), _longest(self._signal, rows[0]))
         raw = np.hstack([rows["gyro_raw"], rows["accel_raw"]]) if not self._signal.si else rows["value_raw"][:, None]
-        numbers = rows["sequence"].astype(np.int64)
-        follows = np.empty(len(numbers), np.bool_)
-        follows[0] = self._sequence is None or numbers[0] - self._sequence == 1
-        np.equal(numbers[1:] - numbers[:-1], 1, out=follows[1:])
-        follows &= (rows["status"] & SampleStatus.AFTER_RESET) == 0
-        self._sequence = int(numbers[-1])
         stuck, before = np.zeros(len(rows), np.bool_), NONE
-        starts = [0, *(np.flatnonzero(~follows[1:]) + 1).tolist(), len(rows)]
-        for first, last in itertools.pairwise(starts):
-            if not follows[first]:
+        starts = self._starts(rows)
+        for first, last in itertools.pairwise(sorted({0, *starts, len(rows)})):
+            if first in starts:
                 self._readings.forget()
             stuck[first:last], reaching = self._readings.watch(raw[first:last].astype(np.float64), usable[first:last])
             begin, end = first + reaching.start, first + reaching.stop
@@ -66,6 +60,16 @@ class StuckWatch:
             if begin < min(end, 0):
                 before = slice(begin, min(end, 0))
         return stuck, before, self._say(raw, stuck, before != NONE)
+
+    def _starts(self, rows: Rows) -> list[int]:
+        """Which rows do not follow on the one before."""
+        numbers, last = rows["sequence"].astype(np.int64), self._sequence
+        self._sequence = int(numbers[-1])
+        resets = (rows["status"] & SampleStatus.AFTER_RESET) != 0
+        begins = int(numbers[0]) - 1 if last is None else last
+        if self._sequence - begins == len(rows) and not resets.any():  # they ascend
+            return []
+        return np.flatnonzero((np.diff(numbers, prepend=begins) != 1) | resets).tolist()
 
     def _say(self, raw: NDArray[np.generic], stuck: NDArray[np.bool_], before: bool) -> Said | None:
         if stuck.any() or before:

@@ -49,10 +49,10 @@ class Temperatures:
         good = rows[(rows["status"] & SampleStatus.NOT_VALID) == 0]
         if not len(good):
             return
-        kelvin = self._kelvin_per_count * float(np.median(good["temperature_raw"]))
+        kelvin = self._kelvin_per_count * _median(good["temperature_raw"])
         self._first = kelvin if self._first is None else self._first
         if abs(kelvin - self._first) < _PLAUSIBLE_K:
-            self._times_ns = np.append(self._times_ns, float(np.median(good["host_ns"])))[-_STEPS:]
+            self._times_ns = np.append(self._times_ns, _median(good["host_ns"]))[-_STEPS:]
             self._values = np.append(self._values, kelvin - self._first)[-_STEPS:]
 
     def noted(self, findings: Findings) -> Findings:
@@ -180,3 +180,9 @@ class Zeroing:
         unsure = scatter * self._together / (spread_k + ridge)
         away_k = kelvin - mean_k
         return mean + slope * away_k, np.sqrt(scatter + unsure * away_k**2)
+
+
+def _median(values: NDArray[np.integer]) -> float:
+    """Median of some, (n,); NumPy's takes ten times as long for a hundred."""
+    ordered = np.sort(values)
+    return 0.5 * (float(ordered[(len(ordered) - 1) // 2]) + float(ordered[len(ordered) // 2]))

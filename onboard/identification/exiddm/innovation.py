@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
@@ -64,7 +64,11 @@ class Innovations:
             if isinstance(one, FurtherCell) and one.friction is not None
         }
         self._common = {  # scales of an IMU's axes, of gyro and accelerometer
-            k: [[at for at in predictor.of_each[k] if predictor.names[at].startswith(kind)] for kind in _SCALES]
+            k: [
+                np.array(at)
+                for kind in _SCALES
+                if (at := [at for at in predictor.of_each[k] if predictor.names[at].startswith(kind)])
+            ]
             for k in range(len(predictor.imu_frames))
         }
 
@@ -78,14 +82,20 @@ class Innovations:
             covariance: of the state, (p, p).
         """
         rows, p = self._fusion.rows(order, len(there)), len(covariance)
-        r = np.where(there, (batch.measured - batch.predicted.values) / batch.sigma, 0.0).ravel()[rows]
-        H = np.where(there[..., None], batch.predicted.jacobian / batch.sigma[..., None], 0.0)
-        H = H.reshape(r.size, -1)[rows]
-        HP = H @ covariance
+        r, H = (
+            (batch.measured - batch.predicted.values) / batch.sigma,
+            batch.predicted.jacobian / batch.sigma[..., None],
+        )
+        if not there.all():
+            r[~there], H[~there] = 0.0, 0.0
+        H = H.reshape(r.size, p)[rows]
+        known = np.empty((r.size, p + 1 + self._scales.size))
+        HP = np.matmul(H, covariance, out=known[:, :p])
+        known[:, p], known[:, p + 1 :] = r.ravel()[rows], H[:, self._scales]
         S = HP @ H.T
         S.flat[:: len(S) + 1] += 1.0
         L = np.asarray(np.linalg.cholesky(S), np.float64)
-        solved = solve_triangular(L, np.column_stack([HP, r, H[:, self._scales]]), lower=True, check_finite=False)
+        solved = dtrtrs(L.T, known, lower=False, trans=True)[0]
         return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
 
     def agreeing(
@@ -141,7 +151,7 @@ class Innovations:
                 continue
             moved = predictor.stated[own]
             if k in self.cells:
-                moved = told(moved**2, np.diag(covariance)[own])
+                moved = told(moved**2, covariance[own, own])
             beyond = (np.abs(state[own]) > FARTHEST * moved).any() or self._drives(k, state, covariance)
             if beyond or self._off_together(k, state, covariance):
                 return Accusation(k, 0, for_good=True)
@@ -149,14 +159,14 @@ class Innovations:
 
     def _drives(self, torque: int, state: FloatArray, covariance: FloatArray) -> bool:
         """Whether the friction or the rotor's inertia of a joint's torque is negative by more than chance."""
-        at = self._friction.get(torque, [])
-        return bool((state[at] < -FARTHEST * np.sqrt(np.diag(covariance)[at])).any())
+        at = self._friction.get(torque)
+        return at is not None and bool((state[at] < -FARTHEST * np.sqrt(covariance[at, at])).any())
 
     def _off_together(self, imu: int, state: FloatArray, covariance: FloatArray) -> bool:
         """Whether the mean scale of the axes of an IMU's gyro or accelerometer is corrected by more than chance."""
         for at in self._common.get(imu, ()):
-            moved = told(np.sum(self._predictor.sigma[at] ** 2), covariance[np.ix_(at, at)].sum())
-            if at and abs(float(state[at].sum())) > FARTHEST * moved:
+            moved = told(np.sum(self._predictor.sigma[at] ** 2), covariance[at[:, None], at].sum())
+            if abs(float(state[at].sum())) > FARTHEST * moved:
                 return True
         return False
 

@@ -61,6 +61,7 @@ class SlowPower:
         self._window = self._since = np.zeros(2), 0  # squares by sensor, degrees of freedom of each
         self._recent = deque[FloatArray](maxlen=_RECENT_SUMS)
         self._sum, self._summed, self._ticks = np.zeros(_CHANNELS), 0, 0
+        self._ratios: list[tuple[str, float, float]] | None = None  # sensor, mean power and its chance; None: not told
 
     def begin(self, residual: FloatArray) -> None:
         """The filter goes on from a window: its whitened residuals, gyro then accelerometer, (n, 6)."""
@@ -68,7 +69,7 @@ class SlowPower:
         power = np.abs(np.fft.rfft(np.nan_to_num(residual), axis=0)) ** 2 / len(residual)
         bins = int(_SLOW_Hz * len(residual) * self._period_s)
         slow = 2.0 * power[1 : 1 + bins].reshape(-1, 2, 3).sum(axis=(0, 2))
-        self._window = slow, 6 * min(bins, len(power) - 1)
+        self._window, self._ratios = (slow, 6 * min(bins, len(power) - 1)), None
 
     def add(self, innovation: FloatArray, ticks: int) -> None:
         """Take in a batch: the innovations of the ticks that were used, (u, 6), of so many."""
@@ -80,16 +81,23 @@ class SlowPower:
             squares = (self._sum**2 / self._summed).reshape(2, 3).sum(axis=1)
             self._since = self._since[0] + squares, self._since[1] + 3
             self._recent.append(squares)
+            self._ratios = None
         self._sum, self._summed, self._ticks = np.zeros(_CHANNELS), 0, 0
 
     def by_sensor(self, chance: float) -> dict[str, float]:
         """Of those whose power is less probable than ``chance``: its mean, 1 for white noise."""
-        recent = np.sum([np.zeros(2), *self._recent], axis=0), 3 * len(self._recent)
+        if self._ratios is None:
+            recent = np.sum([np.zeros(2), *self._recent], axis=0), 3 * len(self._recent)
+            self._ratios = [
+                (name, total / freedom, float(chdtrc(freedom, total)))
+                for squares, freedom in (self._window, self._since, recent)
+                for name, total in zip(_SENSORS, squares.tolist(), strict=True)
+                if freedom
+            ]
         found: dict[str, float] = {}
-        for squares, freedom in (self._window, self._since, recent):
-            for name, total in zip(_SENSORS, squares.tolist(), strict=True):
-                if freedom and chdtrc(freedom, total) < chance:
-                    found[name] = max(found.get(name, 0.0), total / freedom)
+        for name, ratio, chance_of in self._ratios:
+            if chance_of < chance:
+                found[name] = max(found.get(name, 0.0), ratio)
         return found
 
 

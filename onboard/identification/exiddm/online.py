@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cholesky
+from scipy.linalg.lapack import dpotrf
 from scipy.special import ndtri
 
 from onboard.dynamics.errors import SignalError
@@ -14,11 +14,12 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
-from onboard.identification.corrections import DOUBTFUL, Together, contradicted, together, told, too_large
+from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
 from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
+from onboard.identification.exiddm.held_against import HeldAgainst, Told
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm
 from onboard.identification.exiddm.ticks import Ticks, ticks_of
@@ -92,7 +93,7 @@ class ExiddmIdentifier:
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
         self._captured = CapturedBody(exiddm)
-        self._held_against: tuple[FloatArray, IndexArray, Together] | None = None  # covariance, which corrections
+        self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion)
         self._attached: bool | None = None
         self._told = 0
         self._ended = True  # or what the flight's end left to be solved was given up
@@ -207,7 +208,7 @@ class ExiddmIdentifier:
         out = np.zeros((11, 11))
         if self._answers and self.exiddm.state is not None:
             mean, P = self._payload(self.exiddm.state)
-            R = cholesky(np.linalg.inv(P))
+            R = dpotrf(np.linalg.inv(P))[0]
             out[:10, :10], out[:10, 10] = R, R @ mean
         return out
 
@@ -218,7 +219,7 @@ class ExiddmIdentifier:
         predictor, fusion, state = self.exiddm.predictor, self.exiddm.fusion, self.exiddm.state
         if state is None:
             return Findings()
-        known, names, stated = self._known().tolist(), predictor.names, predictor.stated
+        names, found = predictor.names, self._held_against(state)
         slow = self.exiddm.lines.slow
         each = {
             **self.exiddm.misfit.by_instrument(),
@@ -236,10 +237,9 @@ class ExiddmIdentifier:
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
         if line := self.exiddm.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
-        against = too_large(dict(zip((names[k] for k in known), (state[known] / stated[known]).tolist(), strict=True)))
-        at_once = self._at_once(state)
-        moved = (*contradicted(self._by_the_data(state)), *at_once.refused())
-        doubts += [*at_once.doubted(), *([] if self._ended else [_GIVEN_UP])]
+        against = too_large(dict(zip((names[k] for k in found.known.tolist()), found.in_stated.tolist(), strict=True)))
+        moved = (*contradicted(self._by_the_data(state)), *found.at_once.refused())
+        doubts += [*found.at_once.doubted(), *([] if self._ended else [_GIVEN_UP])]
         if not self._is_determined(state):  # far from it the linear test of what the data tell is not exact
             doubts, moved = [*doubts, *moved], ()
         return Findings((*swaying, *moved, *against), tuple(doubts))
@@ -249,43 +249,21 @@ class ExiddmIdentifier:
         sigma = float(np.sqrt(self.exiddm.covariance[PAYLOAD.start, PAYLOAD.start]))
         return not self.exiddm.held or sigma < DETERMINED * float(state[PAYLOAD.start])
 
-    def _known(self) -> IndexArray:
-        """Corrections with a stated sigma, of what is in use."""
-        predictor = self.exiddm.predictor
-        known = np.isfinite(predictor.stated) & (predictor.stated > 0.0)
-        for k in self.exiddm.fusion.left_out:
-            known[predictor.of_each[k]] = False
-        return np.flatnonzero(known)
+    def _held_against(self, state: FloatArray) -> Told:
+        """The corrections in a state, (p,), held against what is stated of them."""
+        return self._corrections.of(state, self.exiddm.covariance)
 
     def _by_the_data(self, state: FloatArray) -> dict[str, float]:
         """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
-        names, at, sigmas = self.exiddm.predictor.names, *self._told_apart(state)
-        return dict(zip((names[k] for k in at.tolist()), sigmas.tolist(), strict=True))
-
-    def _told_apart(self, state: FloatArray) -> tuple[IndexArray, FloatArray]:
-        """Where the corrections of :meth:`_by_the_data` stand in the state, and their sizes."""
-        predictor = self.exiddm.predictor
-        steady = np.ones(len(state), np.bool_)
-        steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
-        at = self._known()
-        at = at[steady[at]]
-        sigmas = state[at] / told(predictor.stated[at] ** 2, np.diag(self.exiddm.covariance)[at])
-        return at, sigmas
-
-    def _at_once(self, state: FloatArray) -> Together:
-        """All corrections of :meth:`_by_the_data` together."""
-        P, at = self.exiddm.covariance, self._told_apart(state)[0]
-        known = self._held_against
-        if known is None or known[0] is not P or not np.array_equal(known[1], at):
-            stated = self.exiddm.predictor.stated[at]
-            known = P, at, together(state[at] / stated, P[np.ix_(at, at)] / np.outer(stated, stated))
-            self._held_against = known
-        return known[2]
+        names, found = self.exiddm.predictor.names, self._held_against(state)
+        return dict(zip((names[k] for k in found.steady.tolist()), found.in_told.tolist(), strict=True))
 
     def _of_trackers(self, state: FloatArray) -> list[str]:
         """What the data say against a tracker that is used, before it is enough to do without it."""
         ends = tuple(f"_{one.name}" for one in self.further if isinstance(one, FurtherPose))
-        off = {name: abs(one) for name, one in self._by_the_data(state).items() if ends and name.endswith(ends)}
+        if not ends:
+            return []
+        off = {name: abs(one) for name, one in self._by_the_data(state).items() if name.endswith(ends)}
         return [f"{name} is {one:.1f} sigmas off" for name, one in off.items() if one > DOUBTFUL]
 
     def _refusal(self) -> str:
@@ -323,8 +301,9 @@ class ExiddmIdentifier:
         line, P = self.exiddm.lines.strongest, self.exiddm.covariance
         misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
         misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(_SLOW_CHANCE).values()])
-        worst = float(np.abs(self._told_apart(state)[1]).max(initial=0.0))
-        misfit = max(misfit, (worst / DOUBTFUL) ** 2, self._at_once(state).widening)
+        found = self._held_against(state)
+        worst = float(np.abs(found.in_told).max(initial=0.0))
+        misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
         mean, covariance = state[PAYLOAD], P[PAYLOAD, PAYLOAD]
         if (at := self._doubted()).size:
             taken = np.diag(self.exiddm.predictor.sigma[at] ** 2 / (1.0 - _DOUBTED**-2))

@@ -8,6 +8,7 @@ import pytest
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian, body_of
 from onboard.identification.corrections import contradicted, told
+from onboard.identification.exiddm import held_against
 from onboard.identification.exiddm.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
@@ -98,16 +99,16 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     online = ExiddmIdentifier(
         SimpleNamespace(predictor=predictor, fusion=fusion, covariance=covariance, lines=quiet, misfit=quiet)
     )
-    np.testing.assert_allclose(online._payload(state)[1], 4.0 * covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(state.copy())[1], 4.0 * covariance[PAYLOAD, PAYLOAD])
     predictor.wandering = [(13, 30.0)]
-    np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(state.copy())[1], covariance[PAYLOAD, PAYLOAD])
     predictor.wandering, predictor.biases = [], [(12, 13)]
-    np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(state.copy())[1], covariance[PAYLOAD, PAYLOAD])
     predictor.biases = []
     fusion.leave_out(2)
-    np.testing.assert_allclose(online._payload(state)[1], covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(state.copy())[1], covariance[PAYLOAD, PAYLOAD])
     quiet.slow.by_sensor = lambda _: {"gyro": 6.5, "accelerometer": 2.0}
-    np.testing.assert_allclose(online._payload(state)[1], 6.5 * covariance[PAYLOAD, PAYLOAD])
+    np.testing.assert_allclose(online._payload(state.copy())[1], 6.5 * covariance[PAYLOAD, PAYLOAD])
 
 
 def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIdentifier:
@@ -183,3 +184,22 @@ def test_instruments_without_either_of_which_a_window_is_explained_are_named_bef
     assert "the gyro swings at 2 Hz" in refused.findings().against[0]
     unexplained.between = both
     assert refused.findings().against == (both,)
+
+
+def test_corrections_are_held_against_what_is_stated_once_for_each_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    mean = np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
+    online, asked = unsure(mean, np.full(10, 1e-3), moved=6.0), []
+    counted = held_against.together
+    monkeypatch.setattr(held_against, "together", lambda *given: asked.append(1) or counted(*given))
+    exiddm = online.exiddm
+    assert online.findings().against
+    online.estimate()
+    online.triangle()
+    assert len(asked) == 1
+    exiddm.state, exiddm.covariance = np.where(np.arange(14) == 13, 0.0, exiddm.state), exiddm.covariance.copy()
+    assert not online.findings().against
+    assert len(asked) == 2
+    exiddm.fusion.left_out.append(0)
+    online.findings()
+    online.estimate()
+    assert len(asked) == 3

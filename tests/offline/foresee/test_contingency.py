@@ -14,10 +14,11 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.smoothing import SmoothingWindow
+from onboard.flight.estimate.cyclic import cyclic_functions
 from onboard.flight.estimate.exiddm_priors import exiddm_prior
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.flight.estimate.roles import roles_of
-from onboard.flight.estimate.signals import cyclic_functions, kernel_of
+from onboard.flight.estimate.signals import kernel_of
 from onboard.identification.exiddm.free_base import free_exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.verdict import Level
@@ -124,7 +125,7 @@ def test_cyclic_errors_of_a_plan_are_smoothed_as_in_flight():
     width_s, rate_rad_s = vehicle.file.estimation.smoothing_ms * 1e-3, -0.13
     times_s = np.arange(-200, 201) * signal.period_s
     window = SmoothingWindow(times_s, [0.0], width_s, 3.5 * signal.period_s, kernel_of(vehicle))
-    functions = cyclic_functions(0.4 + rate_rad_s * times_s, signal.ripple)
+    functions = cyclic_functions(np.outer(0.4 + rate_rad_s * times_s, [periods for periods, _ in signal.ripple]))
     wanted = np.stack([window.apply(functions, order).values[0] for order in range(3)])
     at = [joint.name for joint in model.joints].index("joint_2")
     q, dq = np.zeros((2, 1, len(model.joints)))

@@ -1,0 +1,54 @@
+"""A filter's corrections held against what is stated of them, once for each state of the filter."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.identification.corrections import Together, together, told
+from onboard.identification.exiddm.fusion import Fusion
+from onboard.identification.exiddm.imu_prediction import ImuPredictor
+
+
+class Told(NamedTuple):
+    """Corrections of what is in use, in two measures."""
+
+    known: IndexArray  # places in the state of those with a stated sigma
+    in_stated: FloatArray  # their sizes in these
+    steady: IndexArray  # places of those that do not change during the flight
+    in_told: FloatArray  # their sizes in sigmas of what the data tell of each
+    at_once: Together  # all of these
+
+
+class HeldAgainst:
+    """Holds the corrections against what is stated.
+
+    Args:
+        predictor: states it.
+        fusion: what is in use.
+    """
+
+    def __init__(self, predictor: ImuPredictor, fusion: Fusion) -> None:
+        self._predictor, self._fusion = predictor, fusion
+        self._of: tuple[FloatArray, FloatArray, list[int]] | None = None
+        self._told: Told | None = None
+
+    def of(self, state: FloatArray, covariance: FloatArray) -> Told:
+        """The corrections in a state, (p,), with its covariance, (p, p)."""
+        left_out, of = self._fusion.left_out, self._of
+        if self._told is None or of is None or of[0] is not state or of[1] is not covariance or of[2] != left_out:
+            self._of, self._told = (state, covariance, [*left_out]), self._hold(state, covariance)
+        return self._told
+
+    def _hold(self, state: FloatArray, covariance: FloatArray) -> Told:
+        predictor, stated = self._predictor, self._predictor.stated
+        known = np.isfinite(stated) & (stated > 0.0)
+        for k in self._fusion.left_out:
+            known[predictor.of_each[k]] = False
+        steady = known.copy()
+        steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
+        every, at = np.flatnonzero(known), np.flatnonzero(steady)
+        sigma, P = stated[at], covariance[np.ix_(at, at)]
+        in_told = state[at] / told(sigma**2, np.diag(P))
+        in_all = together(state[at] / sigma, P / np.outer(sigma, sigma))
+        return Told(every, state[every] / stated[every], at, in_told, in_all)
