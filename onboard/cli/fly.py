@@ -81,10 +81,13 @@ def _fly(arguments: argparse.Namespace) -> int:
     vehicle = with_hand_over(vehicle.with_urls(urls), arguments.hand_over)
     try:
         with (
+            runner.Servers(vehicle, shared=True) as servers,  # before there are threads
             messages.spoken(quiet=arguments.quiet, json_lines=arguments.json_lines) as status_s,
             serve_live(arguments.live, log),
         ):
-            flight = runner.fly(vehicle, log, duration_s=arguments.duration, status_s=status_s, plan=plan)
+            flight = runner.fly(
+                vehicle, log, duration_s=arguments.duration, status_s=status_s, plan=plan, servers=servers
+            )
     except FlightError as error:
         complain(error)
         return FAILED

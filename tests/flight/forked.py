@@ -32,6 +32,11 @@ def fail(pipe: Connection) -> None:
     raise OSError("no space left on device")
 
 
+def refuse(pipe: Connection) -> None:
+    """End with a sentence."""
+    raise SystemExit("why it cannot go on")
+
+
 def answer(pipe: Connection) -> None:
     """Say that it is at work, and end when told to."""
     pipe.send(True)

@@ -58,13 +58,14 @@ def fly(
     ready: Callable[[], None] = lambda: None,
     enough: Callable[[float], bool] = lambda _: False,
     plan: Plan | None = None,
+    servers: "Servers | None" = None,
 ) -> Flight:
     """Fly until the mission's end phase, ``duration_s``, ``enough``, SIGINT or SIGTERM; then stop in order.
 
     Nothing is lost then. What happens is said to the logger ``heft``, and every ``status_s`` how the flight stands. A
     flight that is refused leaves nothing behind. ``ready`` is called when all is at work but acquisition, which opens
     the buses after it. With a ``plan`` of it the flight leaves a checkpoint, from which the start after a loss of power
-    goes on.
+    goes on. ``servers`` are of this vehicle, and closed in the end.
 
     Raises:
         FlightError: a worker did not start.
@@ -72,8 +73,8 @@ def fly(
         FileExistsError: there is such a log already.
         OSError: the log's directory or the rings cannot be made.
     """
-    with _Servers(vehicle) as servers:
-        return _flight(vehicle, log, servers, duration_s, _Listeners(progress, ready, enough, status_s, plan))
+    with servers or Servers(vehicle) as its:
+        return _flight(vehicle, log, its, duration_s, _Listeners(progress, ready, enough, status_s, plan))
 
 
 def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> Plan:
@@ -85,7 +86,7 @@ def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> P
 def _flight(
     vehicle: config.Vehicle,
     log: Path,
-    servers: "_Servers",
+    servers: "Servers",
     duration_s: float | None,
     listeners: "_Listeners",
 ) -> Flight:
@@ -132,11 +133,16 @@ class _Listeners(NamedTuple):
     plan: Plan | None = None
 
 
-class _Servers:
-    """The fork servers of a flight."""
+class Servers:
+    """The fork servers of a flight.
 
-    def __init__(self, vehicle: config.Vehicle) -> None:
-        self.light = ForkServer()
+    Args:
+        vehicle: what flies.
+        shared: see :class:`onboard.flight.supervise.runner_forks.ForkServer`.
+    """
+
+    def __init__(self, vehicle: config.Vehicle, *, shared: bool = False) -> None:
+        self.light = ForkServer(shared=shared)
         self.prepared = PreparedServer(self.light, workers.prepare_estimation, vehicle)
 
     def __enter__(self) -> Self:
@@ -170,7 +176,7 @@ class _Servers:
 class _Crew:
     """The workers of a flight."""
 
-    def __init__(self, vehicle: config.Vehicle, directory: Path, servers: _Servers) -> None:
+    def __init__(self, vehicle: config.Vehicle, directory: Path, servers: Servers) -> None:
         min_free = round(vehicle.file.recording.min_free_mib * MIB)
         wanted = realtime.settings(vehicle.file.realtime, "recording")
         light, prepared = servers.light, servers.prepared

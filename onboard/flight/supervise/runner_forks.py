@@ -1,9 +1,9 @@
 """Fork servers: processes that have imported and built what a worker needs, and fork it when they are asked.
 
-The first is an interpreter of its own, without threads; it has loaded what acquisition and recording need and neither
-Pinocchio nor an estimator. Another is forked from it, builds the estimator and forks the processes of estimation. They
-share the memory of what was imported. A forked process waits to be told to begin, so that there is a spare of each
-worker: a fork takes 30 to 250 ms on a computer at load 10.
+The first has no threads; it has loaded what acquisition and recording need, and no model of the vehicle. It is forked
+from the supervisor where that has no threads yet, else an interpreter of its own. Another is forked from it, builds the
+estimator and forks the processes of estimation. They share the memory of what was imported. A forked process waits to
+be told to begin, so that there is a spare of each worker: a fork takes 30 to 250 ms on a computer at load 10.
 
 The supervisor is made the one that adopts orphans (``PR_SET_CHILD_SUBREAPER``), and each worker is forked twice: so it
 is the supervisor's child, which learns its exit code, and outlives the server that made it.
@@ -15,8 +15,9 @@ import gc
 import os
 import pkgutil
 import signal
-import subprocess
 import sys
+import threading
+import traceback
 from collections.abc import Callable
 from importlib import import_module
 from multiprocessing import Pipe
@@ -51,11 +52,17 @@ class Forked(NamedTuple):
 
 
 class ForkServer:
-    """The interpreter that forks workers, started again where it died."""
+    """The process that forks workers, started again where it died.
 
-    def __init__(self) -> None:
+    Args:
+        shared: it is forked from this process, if that has one thread, with all that is loaded here; one that takes its
+            place never is.
+    """
+
+    def __init__(self, *, shared: bool = False) -> None:
         adopt_orphans()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._shared = shared
+        self._pid: int | None = None
         self._control: Connection | None = None
         self.look()
 
@@ -75,20 +82,13 @@ class ForkServer:
 
     def look(self) -> bool:
         """Start it where it is not running; whether that was so. Does not wait for it."""
-        if self._process is not None and self._process.poll() is None:
+        if self._pid is not None and exit_code(self._pid) is None:
             return False
+        self._pid = None
         self.close()
         self._control, end = Pipe()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__, str(end.fileno())],
-            pass_fds=[end.fileno()],
-            stdin=subprocess.DEVNULL,
-            env={
-                "OPENBLAS_NUM_THREADS": "1",
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-            },
-        )
+        self._pid = _split(end) if self._shared and threading.active_count() == 1 else _interpreter(end)
+        self._shared = False
         end.close()
         return True
 
@@ -96,10 +96,9 @@ class ForkServer:
         """End it; the processes that it made go on."""
         if self._control is not None:
             self._control.close()
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._process = None
+        if self._pid is not None:
+            _end(self._pid)
+            self._pid = None
 
 
 class PreparedServer:
@@ -152,9 +151,7 @@ class PreparedServer:
         self._first = None
         if self._forked is not None:
             self._forked.pipe.close()
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self._forked.pid, signal.SIGKILL)
-            exit_code(self._forked.pid, wait=True)
+            _end(self._forked.pid)
             self._forked = None
 
 
@@ -170,6 +167,53 @@ def exit_code(pid: int, *, wait: bool = False) -> int | None:
     except ChildProcessError:
         return 0
     return os.waitstatus_to_exitcode(status) if ended else None
+
+
+def _end(pid: int) -> None:
+    """Kill a child, and wait for its end."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+    exit_code(pid, wait=True)
+
+
+def _interpreter(end: Connection) -> int:
+    """Start a server as an interpreter of its own; its process."""
+    environment = {
+        "OPENBLAS_NUM_THREADS": "1",
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+    }
+    os.set_inheritable(end.fileno(), True)
+    command = [sys.executable, "-m", __name__, str(end.fileno())]
+    no_input = (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)
+    return os.posix_spawn(sys.executable, command, environment, file_actions=[no_input])
+
+
+def _split(end: Connection) -> int:
+    """Fork a server from this process; it and all that it forks end in here. Its process."""
+    gc.collect()
+    gc.freeze()  # else collections write to what is shared
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    if pid := os.fork():
+        return pid
+    code = 1
+    try:
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        os.closerange(3, end.fileno())
+        os.closerange(end.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
+        _run(end)
+        code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+        if isinstance(ended.code, str):
+            sys.stderr.write(f"{ended.code}\n")
+    except BaseException:  # noqa: BLE001 - as an interpreter ends
+        traceback.print_exc()
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        os._exit(code)
 
 
 def _ask(control: Connection | None, body: Body, arguments: tuple[object, ...]) -> Forked:
@@ -246,11 +290,15 @@ def name_process(name: str) -> None:
 
 
 def main() -> None:
+    """A server that is an interpreter of its own."""
+    _run(Connection(int(sys.argv[1])))
+
+
+def _run(control: Connection) -> None:
     """The process of :class:`ForkServer`."""
     for number in (signal.SIGINT, signal.SIGTERM):  # a terminal's and a service's are the supervisor's to handle
         signal.signal(number, signal.SIG_IGN)
     name_process("forks")
-    control = Connection(int(sys.argv[1]))
     transports = import_module("drivers.transports")
     for found in pkgutil.iter_modules(transports.__path__, "drivers.transports."):
         with contextlib.suppress(ImportError):  # of a bus library that this computer does not have

@@ -104,16 +104,17 @@ def test_an_error_of_the_system_in_a_process_is_no_end_in_order(light: ForkServe
     assert exit_code(unneeded.pid, wait=True) == 0
 
 
-def test_a_server_ends_with_its_supervisor(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_server_ends_with_its_supervisor(*, shared: bool) -> None:
     program = (
         "import os\n"
         "from onboard.flight.supervise.runner_forks import ForkServer\n"
         "from tests.flight import forked\n"
-        "server = ForkServer()\n"
+        f"server = ForkServer(shared={shared})\n"
         "spare, used = (server.fork(forked.tell) for _ in range(2))\n"
         "used.pipe.send(True)\n"
         "used.pipe.recv()\n"
-        "print(spare.pid, used.pid, server._process.pid, flush=True)\n"
+        "print(spare.pid, used.pid, server._pid, flush=True)\n"
         "os.kill(os.getpid(), 9)\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -126,6 +127,44 @@ def test_a_server_ends_with_its_supervisor(tmp_path: Path) -> None:
     while any(is_alive(pid) for pid in left) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not [pid for pid in left if is_alive(pid)]
+
+
+def test_a_server_shares_what_is_loaded_where_there_is_one_thread_and_its_successor_does_not() -> None:
+    """What ends in a process that it forked ends there: the supervisor alone goes on, and its files are its own."""
+    program = (
+        "import os, signal, sys, threading, time\n"
+        "from onboard.flight.supervise.runner_forks import ForkServer, exit_code\n"
+        "from tests.flight import forked\n"
+        "sys.modules['scipy.stats'] = os  # as if it were loaded\n"
+        "held = open(os.devnull)\n"
+        "def loaded(server):\n"
+        "    process = server.fork(forked.tell)\n"
+        "    process.pipe.send(True)\n"
+        "    found = process.pipe.recv()[3]\n"
+        "    files = os.listdir(f'/proc/{process.pid}/fd')\n"
+        "    process.pipe.send(True)\n"
+        "    return found, exit_code(process.pid, wait=True), str(held.fileno()) in files\n"
+        "server = ForkServer(shared=True)\n"
+        "print(loaded(server))\n"
+        "failing = [server.fork(body) for body in (forked.fail, forked.refuse)]\n"
+        "for process in failing:\n"
+        "    process.pipe.send(True)\n"
+        "    print(exit_code(process.pid, wait=True))\n"
+        "os.kill(server._pid, signal.SIGKILL)\n"
+        "time.sleep(0.2)\n"
+        "print(loaded(server)[:2])\n"
+        "server.close()\n"
+        "threading.Thread(target=time.sleep, args=(2,), daemon=True).start()\n"
+        "print(loaded(ForkServer(shared=True))[:2])\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, env=environment, check=False
+    )
+    here, *others = done.stdout.splitlines()
+    assert (here, others) == ("(['scipy.stats'], 3, False)", ["1", "1", "([], 3)", "([], 3)"]), done.stderr
+    assert "OSError: no space left on device" in done.stderr
+    assert "why it cannot go on\n" in done.stderr
 
 
 def is_alive(pid: int) -> bool:
