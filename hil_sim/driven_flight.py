@@ -55,6 +55,11 @@ class DrivenFlight(Mission):
         assert isinstance(self.scenario, VehicleScenario)
         return DrivenPlant(self.scenario, self._rng("vehicle"))
 
+    def ask(self, segment: str) -> bool:
+        """See ``Mission``: the arm moves by its drives, which the flight computer commands itself."""
+        del segment
+        return True
+
     def attach(self, buses: Mapping[str, Bus], start_ns: int = VIRTUAL_START_NS) -> None:
         """See ``Mission``; the drives are on their bus too."""
         super().attach(buses, start_ns)

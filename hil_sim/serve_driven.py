@@ -1,12 +1,13 @@
 """A vehicle with servo drives in its joints and all of its sensors, in a process of its own, in real time.
 
-    python -m hil_sim.serve_driven VEHICLE.toml --directory DIR [--over SCENARIO] [--seed N] [--fault ...]
+    python -m hil_sim.serve_driven VEHICLE.toml --directory DIR [--over SCENARIO] [--segments NPZ] [--seed N] [...]
 
 What ``heft fly VEHICLE.toml --arm`` can be tried on, from the first set point to the answer: every cia402 device with
 ``driven = true`` is a servo drive, every other device what a rehearsal makes of it, and all of them feel one vehicle,
 which floats, slides or stands as its file says and holds its payload from the start. Joints stand where the motion of
-``[drive]`` begins, else where the scenario says. The first JSON line gives the URL of each bus; the last, on SIGTERM,
-SIGINT or after ``--seconds``, what is true and where each joint has been.
+``[drive]`` begins, else in the posture of the segments that the flight may ask for, else where the scenario says. The
+first JSON line gives the URL of each bus; the last, on SIGTERM, SIGINT or after ``--seconds``, what is true and where
+each joint has been.
 """
 
 import argparse
@@ -28,7 +29,9 @@ from hil_sim.serve import do_not_wait, motion_starts, open_sockets, say, stops_o
 _DEVICE = {"kind": "cia402", "driven": True}
 
 
-def world(path: Path, over: Path | None, seed: int, seconds: float, faults: Sequence[str] = ()) -> DrivenFlight:
+def world(
+    path: Path, over: Path | None, seed: int, seconds: float, faults: Sequence[str] = (), segments: Path | None = None
+) -> DrivenFlight:
     """The world of a vehicle file.
 
     Args:
@@ -37,6 +40,7 @@ def world(path: Path, over: Path | None, seed: int, seconds: float, faults: Sequ
         seed: of everything drawn.
         seconds: how long it is there.
         faults: ``KIND:DEVICE:START:END[:VALUE]``.
+        segments: motions that the flight computer may ask for, in place of those of ``[mission]``.
 
     Raises:
         ScenarioError: no driven joint, or something that cannot be simulated.
@@ -47,7 +51,9 @@ def world(path: Path, over: Path | None, seed: int, seconds: float, faults: Sequ
     wired = [_wired(name, one) for name, one in devices.items() if _DEVICE.items() <= one.items()]
     if not wired:
         raise ScenarioError(f"{path} has no cia402 device with driven = true; nothing could be driven")
-    lasts = {"sequence": [{"phase": 0, "action": "hold", "duration_s": seconds}], "motion": _starts(path, file)}
+    motion = _starts(path, file, segments)
+    action = "asked" if "segments" in motion else "hold"
+    lasts = {"sequence": [{"phase": 0, "action": action, "duration_s": seconds}], "motion": motion}
     scenario = rehearsal(path, over, lasts)
     return DrivenFlight(scenario, seed, wired, devices[wired[0].name]["bus"], [parse(text) for text in faults])
 
@@ -57,10 +63,13 @@ def _wired(name: str, device: dict[str, Any]) -> Wired:
     return Wired(name, device["joint"], device["node"], int(counts), int(zero), reverse, device.get("gear_ratio", 1.0))
 
 
-def _starts(path: Path, file: dict[str, Any]) -> dict[str, Any]:
-    """``[motion]`` of joints that stand where that of ``[drive]`` begins."""
-    posture = motion_starts(path, file)
-    return {"posture": posture, "posture_spread": 0.0} if posture else {}
+def _starts(path: Path, file: dict[str, Any], segments: Path | None) -> dict[str, Any]:
+    """``[motion]`` of joints that stand where what their drives will play begins."""
+    posture, named = motion_starts(path, file), file.get("mission", {}).get("segments")
+    if posture:
+        return {"posture": posture, "posture_spread": 0.0}
+    asked = segments or (path.parent / named if named else None)
+    return {} if asked is None else {"segments": str(asked)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,13 +77,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m hil_sim.serve_driven", description="Serve a driven vehicle.")
     parser.add_argument("vehicle", type=Path, help="vehicle.toml")
     parser.add_argument("--over", type=Path, help="a scenario file whose tables lie over its rehearsal's")
+    parser.add_argument(
+        "--segments", type=Path, help="motions that the flight may ask for; joints stand in their posture"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
     parser.add_argument("--directory", type=Path, required=True, help="where terminals and sockets are to be")
     parser.add_argument("--fault", action="append", default=[], help="KIND:DEVICE:START:END[:VALUE], repeatable")
     parser.add_argument("--seconds", type=float, default=600.0, help="how long it is there (default 600)")
     options = parser.parse_args(arguments)
     try:
-        mission = world(options.vehicle, options.over, options.seed, options.seconds, options.fault)
+        mission = world(options.vehicle, options.over, options.seed, options.seconds, options.fault, options.segments)
     except (OSError, ValueError, KeyError) as error:
         parser.error(f"{options.vehicle}: {error}")
     stops = stops_on_signals()

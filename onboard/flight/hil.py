@@ -101,7 +101,7 @@ def fly_simulated(
         answers = create_rings(directory, estimator)
         opened = open_devices(flying, clock)
         stack.callback(opened.close)
-        arming = Arming(flying) if flying.arm else None
+        arming = Arming(flying, directory) if flying.arm else None
         acquisition = Acquisition(opened.devices, Publisher(devices), arming, undisturbed=world.undisturbed)
         acquisition.report(opened.problems)
         for bus in flying.buses:

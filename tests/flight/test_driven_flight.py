@@ -78,6 +78,26 @@ def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path, torque: 
     assert (np.ptp(gyro, axis=0)[[1, 2]] > 500).all()  # the arm turned the base
 
 
+def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: Path) -> None:
+    """Asked for by the estimation, played by the acquisition, felt by the base, told by the answer."""
+    vehicle, segments = written(tmp_path), tmp_path / "plan" / "segments.npz"
+    vehicle.write_text(vehicle.read_text().replace('motion = "motion.csv"', ""))
+    fast = ["--segments", "--masses", "0.7,3", "--starts", "2", "--iterations", "3"]
+    assert cli.main(["plan", str(vehicle), *fast, "--output", str(segments.parent)]) == cli.OK
+    vehicle.write_text(f'{vehicle.read_text()}\n[mission]\nuntil = "mass 30 %"\nsegments = "{segments}"\n')
+    mission, log = world(vehicle, None, 21, 60.0), tmp_path / "flight.mcap"
+    with plugged(mission) as urls:
+        hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
+    reader = LogReader(log)
+    assert b"goal_met" in reader.read("event_estimation")["code"].tolist()
+    played = [text for text in reader.read("event")["text"].tolist() if text.endswith(b" is played")]
+    assert any(b"kg is played" in text for text in played)
+    last = next(row for row in reversed(reader.read("quantity")) if row["name"] == b"m_payload")
+    truth = mission.truth()["quantities"]["m_payload"]
+    assert last["value"] == pytest.approx(truth, abs=3.0 * last["sigma"])
+    assert last["sigma"] < 0.2 * truth
+
+
 def test_a_drive_that_trips_ends_the_motion(tmp_path: Path) -> None:
     vehicle = written(tmp_path)
     mission, log = world(vehicle, None, 8, 10.0, ["trip:joint_1:6:"]), tmp_path / "flight.mcap"

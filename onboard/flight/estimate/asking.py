@@ -140,7 +140,8 @@ class Asking:
         why = self._stuck(time_s - self._held_s, time_s, rests=rests)
         if why:
             return self._give_up(now_ns, time_s, now, why)
-        return self._ask(now_ns, time_s, known, now, solved=exiddm.state is not None) if rests else []
+        solved = exiddm.state is not None and exiddm.settled()
+        return self._ask(now_ns, time_s, known, now, solved=solved) if rests else []
 
     def _wait(self, now_ns: int) -> list[Batch]:
         """Nothing is held: an event, where segments were asked for until now."""
@@ -244,7 +245,7 @@ class Asking:
             return self._give_up(now_ns, time_s, now, self._forbidding(known, np.arange(len(rate)), between))
         found = choose(known.covariance, roots, library.durations_s, known.asked, allowed)
         expected = found.ratio * known.widened**0.5
-        stalled = len(self._ratios) >= _FEWEST and now > _LITTLE * self._ratios[-_FEWEST]
+        stalled = solved and len(self._ratios) >= _FEWEST and now > _LITTLE * self._ratios[-_FEWEST]
         if now > 1.0 and ((expected > _LITTLE * now and self._since_change >= _FEWEST) or stalled):
             why = self._hopeless(known, roots, allowed, between)
             if not why and stalled:
@@ -252,7 +253,7 @@ class Asking:
                 why = f"the last {_FEWEST} segments have told nothing that was not known; most is by {told}"
             if why:
                 return self._give_up(now_ns, time_s, now, why)
-        if solved:  # else no window has been explained yet, and nothing could have been told
+        if solved:  # else what the segments told is in a window that is not explained yet
             self._ratios.append(now)
         name = library.names[found.segment]
         self._unmoved = 0 if self._moved or not self._since_change else self._unmoved + 1

@@ -305,6 +305,23 @@ class TestLimits:
         assert "the base would turn at" in why.rows["text"][0].decode()
         assert self.step(asking, 2.0) == []
 
+    @pytest.mark.parametrize("settled", [True, False])
+    def test_motions_in_a_window_that_is_not_explained_yet_are_not_taken_to_tell_nothing(
+        self, asking, monkeypatch, settled
+    ):
+        own, online = asking
+        exiddm = online.exiddm
+        exiddm.held, exiddm.covariance = True, own._prior.copy()
+        exiddm.state = np.zeros(len(own._prior))
+        exiddm.state[PAYLOAD] = [0.7, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]
+        monkeypatch.setattr(type(exiddm), "settled", lambda _: settled)
+        said = []
+        for time_s in np.arange(1.0, 60.0):
+            own._moved = True
+            said += [batch.rows["code"][0] for batch in self.step(asking, time_s) if batch.channel == "event"]
+        assert (b"goal_given_up" in said) == settled
+        assert said.count(b"segment_asked") == 3 if settled else said.count(b"segment_asked") > 6
+
     def test_an_arm_that_does_not_move_is_noticed(self, asking):
         asking[1].exiddm.held = True
         acts = [made[0].rows["act"][0] for time_s in np.arange(1.0, 60.0) if (made := self.step(asking, time_s))]
