@@ -4,13 +4,15 @@ import argparse
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from onboard.cli import parser
+from onboard.cli import main, parser
+from tests.flight.missions import Result
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
@@ -63,33 +65,38 @@ def test_a_command_that_does_not_exist_is_noticed() -> None:
     assert _unknown("heft fly vehicle.toml [--live] [--quiet|--json-lines]", commands) == ""
 
 
-def test_the_tour_runs_as_it_stands(tmp_path: Path) -> None:
-    """Each command of its blocks in order; ``sh deploy/hil.sh`` by the flight that it makes after the installation."""
+def test_the_tour_runs_as_it_stands(
+    mission: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Each command of its blocks in order, those of ``heft`` in this process.
+
+    ``sh deploy/hil.sh`` leaves the log of a mission that was flown before.
+    """
     text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```(sh|python)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     assert sum(kind == "python" for kind, _ in blocks) == 1
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80"}
-    heft = [sys.executable, "-m", "onboard.cli"]
-    commands: list[tuple[list[str], int]] = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("COLUMNS", "80")
+    done = 0
     for kind, block in blocks:
-        if kind == "python":
-            commands.append(([sys.executable, "-c", block], 0))
-            continue
-        for line in block.splitlines():
-            words = shlex.split(line, comments=True)
+        for line in [block] if kind == "python" else block.splitlines():
+            words = shlex.split(line, comments=True) if kind == "sh" else []
             code = re.search(r"# exit code (\d)", line)
             if words[:2] == ["sh", "deploy/hil.sh"]:
-                words = [*heft, "hil", "rocksat"]
-            elif words[0] == "heft":
-                words[:1] = heft
+                (tmp_path / "flights").mkdir()
+                shutil.copy(mission.path, tmp_path / "flights" / "rocksat-001.mcap")
+                returned = 0
+            elif words[:1] == ["heft"]:
+                returned = main(words[1:])
             else:
-                words = ["sh", "-c", line]
-            commands.append((words, int(code[1]) if code else 0))
-    assert len(commands) >= 15
-    for words, expected in commands:
-        ran = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        assert ran.returncode == expected, (words, ran.stdout[-2000:], ran.stderr[-2000:])
-        assert "Traceback" not in ran.stderr, words
+                command = ["sh", "-c", line] if kind == "sh" else [sys.executable, "-c", block]
+                returned = subprocess.run(command, check=False).returncode
+            said = capfd.readouterr()
+            assert returned == (int(code[1]) if code else 0), (line, said.out[-2000:], said.err[-2000:])
+            assert "Traceback" not in said.err, line
+            done += 1
+    assert done >= 15
 
 
 def test_the_site_builds_without_warnings(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 TOOLS = (
     *("sh", "cat", "cut", "dirname", "rm", "mkdir", "cp", "chmod", "sha256sum"),
-    *("mktemp", "tee", "tail", "awk", "date", "timeout"),
+    *("mktemp", "tee", "tail", "awk", "date", "timeout", "grep", "sort"),
 )
 UNAVAILABLE, TEMPORARY_FAILURE = 69, 75  # sysexits.h
 
@@ -53,6 +53,9 @@ class Machine:
         self.checkout = directory / "a checkout"
         shutil.copytree(DEPLOY, self.checkout / "deploy")
         (self.checkout / "pyproject.toml").write_text("[project]\n")
+        for name, text in (("test_b.py", "realtime"), ("test_a.py", "@pytest.mark.realtime"), ("test_c.py", "")):
+            (self.checkout / "tests").mkdir(exist_ok=True)
+            (self.checkout / "tests" / name).write_text(text)
         self.bin = directory / "bin"
         self.bin.mkdir()
         for tool in TOOLS:
@@ -131,7 +134,7 @@ def test_without_arguments_all_tests_run_and_one_line_says_how_they_ended(machin
     tested = [line for line in done.stdout.splitlines() if line.startswith("tested with")]
     assert tested == [
         "tested with -m pytest -m not realtime --numprocesses auto --dist loadfile --no-loadscope-reorder",
-        "tested with -m pytest -m realtime --numprocesses auto --dist worksteal",
+        "tested with -m pytest -m realtime --numprocesses auto --dist worksteal tests/test_a.py tests/test_b.py",
     ]
     assert re.fullmatch(r"heft: 60 passed, 2 skipped in \d+ s", done.stdout.splitlines()[-1])
 

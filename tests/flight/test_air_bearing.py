@@ -104,7 +104,8 @@ def test_on_board_the_run_is_recorded_and_not_estimated(log: Path) -> None:
     assert not {"estimate", "quantity"} & set(made)
 
 
-def test_a_fit_that_is_not_usable_says_why(log: Path) -> None:
+def test_a_fit_that_is_not_usable_says_why(tmp_path: Path) -> None:
+    log = write(tmp_path / "table.mcap", fly(np.random.default_rng(3), 6.0))
     text = TEXT.replace("accel_noise_m_s2 = 0.062", "accel_noise_m_s2 = 0.02")
     (found,) = identify(config.parse(text, PATH), [log]).logs
     assert found.verdict.level is Level.DO_NOT_USE

@@ -42,7 +42,7 @@ SEQUENCE = [
     {
         "phase": 1,
         "action": "swing",
-        "duration_s": 24.0,
+        "duration_s": 17.0,
         "ramp_s": 1.5,
         "swing": 0.274,
         "tones": 3,
@@ -117,7 +117,7 @@ def test_a_wrist_cell_whose_scale_changes_in_flight_is_left_out(flown: Result) -
     start_ns = int(LogReader(flown.flown.log).read("load_cell")["host_ns"][0])
 
     def spoil(rows: Rows) -> None:
-        late = rows["host_ns"] > start_ns + 12_000_000_000
+        late = rows["host_ns"] > start_ns + 10_000_000_000
         rows["value_raw"][late] = np.rint(1.1 * rows["value_raw"][late])
 
     texts, mass = told(flown.flown.log, "load_cell", spoil)
@@ -138,7 +138,7 @@ def test_a_first_imu_whose_scale_changes_in_flight_is_left_out(flown: Result) ->
     start_ns = int(LogReader(flown.flown.log).read("imu_base")["host_ns"][0])
 
     def spoil(rows: Rows) -> None:
-        late = rows["host_ns"] > start_ns + 14_000_000_000
+        late = rows["host_ns"] > start_ns + 11_000_000_000
         rows["gyro_raw"][late] = np.rint(0.7 * rows["gyro_raw"][late])
 
     texts, mass = told(flown.flown.log, "imu_base", spoil)
