@@ -7,6 +7,7 @@ for any program. A pty has no parity, no modem lines and no speed of its own; th
 applied.
 """
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
@@ -184,13 +185,17 @@ class SerialBus:
 
     def _through_adapter(self, arrived: Arrived, now_ns: int) -> bytes:
         ends_ns, data = self._held.ends_ns + arrived.ends_ns, self._held.data + arrived.data
+        if not data:
+            return data
         expiry_ns = now_ns // self._latency_ns * self._latency_ns
-        ready = sum([end_ns <= expiry_ns for end_ns in ends_ns])
+        ready = bisect_right(ends_ns, expiry_ns)
         ready += (len(data) - ready) // _USB_PACKET * _USB_PACKET
         self._held = Arrived(ends_ns[ready:], data[ready:])
         return data[:ready]
 
     def _next_plugging(self, until_ns: int) -> int | None:
+        if not self._faults:
+            return None
         windows = (w for w in self._faults.windows if w.kind is FaultKind.UNPLUG)
         times = (t for w in windows for t in (w.start_ns, w.end_ns))
         return min((t for t in times if self._now_ns < t <= until_ns), default=None)

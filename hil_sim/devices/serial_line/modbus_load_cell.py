@@ -77,10 +77,18 @@ def crc16(data: bytes) -> bytes:
     """The two bytes that end an RTU frame."""
     crc = 0xFFFF
     for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (_CRC_POLYNOMIAL if crc & 1 else 0)
+        crc = crc >> 8 ^ _CRC_OF[(crc ^ byte) & 0xFF]
     return crc.to_bytes(2, "little")
+
+
+def _divided(crc: int) -> int:
+    """What eight bits leave, shifted out on the right."""
+    for _ in range(8):
+        crc = crc >> 1 ^ (_CRC_POLYNOMIAL if crc & 1 else 0)
+    return crc
+
+
+_CRC_OF: Final = tuple(_divided(byte) for byte in range(256))
 
 
 class _RefusalError(Exception):

@@ -78,10 +78,18 @@ def crc16(data: bytes) -> int:
     """CRC-16/CCITT-FALSE."""
     crc = 0xFFFF
     for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ _CRC_POLYNOMIAL if crc & 0x8000 else crc << 1) & 0xFFFF
+        crc = (crc << 8 & 0xFFFF) ^ _CRC_OF[crc >> 8 ^ byte]
     return crc
+
+
+def _divided(crc: int) -> int:
+    """What eight bits leave, shifted out on the left."""
+    for _ in range(8):
+        crc = (crc << 1 ^ _CRC_POLYNOMIAL if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+_CRC_OF: Final = tuple(_divided(byte << 8) for byte in range(256))
 
 
 def stuff(data: bytes) -> bytes:

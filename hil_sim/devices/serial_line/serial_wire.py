@@ -6,7 +6,9 @@ receiver hears that samples the other's waveform in the middle of its own bits; 
 error are passed on as they are, which is what a Linux tty in raw mode does.
 """
 
+from bisect import bisect_right
 from collections import deque
+from functools import lru_cache
 from typing import Final, NamedTuple, Protocol
 
 from hil_sim.faults import NEVER
@@ -83,6 +85,9 @@ class Arrived(NamedTuple):
         return list(map(Heard, self.ends_ns, self.data))
 
 
+NOTHING: Final = Arrived([], b"")
+
+
 def waveform(data: bytes, line: LineFormat) -> list[int]:
     """Levels of the line, one entry a bit time, while ``data`` is sent without pause."""
     levels: list[int] = []
@@ -104,9 +109,14 @@ def hear(data: bytes, start_ns: int, sender: LineFormat, receiver: LineFormat) -
         receiver: Format they are read with.
     """
     if sender.agrees_with(receiver):
-        step_ns = sender.character_ns
-        return Arrived([start_ns + round(k * step_ns) for k in range(1, len(data) + 1)], data)
+        return Arrived([start_ns + after_ns for after_ns in _ends_ns(len(data), sender.character_ns)], data)
     return _sampled(waveform(data, sender), start_ns, sender, receiver)
+
+
+@lru_cache(maxsize=1024)
+def _ends_ns(characters: int, character_ns: float) -> tuple[int, ...]:
+    """When each of some characters ends, after the start of the first."""
+    return tuple(round(k * character_ns) for k in range(1, characters + 1))
 
 
 def _sampled(levels: list[int], start_ns: int, sender: LineFormat, receiver: LineFormat) -> Arrived:
@@ -181,11 +191,9 @@ class SerialWire:
                 break
             character = inbox.popleft()
             device.receive(character.byte, character.end_ns)
-        arrived = 0
-        for end_ns in self._to_host_ns:
-            if end_ns > now_ns:
-                break
-            arrived += 1
+        arrived = bisect_right(self._to_host_ns, now_ns)
+        if not arrived:
+            return NOTHING
         received = Arrived(self._to_host_ns[:arrived], bytes(self._to_host[:arrived]))
         del self._to_host_ns[:arrived], self._to_host[:arrived]
         return received
