@@ -21,6 +21,7 @@ FLOWN = {  # and whatever shares their flights
     ("rocksat", "joint_1", "slow"),
     ("rocksat_serial", "joint_1", "reset"),
     ("rocksat_serial", "cell_port", "unplug"),
+    ("rocksat_serial", "load_cell", "delayed"),
     ("rocksat_mixed", "joint_1", "silent"),
 }
 

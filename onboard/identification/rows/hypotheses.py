@@ -9,9 +9,10 @@ with the payload released, and still held. Rules:
 - Where either is so and of exactly one of the others nothing is doubtful, that one is selected and its left-out
   instrument named.
 - A release is accepted when the model with the payload held is contradicted, and rejected when only the model without
-  it is, or when the payload's estimated mass is near zero (the arm moves as before). Where an instrument lies, those
-  without one decide: accepted, or rejected, is what exactly one of them finds with nothing that is doubtful, and none
-  is rejected while one of them agrees with it.
+  it is, or when the payload's estimated mass is near zero (the arm moves as before), if the one with it leaves little
+  of any instrument's readings over: a body so large that its noise would explain them contradicts nothing. Where an
+  instrument lies, those without one decide: accepted, or rejected, is what exactly one of them finds with nothing that
+  is doubtful, and none is rejected while one of them agrees with it.
 """
 
 import copy
@@ -24,6 +25,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.identification.change import Change
 from onboard.identification.quantities import Estimate, Findings
+from onboard.identification.rows.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.verdict import Level, standing
 from onboard.regressor.signals import Signals
@@ -189,9 +191,10 @@ class Hypotheses:
         without = [one for one in agree if gone[one] >= _NOTHING and findings[one._replace(still_held=True)].against]
         moves_on = [one for one in alone if gone[one] < _NOTHING and self._agrees_held(one, findings)]
         doubted = any(not gone[one] < _NOTHING for one in agree)
+        explained = not held.against and self._members[Member(still_held=True)].unexplained() < MOST_UNEXPLAINED
         if (held.against and not told.against) or len(without) == 1:
             accepted = True
-        elif len(moves_on) != 1 and (held.against or doubted or not (told.against or gone[_AS_TOLD] < _NOTHING)):
+        elif len(moves_on) != 1 and (doubted or not explained or not (told.against or gone[_AS_TOLD] < _NOTHING)):
             return
         else:
             accepted = False

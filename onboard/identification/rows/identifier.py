@@ -301,6 +301,10 @@ class Identifier:
             self._fitted = self.rows_used, instrument_fits(self.seen, mean, drawn, *parameters, self._inflation**2)
         return self._fitted[1]
 
+    def unexplained(self) -> float:
+        """Share of an instrument's readings that the estimate leaves over, of the one that is explained worst."""
+        return max((fit.unexplained for fit in self._fits()), default=0.0)
+
     def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
         steps = [self._weights @ fit.step.suspected for fit in self._fits() if fit.step is not None]
