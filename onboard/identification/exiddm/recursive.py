@@ -27,6 +27,7 @@ from onboard.identification.exiddm.claims import Claim, after_a_change, at_first
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
+from onboard.identification.exiddm.linearised import Linearised
 from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
 from onboard.identification.exiddm.snapshots import Before, Known, Snapshots, bridged, initially
@@ -96,6 +97,7 @@ class RecursiveExiddm(BoundedWork):
         self.fusion = Fusion(predictor.instruments, predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._innovations = Snapshots(predictor.period_s), Innovations(predictor, self.fusion)
+        self._linearised = Linearised(predictor)
         self._initial = initially(predictor, known)
         self._open(at_first(held, known is not None), self._initial)
 
@@ -164,8 +166,8 @@ class RecursiveExiddm(BoundedWork):
         self._stepped: Stepped | None = None  # ticks of the window and of the steps since
         self._earlier: Before | None = None  # motion before the change, while it is not known what was held
         self._accused: Accusation | None = None  # the window is solved without it
-        for forget in (self._detector.forget, self.misfit.forget, self.lines.forget, self.fusion.forget):
-            forget()
+        for one in (self._detector, self.misfit, self.lines, self.fusion, self._linearised):
+            one.forget()
         self._snapshots.clear()
 
     def _reopen(self, hypotheses: tuple[Hypothesis, ...], batches_back: int | None) -> None:
@@ -204,6 +206,7 @@ class RecursiveExiddm(BoundedWork):
     def _end_of(self, solve: WindowSolve) -> None:
         """Take in the result of a window."""
         found, self._left = solve.found, solve.left
+        self._linearised.forget()
         if self._stepped is not None and self._earlier is not None:
             if found is not None and found.hypothesis is Hypothesis.NOTHING:
                 self._prior = self._earlier.known
@@ -306,7 +309,7 @@ class RecursiveExiddm(BoundedWork):
         assert self.state is not None
         ticks, self._due, self._window = self._pending, self._due - STEP_WORK, self._none
         with np.errstate(over="ignore", invalid="ignore"):
-            predicted = self.predictor.predict(ticks.q, ticks.dq, ticks.ddq, self.state, ticks.cyclic, ticks.thrust)
+            about, predicted = self._linearised.predict(ticks, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
         if not predicted.moderate:
             self.glitches += BATCH_TICKS
@@ -336,7 +339,7 @@ class RecursiveExiddm(BoundedWork):
             W, e = innovation.W[:used], innovation.e[:used]
             state, covariance = state + W.T @ e, covariance - W.T @ W
             self.ticks_used += int(there[:, own.start].sum())
-        self.state, self.covariance = self.predictor.carried(predicted, self.state, state, covariance)
+        self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)

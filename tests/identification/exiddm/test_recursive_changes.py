@@ -176,10 +176,10 @@ def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
 
 
 def test_a_payload_caught_at_rest_and_noticed_late_leaves_nothing_of_the_motion_before(monkeypatch):
-    rng, light = np.random.default_rng(11), BOX.grown(0.2)
+    rng, light = np.random.default_rng(18), BOX.grown(0.2)
     flight = free_flyer.FreeFlight(_Later(free_flyer.JointMotion.draw(rng)), rng.uniform(-0.01, 0.01, 3))
     caught = free_flyer.Capture(light, 2.0, np.zeros(3), np.zeros(3))
-    signals = recorded(free_flyer.fly_with_capture(flight, caught, 16.0), rng)
+    signals = recorded(free_flyer.fly_with_capture(flight, caught, 20.0), rng)
     recursive, ticks = online(signals, held=False, imu_prior=PRIOR, links=LINKS), ticks_of(signals)
     looked_back = []
     monkeypatch.setattr(

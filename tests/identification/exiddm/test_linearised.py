@@ -1,0 +1,92 @@
+"""Steps linearised about what the last window found: what no motion shows stays unknown as the estimate moves."""
+
+import numpy as np
+import pytest
+
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.linearised import Linearised
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
+
+LINKS = ["base", *(f"link_{k}" for k in range(1, 6))]
+LAST = GeometryPrior(joints={"joint_5": JointPrior(place_m=5e-4)})
+FEW = 0.02  # of a sigma of a tick
+NOTHING = 2e-3  # sigmas of a tick for all masses twice as large: what a step of the integration leaves
+
+
+@pytest.fixture
+def predictor(held):
+    return online(held, imu_prior=PRIOR, links=LINKS, geometry=LAST).predictor
+
+
+def some_state(predictor):
+    x = np.zeros(len(predictor.names))
+    x[RATE] = [0.05, -0.02, 0.03]
+    x[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    return x
+
+
+def all_heavier(predictor, x):
+    """The direction in which all masses and inertias grow by one factor, (p,): nothing in a free flight shows it."""
+    along, eye = np.zeros(len(x)), np.eye(len(x))
+    links = [k for k, name in enumerate(predictor.names) if "_inertial_" in name]
+    own = [k for k, link in enumerate(predictor.vehicle.links) if link != "payload"]
+    rows = (10 * np.repeat(own, 10) + np.tile(np.arange(10), len(own))).astype(np.intp)
+    basis = np.column_stack([predictor.chi(x + eye[k]) - predictor.chi(x) for k in links])[rows]
+    along[PAYLOAD], along[links] = x[PAYLOAD], np.linalg.solve(basis, predictor.chi(x)[rows])
+    return along
+
+
+def moved(predictor, x, rng, by):
+    there = x.copy()
+    there[PAYLOAD] *= 1.0 + by * rng.normal(size=10)
+    others = np.setdiff1d(np.arange(PAYLOAD.stop, len(x)), predictor.changing)
+    there[others] += by * predictor.sigma[others] * rng.normal(size=len(others))
+    there[predictor.changing] += 1e-4 * rng.normal(size=len(predictor.changing))
+    return there
+
+
+def test_what_no_motion_shows_stays_unknown_while_the_estimate_moves(held, predictor, rng):
+    linearised, ticks, x = Linearised(predictor), ticks_of(held).part(slice(300, 312)), some_state(predictor)
+    about, first = linearised.predict(ticks, x)
+    assert about is x
+    scale = all_heavier(predictor, x)
+    sigma = ticks.sigma[1:-1]
+    assert np.abs(first.jacobian @ scale / sigma).max() < NOTHING
+    for _ in range(5):
+        there = moved(predictor, x, rng, 1e-2)
+        about, found = linearised.predict(ticks, there)
+        assert about is not there
+        np.testing.assert_array_equal(about[predictor.changing], there[predictor.changing])
+        by_itself = predictor.predict(ticks.q, ticks.dq, ticks.ddq, there, ticks.cyclic, ticks.thrust)
+        gained, kept = (np.abs(one.jacobian @ scale / sigma).max() for one in (by_itself, found))
+        assert kept < NOTHING
+        assert gained > 0.1
+        assert np.abs((found.values - by_itself.values) / sigma).max() < FEW
+        carried, _ = predictor.carried(found, about, there, np.eye(len(x)))
+        from_there, _ = predictor.carried(by_itself, there, there, np.eye(len(x)))
+        assert np.abs((carried - from_there)[RATE]).max() < FEW * sigma[0, 0]
+
+
+def test_where_the_estimate_has_moved_far_steps_are_linearised_anew(held, predictor, rng):
+    linearised, ticks, x = Linearised(predictor), ticks_of(held).part(slice(300, 312)), some_state(predictor)
+    linearised.predict(ticks, x)
+    there = moved(predictor, x, rng, 0.3)
+    about, found = linearised.predict(ticks, there)
+    assert about is there
+    by_itself = predictor.predict(ticks.q, ticks.dq, ticks.ddq, there, ticks.cyclic, ticks.thrust)
+    np.testing.assert_array_equal(found.values, by_itself.values)
+    near = moved(predictor, there, rng, 1e-3)
+    about, _ = linearised.predict(ticks, near)
+    assert about is not near
+    np.testing.assert_array_equal(about[PAYLOAD], there[PAYLOAD])
+    linearised.forget()
+    assert linearised.predict(ticks, near)[0] is near
+
+
+def test_instruments_that_are_not_there_do_not_count(held, predictor, rng):
+    linearised, ticks, x = Linearised(predictor), ticks_of(held).part(slice(300, 312)), some_state(predictor)
+    linearised.predict(ticks, x)
+    there = moved(predictor, x, rng, 0.3)
+    ticks.measured[:] = np.nan
+    assert linearised.predict(ticks, there)[0] is not there
