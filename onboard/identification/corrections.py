@@ -29,6 +29,7 @@ from onboard.estimation.arrays import FloatArray
 FARTHEST, DOUBTFUL = 5.0, 3.0  # sigmas, of one
 UNLIKELY, _DOUBTED_TOGETHER = 1e-6, 1e-4  # chance of all of them together
 _DOUBTED = 0.01  # chance that the largest is doubted though all is as stated
+_NOTHING = 1e-7  # mean weight of corrections of which the data tell nothing: below it is rounding
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
 
 
@@ -74,7 +75,8 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
         posterior: (k, k) covariance of their errors, in stated sigmas.
 
     Returns:
-        Chi-squared and its degrees of freedom; none where the posterior is wider than what is stated.
+        Chi-squared and its degrees of freedom; none where the posterior is wider than what is stated, or the
+        data tell of none.
     """
     k = len(corrections)
     if not k:
@@ -90,6 +92,8 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     mean = k - _LEAST_TOLD * trace  # sum of the weights a / (a + e)
     of_all = 2.0 * float(np.vdot(inverse, inverse)) - float(own @ own)
     square = k - 2.0 * _LEAST_TOLD * trace + _LEAST_TOLD**2 * of_all
+    if mean < _NOTHING * k:
+        return Together(0.0, 0.0)
     return Together(squares * mean / square, mean * mean / square)
 
 

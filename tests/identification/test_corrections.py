@@ -51,8 +51,13 @@ def test_one_alone_widens_as_its_own_test_does() -> None:
     assert together(np.array([6.0 * np.sqrt(0.5)]), np.array([[0.5]])).widening == pytest.approx(4.0, rel=1e-6)
 
 
-def test_nothing_is_said_of_none_and_of_those_whose_prior_is_wider_for_now() -> None:
-    for found in (together(np.zeros(0), np.zeros((0, 0))), together(np.array([9.0]), np.array([[2.0]]))):
+def test_nothing_is_said_of_none_of_those_whose_prior_is_wider_for_now_and_of_those_no_motion_tells_of() -> None:
+    none, wider, untold = np.zeros((0, 0)), np.array([[2.0]]), np.eye(2)
+    for found in (
+        together(np.zeros(0), none),
+        together(np.array([9.0]), wider),
+        together(np.array([0.0, 1e-9]), untold),
+    ):
         assert found.chance == found.widening == 1.0
         assert not found.refused()
         assert not found.doubted()

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 from scipy.special import chdtrc, chdtri
 
 from onboard.dynamics.payload import standard_of
@@ -39,6 +40,10 @@ _FEW = 0.03  # largest share of outliers
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
 _NEAR = 1e-5  # damping of the first step from a minimum of other ticks or other sigmas
+_UNTOLD, _AWAY = (
+    0.05,
+    0.7,
+)  # share of information that is the ticks' in what they do not tell; prior sigmas, 0.2 by chance
 _BEGUN = 0.5  # relative sigma of the payload's mass below which a window grows: what it has told is not thrown away
 _GROWTH, _LONGEST = 1.5, 4.0  # of such a window
 
@@ -191,6 +196,7 @@ class WindowSolve:
             self.over, self._descent = True, None
             return
         self._hypothesis, self._use, self._glitches = self._left.pop(0), use, 0
+        self._checked = False  # whether the iteration moved what the ticks do not tell
         self._problem: _Problem = self._problem_of(self._hypothesis)
         self._best: Fit | None = None
         self._stopped_at: Fit | None = None  # short of a minimum, where no guess leads to one
@@ -292,8 +298,18 @@ class WindowSolve:
         """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
         if self._leaves_out(whole):
             self._settle(self._problem.state(fitted.x))
+        elif (near := self._taken_back(fitted, whole)) is not None:
+            self._settle(self._problem.state(near))
         else:
             self._solved(fitted, whole)
+
+    def _taken_back(self, fitted: Fit, whole: Pieces) -> FloatArray | None:
+        """Where to go on from, once, if the ticks tell a payload and the iteration moved what they do not tell."""
+        mass, variance = fitted.x[PAYLOAD.start], fitted.covariance[PAYLOAD.start, PAYLOAD.start]
+        if self._checked or self._hypothesis is not Hypothesis.NEW or not np.sqrt(variance) < _BEGUN * mass:
+            return None
+        self._checked = True
+        return self._problem.as_stated(fitted.x, whole.normal.information)
 
     def _leaves_out(self, whole: Pieces) -> bool:
         """Whether there was an outlier and one more may be left out: the worst one is not used from now on."""
@@ -337,6 +353,24 @@ class _Problem(NamedTuple):
     mean: FloatArray  # (p,)
     information: FloatArray  # (p, p)
     active: NDArray[np.intp]  # what is estimated; the rest stays as it is in the mean
+
+    def as_stated(self, x: FloatArray, told: FloatArray) -> FloatArray | None:
+        """The same with what the ticks do not tell at its prior mean; None if it is near that.
+
+        A damped iteration from a guess may move two unknowns that cancel each other, as a joint's place and what hangs
+        on it, and hardly takes it back, as each has a large effect by itself.
+
+        Args:
+            x: of what is active, (a,).
+            told: the ticks' information on it, (a, a).
+        """
+        stated = self.information[np.ix_(self.active, self.active)]
+        both = told + stated
+        scale = np.sqrt(np.diag(both))
+        share, V = eigh(stated / np.outer(scale, scale), both / np.outer(scale, scale))  # V' both V = 1
+        untold = V[:, share > 1.0 - _UNTOLD]
+        away = untold.T @ (both @ (x - self.mean[self.active]) / scale)  # in prior sigmas
+        return x - untold @ away / scale if np.abs(away).max(initial=0.0) > _AWAY else None
 
     def state(self, x: FloatArray) -> FloatArray:
         """The whole state with these values of what is active."""

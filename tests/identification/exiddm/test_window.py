@@ -8,7 +8,7 @@ from onboard.identification.exiddm import pieces
 from onboard.identification.exiddm import window as windows
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.pieces import Pieces
-from onboard.identification.exiddm.window import Hypothesis, WindowSolve
+from onboard.identification.exiddm.window import Hypothesis, WindowSolve, _Problem
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
 
@@ -89,3 +89,18 @@ def test_an_iteration_that_stops_short_of_a_minimum_but_explains_the_window_is_a
     far = best.start.copy()
     far[PAYLOAD] = 3.0 * far[PAYLOAD] + 1.0
     assert solved(predictor, window, Hypothesis.NEW, far)[0].found is None
+
+
+def test_what_the_ticks_do_not_tell_goes_back_to_its_prior_mean():
+    """A joint's place and the place of what hangs on it, by which the same ticks are explained."""
+    stated = np.diag([1.0, 1e-4, 4.0])
+    told = 1e6 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    problem = _Problem(np.array([0.0, 0.0, 7.0, 0.5]), np.diag([1.0, 1e-4, 0.0, 4.0]), np.array([0, 1, 3]))
+    near = problem.as_stated(np.array([-1.3, 2.3, 0.9]), told)
+    assert near[0] == pytest.approx(0.0, abs=1e-3)
+    assert near[0] + near[1] == pytest.approx(1.0, abs=1e-3)
+    assert near[2] == pytest.approx(0.9, abs=1e-6)  # told
+    before, after = (x @ stated @ x for x in (np.array([-1.3, 2.3, 0.4]), near - [0.0, 0.0, 0.5]))
+    assert after < before - 1.6
+    assert problem.as_stated(near, told) is None
+    assert problem.as_stated(np.array([-0.5, 1.5, 0.9]), told) is None  # by chance
