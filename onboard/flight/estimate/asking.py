@@ -166,7 +166,8 @@ class Asking:
         if exiddm.state is None or not exiddm.holds or not exiddm.state[PAYLOAD][0] > 0.0:
             return
         k, self._turn = self._turn, (self._turn + 1) % len(self._own)
-        now = self._predictor.predict(*self._motions[k], exiddm.state, self._library.cyclic[k])
+        with np.errstate(over="ignore", invalid="ignore"):  # what is no motion is not taken
+            now = self._predictor.predict(*self._motions[k], exiddm.state, self._library.cyclic[k])
         if now.moderate:
             whitened = now.jacobian / self._library.sigma[k][:, :, None]
             self._own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self._prior)))

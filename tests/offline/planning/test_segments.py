@@ -13,7 +13,7 @@ from onboard.config.segments import Library, read, to_bytes
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.change import Change
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.offline.tables import truth
 from onboard.offline.tables.vehicle_file import vehicle_of
@@ -321,6 +321,17 @@ class TestLimits:
             said += [batch.rows["code"][0] for batch in self.step(asking, time_s) if batch.channel == "event"]
         assert (b"goal_given_up" in said) == settled
         assert said.count(b"segment_asked") == 3 if settled else said.count(b"segment_asked") > 6
+
+    @pytest.mark.filterwarnings("error")
+    def test_a_state_that_is_no_motion_is_not_linearised_about(self, asking):
+        own, online = asking
+        exiddm = online.exiddm
+        exiddm.held, exiddm.covariance = True, own._prior.copy()
+        exiddm.state = np.zeros(len(own._prior))
+        exiddm.state[PAYLOAD] = [0.1, 90.0, 90.0, 90.0, 1e-9, 0.0, 1e-9, 0.0, 0.0, 1e-9]
+        exiddm.state[RATE] = 1e6
+        assert len(self.step(asking, 1.0)) == 2
+        assert own._own == [None] * len(own._own)
 
     def test_an_arm_that_does_not_move_is_noticed(self, asking):
         asking[1].exiddm.held = True
