@@ -9,6 +9,7 @@ import sys
 import tokenize
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -60,7 +61,14 @@ def allowed(path: str, patterns: tuple[str, ...]) -> bool:
     return any(PurePosixPath(path).match(pattern) for pattern in patterns)
 
 
-def imports(path: str, source: str) -> Iterator[Import]:
+@cache
+def parsed(path: str, source: str) -> ast.Module:
+    """The syntax tree of a file, for all rules."""
+    return ast.parse(source, path)
+
+
+@cache
+def imports(path: str, source: str) -> tuple[Import, ...]:
     """Every import of a file, relative ones resolved, ``importlib.import_module("a.b")`` included."""
     package = module_of(path).split(".")
     if not path.endswith("__init__.py"):
@@ -83,7 +91,7 @@ def imports(path: str, source: str) -> Iterator[Import]:
         for child in ast.iter_child_nodes(node):
             yield from visit(child, inside)
 
-    return visit(ast.parse(source, path), False)
+    return tuple(visit(parsed(path, source), False))
 
 
 def drivers_import_nothing_of_ours(path: str, source: str) -> list[str]:
@@ -174,7 +182,7 @@ def strangers_use_different_dynamics(path: str, source: str) -> list[str]:
 def only_the_command_line_prints(path: str, source: str) -> list[str]:
     if allowed(path, PRINTERS):
         return []
-    calls = (node for node in ast.walk(ast.parse(source, path)) if isinstance(node, ast.Call))
+    calls = (node for node in ast.walk(parsed(path, source)) if isinstance(node, ast.Call))
     return [f"{path}:{c.lineno}: print" for c in calls if isinstance(c.func, ast.Name) and c.func.id == "print"]
 
 
@@ -182,7 +190,7 @@ def only_transports_and_runners_read_clocks(path: str, source: str) -> list[str]
     """A reference counts as a call: a clock handed on as an argument is read somewhere else."""
     if allowed(path, CLOCK_READERS):
         return []
-    tree = ast.parse(source, path)
+    tree = parsed(path, source)
     bound: dict[str, str] = {}  # local name -> what it stands for
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -204,12 +212,14 @@ def only_transports_and_runners_read_clocks(path: str, source: str) -> list[str]
 
 def files_stay_short(path: str, source: str) -> list[str]:
     """Lines that hold code: not blank, not a comment, not a docstring."""
+    if source.count("\n") < CODE_LINES:
+        return []
     silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
     lines: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type not in silent:
             lines.update(range(token.start[0], token.end[0] + 1))
-    for node in ast.walk(ast.parse(source, path)):
+    for node in ast.walk(parsed(path, source)):
         if (
             isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
             and ast.get_docstring(node, clean=False) is not None
@@ -223,7 +233,7 @@ def the_python_interface_only_re_exports(path: str, source: str) -> list[str]:
     if not path.startswith("heft/"):
         return [f"{path}:{i.line}: {i.name}" for i in imports(path, source) if within(i.name, "heft")]
     made = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Lambda
-    found = [f"{path}:{n.lineno}: a definition" for n in ast.walk(ast.parse(source, path)) if isinstance(n, made)]
+    found = [f"{path}:{n.lineno}: a definition" for n in ast.walk(parsed(path, source)) if isinstance(n, made)]
     names = [i for i in imports(path, source) if not within(i.name, "onboard.offline")]
     return found + [f"{path}:{i.line}: {i.name}" for i in names]
 
@@ -275,9 +285,11 @@ RULES: tuple[Rule, ...] = (
 
 
 @pytest.fixture(scope="module")
-def package_sources() -> dict[str, str]:
+def package_sources() -> Iterator[dict[str, str]]:
     paths = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
-    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
+    yield {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
+    parsed.cache_clear()  # 160 MB
+    imports.cache_clear()
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
