@@ -40,6 +40,10 @@ _ROUGHLY, _FAIRLY, _CLOSELY = 100.0, 3.0, 1e-2  # tolerances of the sum, by stag
 _SEARCH_PERIOD_s = 0.02  # between ticks
 _ROUNDINGS_m_s = ((0.1, 0.03, 0.01, 0.003), (0.01, 0.003), (0.003,))  # of Coulomb drag, by stage, of each search
 _FINISHED = 2  # results of searches, the likeliest
+_MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time; the bed of seed 91003 takes 454,449
+_HOPELESS = (
+    4.0  # squares of a search's result by its residuals, three times what could be an answer: it is not finished
+)
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 _DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
@@ -158,7 +162,8 @@ class TableExiddm(Exiddm):
     in few steps.
     A search begins with one of two drags, which is held until there is a payload, and with Coulomb drag rounded below
     some slip, where it is nearly linear, then less and less (a continuation). All ticks are fitted from the likeliest
-    two, and the likeliest of all results is kept.
+    two, and the likeliest of all results is kept. Where an instrument is wrong nothing explains the run: searches are
+    bounded, and results far from an answer are not fitted to all ticks.
     """
 
     _base: AirBearingBase
@@ -173,7 +178,11 @@ class TableExiddm(Exiddm):
         except (EstimationError, SignalError) as error:
             failure.append(error)
         if not found or self._pushes(found[0].fit):
-            for x in self._searched():
+            try:
+                near = self._searched()
+            except ConvergenceError as error:
+                near, failure = [], [error]
+            for x in near:
                 try:
                     one = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, _CLOSELY)
                     found.append(self.found(one))
@@ -199,20 +208,31 @@ class TableExiddm(Exiddm):
         return bool((each.reshape(-1, 2).sum(axis=0) < 0.0).any() or (each < -sigma).any())
 
     def _searched(self) -> list[FloatArray]:
-        """Parameters to begin with, (p,) each, the likeliest first."""
+        """Parameters to begin with, (p,) each, the likeliest first.
+
+        Raises:
+            ConvergenceError: all results are far from an answer.
+        """
         base, mass = self._base, self.layout.estimated("payload")[0]
         coarse = self.of(base.coarser(max(1, round(_SEARCH_PERIOD_s / base.signals.period_s))))
+        work = _Work(_MOST_TICKS)
+        found = list[Searched]()
         for guess in _BODIES:
-            found = list[Searched]()
             for roundings_m_s, drags in product(_ROUNDINGS_m_s, _DRAGS):
                 with suppress(EstimationError):
-                    found.append(coarse._continued(guess, roundings_m_s, drags))
-            found = [one for one in found if one.x[mass] > 0.0]
+                    found.append(coarse._continued(guess, roundings_m_s, drags, work))
+            found = sorted((one for one in found if one.x[mass] > 0.0), key=lambda one: one.squares)[:_FINISHED]
             if found:
-                return [one.x for one in sorted(found, key=lambda one: one.squares)[:_FINISHED]]
-        return []
+                break
+        near = [one.x for one in found if one.squares < _HOPELESS * 6 * coarse._valid.sum()]
+        if found and not near:
+            times = np.sqrt(found[0].squares / (6 * coarse._valid.sum()))
+            raise ConvergenceError(f"IMU and joints contradict each other: {times:.1f} times the noise is left")
+        return near
 
-    def _continued(self, guess: RigidBody, roundings_m_s: Sequence[float], drags: tuple[float, float]) -> "Searched":
+    def _continued(
+        self, guess: RigidBody, roundings_m_s: Sequence[float], drags: tuple[float, float], work: "_Work"
+    ) -> "Searched":
         """From a payload and drags that are held at first, Coulomb drag rounded less and less."""
         payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")
         n, both, none = len(self._valid), np.concatenate([payload, drag]), drag[:0]
@@ -220,10 +240,10 @@ class TableExiddm(Exiddm):
         x[drag] = self._drag(*drags)
         rounded = self.of(self._base.rounded(roundings_m_s[0]))
         for held, ticks in ((both, n // 3), (drag, n // 3), (drag, 2 * n // 3), (drag, n)):
-            x = rounded._held(x, held, _ROUGHLY, ticks).x
+            x = rounded._held(x, held, _ROUGHLY, ticks, work).x
         for rounding_m_s in roundings_m_s:
-            x = self.of(self._base.rounded(rounding_m_s))._held(x, none, _FAIRLY).x
-        return self._held(x, none, _FAIRLY)
+            x = self.of(self._base.rounded(rounding_m_s))._held(x, none, _FAIRLY, n, work).x
+        return self._held(x, none, _FAIRLY, n, work)
 
     def _drag(self, viscous_1_s: float, coulomb_m_s2: float) -> FloatArray:
         """Fv and Fc of each puck that slow the bare vehicle down so, (2 x pucks,)."""
@@ -231,13 +251,14 @@ class TableExiddm(Exiddm):
         mass_kg = self._base.vehicle.chi[::10].sum()
         return np.tile([viscous_1_s * mass_kg / pucks, coulomb_m_s2 * mass_kg / pucks], pucks)
 
-    def _held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int | None = None) -> "Searched":
-        """The best in a few steps, for the first ticks or all, with some unknowns kept as they are."""
+    def _held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int, work: "_Work") -> "Searched":
+        """The best in a few steps, for the first ticks, with some unknowns kept as they are."""
         free = np.setdiff1d(np.arange(x.size), held)
         tried, prior = x.copy(), self.prior_information[np.ix_(free, free)]
         descent = Descent(x[free], np.zeros(free.size), prior, _STEPS, tolerance)
         for _ in range(_STEPS):
             tried[free] = descent.at
+            work.spend(ticks)
             with np.errstate(over="ignore", invalid="ignore"):
                 r, J = self.residuals(tried, ticks)
                 predicted = Normal.of(r, J[:, free])
@@ -247,6 +268,23 @@ class TableExiddm(Exiddm):
         whole = x.copy()
         whole[free] = descent.best if descent.found is None else descent.found.x
         return Searched(whole, descent.squares)
+
+
+class _Work:
+    """Ticks that searches may still predict."""
+
+    def __init__(self, ticks: int) -> None:
+        self._left = ticks
+
+    def spend(self, ticks: int) -> None:
+        """So many are predicted.
+
+        Raises:
+            ConvergenceError: there are none left.
+        """
+        if self._left <= 0:
+            raise ConvergenceError("no minimum was found in the time that a search has; check IMU and joints")
+        self._left -= ticks
 
 
 class Searched(NamedTuple):

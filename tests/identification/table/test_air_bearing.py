@@ -22,10 +22,13 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.imu_errors import ImuPrior
 from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.table import air_bearing
 from onboard.identification.table.air_bearing import (
     AirBearingPrior,
     DragPrior,
+    Searched,
     TableExiddm,
+    _Work,
     air_bearing_exiddm,
     drag_of,
 )
@@ -259,6 +262,45 @@ def test_where_the_fit_of_growing_parts_fails_minima_are_searched_for(rng, monke
         air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
 
 
+@pytest.fixture
+def contradicted(run, rng):
+    """One joint reads half of what it turns by, and no other minimum is found by growing parts."""
+    signals = noisy(run, rng)
+    wrong = signals._replace(
+        **{name: getattr(signals, name) * [1.0, 0.5, 1.0, 1.0, 1.0] for name in ("q", "dq", "ddq")}
+    )
+    return air_bearing_exiddm(run.vehicle, "imu_base", wrong, WIDE, {}, PRIOR)
+
+
+def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contradicted, monkeypatch):
+    def fails(_):
+        raise ConvergenceError("not converged")
+
+    monkeypatch.setattr(Exiddm, "fit", fails)
+    far = Searched(contradicted.start(PAYLOAD), 1e6)
+    monkeypatch.setattr(TableExiddm, "_continued", lambda *_: far)
+    with pytest.raises(ConvergenceError, match=r"contradict each other: .* times the noise"):
+        contradicted.fit()
+
+
+def test_searches_of_a_run_are_bounded(contradicted, monkeypatch):
+    def fails(_):
+        raise ConvergenceError("not converged")
+
+    predicted, residuals = [], TableExiddm.residuals
+
+    def counted(exiddm, x, ticks=None):
+        predicted.append(ticks)
+        return residuals(exiddm, x, ticks)
+
+    monkeypatch.setattr(Exiddm, "fit", fails)
+    monkeypatch.setattr(air_bearing, "_MOST_TICKS", 5000)
+    monkeypatch.setattr(TableExiddm, "residuals", counted)
+    with pytest.raises(ConvergenceError):
+        contradicted.fit()
+    assert 5000 <= sum(predicted) < 5000 + max(predicted)
+
+
 def test_a_fit_whose_pucks_push_is_searched_again(run):
     """Coulomb drag of one puck below zero by more than its sigma: a run of the bed (seed 91003) was 12 sigmas off."""
     exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
@@ -299,7 +341,7 @@ def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
     for puck, value in zip(range(len(PUCKS)), DRAGS, strict=True):
         x[drag[2 * puck : 2 * puck + 2]] = value.viscous_N_s_m, value.coulomb_N
     x[:3] = [0.02, -0.01, 0.05]
-    done = exiddm._held(x, held, 1e-3)
+    done = exiddm._held(x, held, 1e-3, len(exact(run).q), _Work(10**6))
     np.testing.assert_array_equal(done.x[held], x[held])
     np.testing.assert_allclose(done.x[exiddm.layout.estimated("tilt")], TILT, atol=2e-4)
 
