@@ -64,10 +64,13 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page(mission: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a log whose name would be markup."""
     vehicle = config.load(config.packaged("rocksat"))
-    truth.write(mission.path, with_quantities(vehicle, mission.flown.truth))
     path = tmp_path_factory.mktemp("report") / "rocksat.html"
-    assert report(mission.path, path) == ()
+    log = path.with_name("<b>a&b.mcap")
+    log.symlink_to(mission.path)
+    truth.write(log, with_quantities(vehicle, mission.flown.truth))
+    assert report(log, path) == ()
     return path
 
 
@@ -97,11 +100,8 @@ def test_it_says_what_was_said_in_flight_and_what_was_true(page: Path, mission: 
     assert f"{used:,} of {len(mission.log.read('row')):,} rows went into the estimate." in text
 
 
-def test_what_a_log_says_of_itself_cannot_become_markup(mission: Result, tmp_path: Path) -> None:
-    log = tmp_path / "<b>a&b.mcap"
-    log.symlink_to(mission.path)
-    report(log, tmp_path / "page.html")
-    text = (tmp_path / "page.html").read_text()
+def test_what_a_log_says_of_itself_cannot_become_markup(page: Path) -> None:
+    text = page.read_text()
     assert "<b>" not in text
     assert "&lt;b&gt;a&amp;b.mcap" in text
 
