@@ -12,6 +12,7 @@ import pytest
 
 from onboard import config
 from onboard.estimation.gates import GateReason
+from onboard.flight.estimate import checkpoint
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.state import _HEAD, _MAGIC, FORMAT, Places, StateError, from_bytes, to_bytes
@@ -181,3 +182,17 @@ def test_what_never_changes_of_a_free_flyers_estimator_is_not_in_a_checkpoint() 
     assert unknowns > 100
     size = len(to_bytes(estimator.online, Places(estimator)))
     assert size < 1.5 * 8 * unknowns**2  # its covariance, of which the prior is a copy
+
+
+def test_where_two_files_cannot_exchange_their_names_a_checkpoint_takes_the_place_of_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a network's file system: the kernel does not know the flag there."""
+    monkeypatch.setattr(checkpoint, "_RENAME_EXCHANGE", 1 << 20)
+    estimator = Estimator(config.load(config.packaged("workshop")))
+    checkpoints = Checkpoints(tmp_path, Places(estimator))
+    for ticks in range(3):
+        checkpoints.save(Checkpoint(ticks, 0, {}, estimator))
+    back = checkpoints.load()
+    assert back is not None
+    assert back.ticks == 2
