@@ -212,7 +212,7 @@ def test_an_estimator_without_room_for_a_checkpoint_says_so_and_goes_on(
 ) -> None:
     rings.create(tmp_path, vehicle, rings.device_channels(vehicle))
 
-    def refuse(path: Path) -> None:
+    def refuse(path: Path, *, keep: bool) -> None:
         raise OSError(errno.ENOSPC, "no room")
 
     monkeypatch.setattr(checkpoint, "open_private", refuse)
