@@ -204,12 +204,13 @@ class ExiddmIdentifier:
         return self.exiddm.holds and self.exiddm.confirmed
 
     def triangle(self) -> FloatArray:
-        """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while unknown."""
+        """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while there is none."""
         out = np.zeros((11, 11))
         if self._answers and self.exiddm.state is not None:
             mean, P = self._payload(self.exiddm.state)
-            R = dpotrf(np.linalg.inv(P))[0]
-            out[:10, :10], out[:10, 10] = R, R @ mean
+            R, failed = dpotrf(np.linalg.inv(P))
+            if not failed:
+                out[:10, :10], out[:10, 10] = R, R @ mean
         return out
 
     def findings(self) -> Findings:

@@ -40,10 +40,8 @@ _FEW = 0.03  # largest share of outliers
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
 _NEAR = 1e-5  # damping of the first step from a minimum of other ticks or other sigmas
-_UNTOLD, _AWAY = (
-    0.05,
-    0.7,
-)  # share of information that is the ticks' in what they do not tell; prior sigmas, 0.2 by chance
+_UNTOLD = 0.05  # share of information that is the ticks' in what they do not tell
+_AWAY = 0.7  # prior sigmas from where that belongs; 0.2 by chance
 _BEGUN = 0.5  # relative sigma of the payload's mass below which a window grows: what it has told is not thrown away
 _GROWTH, _LONGEST = 1.5, 4.0  # of such a window
 

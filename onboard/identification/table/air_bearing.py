@@ -41,9 +41,7 @@ _SEARCH_PERIOD_s = 0.02  # between ticks
 _ROUNDINGS_m_s = ((0.1, 0.03, 0.01, 0.003), (0.01, 0.003), (0.003,))  # of Coulomb drag, by stage, of each search
 _FINISHED = 2  # results of searches, the likeliest
 _MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time; the bed of seed 91003 takes 454,449
-_HOPELESS = (
-    4.0  # squares of a search's result by its residuals, three times what could be an answer: it is not finished
-)
+_HOPELESS = 4.0  # squares of a search's result by its residuals, three times what could be an answer
 _STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 _DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2

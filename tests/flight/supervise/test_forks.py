@@ -104,6 +104,14 @@ def test_an_error_of_the_system_in_a_process_is_no_end_in_order(light: ForkServe
     assert exit_code(unneeded.pid, wait=True) == 0
 
 
+def ran(program: str) -> subprocess.CompletedProcess[str]:
+    """A program of its own, at its end."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, env=environment, check=False
+    )
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_a_server_ends_with_its_supervisor(*, shared: bool) -> None:
     program = (
@@ -117,10 +125,7 @@ def test_a_server_ends_with_its_supervisor(*, shared: bool) -> None:
         "print(spare.pid, used.pid, server._pid, flush=True)\n"
         "os.kill(os.getpid(), 9)\n"
     )
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, timeout=120, env=environment, check=False
-    )
+    done = ran(program)
     left = [int(pid) for pid in done.stdout.split()]
     assert len(left) == 3
     deadline = time.monotonic() + 30
@@ -157,10 +162,7 @@ def test_a_server_shares_what_is_loaded_where_there_is_one_thread_and_its_succes
         "threading.Thread(target=time.sleep, args=(2,), daemon=True).start()\n"
         "print(loaded(ForkServer(shared=True))[:2])\n"
     )
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, env=environment, check=False
-    )
+    done = ran(program)
     here, *others = done.stdout.splitlines()
     assert (here, others) == ("(['scipy.stats'], 3, False)", ["1", "1", "([], 3)", "([], 3)"]), done.stderr
     assert "OSError: no space left on device" in done.stderr
