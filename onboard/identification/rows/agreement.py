@@ -14,7 +14,9 @@ Per instrument, at the estimate of all rows:
   Rows that read nothing, those of a wrench known to be zero, have no gain.
 - *Suspicion*: a step that few blocks tell of is no reason to refuse, but may be one. By the scatter of all blocks its
   variance is known better, and intervals contain what it does to the estimate, beyond what chance is expected to do.
-- *Misfit*: residual relative to the noise, as the estimate makes it of the noise of the motion, and to the signal.
+- *Misfit*: residual relative to the noise, and to the signal, of the worst kind of rows that noise does not explain.
+  What the noise of the motion makes is taken at the estimate, but is no more than at the plain least squares' or at the
+  drawing: what no row tells, the correction for this noise may carry off until the noise "explains" any residual.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
 
@@ -74,6 +76,7 @@ class InstrumentFit(NamedTuple):
 def instrument_fits(
     blocks: RowBlocks,
     mean: FloatArray,
+    plain: FloatArray,
     drawn: FloatArray,
     physical: BoolArray,
     prior: FloatArray,
@@ -84,18 +87,19 @@ def instrument_fits(
     Args:
         blocks: the rows.
         mean: the estimate, (p,).
+        plain: that of the plain least squares, (p,).
         drawn: base parameters of the drawing, (p,).
         physical: which parameters are of bodies, and not of an instrument, (p,).
         prior: information on the parameters before the rows, (p, p).
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
-    v = np.concatenate([mean, [-1.0, 0.0]])
+    v, *others = (np.concatenate([one, [-1.0, 0.0]]) for one in (mean, plain, drawn))
     rows_of = {part: blocks.of(*part)[0][:, :-2, :-2] for part in blocks.parts}
     every = prior + sum(H.sum(axis=0) for H in rows_of.values())
     body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
     found = []
     for number, name in enumerate(blocks.instruments):
-        parts, squares, worst, lost = list[_Part](), np.zeros(4), (0.0, 0.0), np.zeros(2)
+        parts, squares, worst, lost = list[_Part](), np.zeros(4), (False, 0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
             if own != number:
                 continue
@@ -107,8 +111,10 @@ def instrument_fits(
             squares += sums
             lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
             unexplained = np.sqrt(left.sum() / (left.sum() + sums[1])) if sums[1] else 1.0
-            expected = blocks.own(held, number) + correlation * max(float(v @ noise.sum(axis=0) @ v), 0.0)
-            worst = max(worst, (float(unexplained), float(left.sum() / expected)))
+            of_motion = [max(float(one @ noise.sum(axis=0) @ one), 0.0) for one in (v, *others)]
+            expected = blocks.own(held, number) + correlation * min(of_motion[0], max(of_motion[1:]))
+            misfit = float(left.sum() / expected)
+            worst = max(worst, (misfit * correlation > NOISE, float(unexplained), misfit))
             if readings.any():
                 scores = (noise - N)[:, :-2] @ v
                 noisy = left, correlation / N[:, -1, -1]
@@ -118,7 +124,7 @@ def instrument_fits(
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
             step = _step(parts, body, every) if parts else None
             still = float(lost[0] / lost[1]) if lost[1] else 0.0
-            found.append(InstrumentFit(name, rows, worst[1], worst[0], float(response), still, step))
+            found.append(InstrumentFit(name, rows, worst[2], worst[1], float(response), still, step))
     return tuple(found)
 
 

@@ -297,8 +297,9 @@ class Identifier:
             return ()
         if self._fitted is None or self._fitted[0] != self.rows_used:
             mean, drawn = self.block_jackknife().mean, self.base.value(self.model.chi)
-            parameters = self._physical, self.rls.prior_equations()[0]
-            self._fitted = self.rows_used, instrument_fits(self.seen, mean, drawn, *parameters, self._inflation**2)
+            plain, prior = self.rls.solve().mean, self.rls.prior_equations()[0]
+            fits = instrument_fits(self.seen, mean, plain, drawn, self._physical, prior, self._inflation**2)
+            self._fitted = self.rows_used, fits
         return self._fitted[1]
 
     def unexplained(self) -> float:

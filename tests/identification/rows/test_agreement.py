@@ -29,7 +29,7 @@ def fits(rng, y_of, n=3000, sigma=0.05, drawn=TRUTH):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, y, np.full(n, sigma), np.full(n, sigma), None)
-    return instrument_fits(seen, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    return instrument_fits(seen, mean, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
 
 
 def test_honest_rows_have_nothing_against_them(rng):
@@ -59,7 +59,7 @@ def noisy_fits(rng, late_s, vibration, jump=0.06, drawn=TRUTH):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
-    return instrument_fits(seen, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    return instrument_fits(seen, mean, mean, drawn, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
 
 
 def test_vibration_of_a_fast_sweep_hides_no_step_that_a_slow_one_shows():
@@ -93,7 +93,7 @@ def test_of_two_cells_one_that_jumps_at_the_release_is_seen(rng):
         rows.append((Y, y))
     mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
     physical = np.array([True, True, False, False])
-    fits = instrument_fits(seen, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
+    fits = instrument_fits(seen, mean, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
     for fit, sign in zip(fits, (-1.0, 1.0), strict=True):
         assert fit.step is not None
         assert fit.step.size == pytest.approx(0.1 * sign, rel=0.2)
@@ -111,7 +111,7 @@ def test_a_step_that_a_released_payload_would_take_up_is_none(rng):
     seen = RowBlocks(4, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, 0.002 * one, 0.002 * one, None)
     mean, physical = np.linalg.lstsq(Y, y, rcond=None)[0], np.array([True, True, True, False])
-    [fit] = instrument_fits(seen, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
+    [fit] = instrument_fits(seen, mean, mean, mean, physical, 1e-6 * np.eye(4), 1.0)
     assert fit.step is None or abs(fit.step.time_s - 10.0) > 0.5
     assert judged_fit(fit, 1.0)[0] == []
 
@@ -126,7 +126,7 @@ def test_a_long_rest_before_the_motion_hides_no_jump_and_makes_none(rng, scale):
     mean = np.linalg.lstsq(Y / sigma[:, None], y / sigma, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
-    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, mean, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.step is not None
     if scale == 1.0:
         assert judged_fit(fit, 1.0) == ([], [])
@@ -165,7 +165,7 @@ def test_rows_that_read_nothing_have_no_gain(rng):
     Y = np.column_stack([np.sin(5.0 * t), np.sin(5.0 * t) * np.where(t > 3.0, 1.4, 1.0) + 0.1, np.full(n, 0.1)])
     seen = RowBlocks(3, 0.5, ("base IMU",))
     seen.add(t, np.ones(n, bool), np.zeros(n, np.intp), Y, np.zeros(n), np.full(n, sigma), np.full(n, sigma), None)
-    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)
+    [fit] = instrument_fits(seen, np.array([1.0, -0.9, 0.5]), TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)
     assert fit.step is None
     assert np.isnan(fit.response)
 
@@ -191,7 +191,7 @@ def test_what_is_left_over_is_held_against_the_noise_at_the_answer(rng):
     wide, own = np.full(t.size, noise * 100.0), np.full(t.size, 0.002)
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, wide, own, doubt)
-    fit = instrument_fits(seen, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, TRUTH, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.misfit == pytest.approx(0.5 * 0.4**2 / (own[0] ** 2 + (noise * TRUTH[0]) ** 2), rel=0.05)
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
@@ -206,8 +206,35 @@ def test_rows_without_the_payload_are_judged_by_themselves(rng):
     mean = np.linalg.lstsq(Y, y, rcond=None)[0]
     seen = RowBlocks(3, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, np.full(t.size, 0.002), np.full(t.size, 0.002), None)
-    fit = instrument_fits(seen, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    fit = instrument_fits(seen, mean, mean, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert fit.unexplained > 0.4
+    assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
+
+
+def test_a_parameter_that_ran_away_lets_the_noise_of_the_motion_explain_nothing(rng):
+    """The second column is noise alone, so that the corrected estimate may be anything there; readings are late."""
+    t, noise, own = 0.01 * np.arange(3000), 0.01, np.full(3000, 0.002)
+    Y = np.column_stack([np.sin(5.0 * t), noise * rng.normal(size=t.size), np.ones(t.size)])
+    y = TRUTH[0] * np.sin(5.0 * t - 0.5) + TRUTH[2] + 0.002 * rng.normal(size=t.size)
+    doubt = np.zeros((t.size, 1, 4))
+    doubt[:, 0, 1] = noise
+    seen = RowBlocks(3, 0.5, ("cell",))
+    seen.add(t, np.ones(t.size, bool), np.zeros(t.size, np.intp), Y, y, own, own, doubt)
+    away = TRUTH + np.array([0.0, 40.0, 0.0])
+    fit = instrument_fits(seen, away, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
+    assert fit.misfit > 100.0
+    assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
+
+
+def test_a_kind_of_rows_that_noise_explains_hides_none_that_it_does_not(rng):
+    """Late readings while the payload is held; after the release there is little more than noise."""
+    t = 0.01 * np.arange(4000)
+    held, own = t < 30.0, np.full(4000, 0.002)
+    Y = np.column_stack([np.where(held, 1.0, 0.0) * np.sin(5.0 * t), 0.01 * np.cos(7.0 * t), np.ones(t.size)])
+    y = Y @ TRUTH + np.where(held, 0.5 * (np.sin(5.0 * t - 0.5) - np.sin(5.0 * t)), 0.0) + 0.002 * rng.normal(size=4000)
+    seen = RowBlocks(3, 0.5, ("cell",))
+    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, own, own, None)
+    fit = instrument_fits(seen, TRUTH, TRUTH, TRUTH, PHYSICAL, 1e-6 * np.eye(3), 1.0)[0]
     assert any("left over" in said for said in judged_fit(fit, 1.0)[0])
 
 
