@@ -4,7 +4,8 @@
 stamp arriving data; the layers above do not read a clock.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 
 class I2cReply(NamedTuple):
@@ -52,12 +53,17 @@ class CanPort(Protocol):
         """Release the bus."""
 
 
-@runtime_checkable
 class Gathers(Protocol):
     """A CAN port that can take the frames of some time at once, for less than if each wakes its reader."""
 
     def gather(self, seconds: float) -> list[CanFrame]:
         """The frames of the next so many seconds, stamped as ``receive`` stamps them. Raises OSError."""
+
+
+def gathered(port: CanPort, seconds: float) -> list[CanFrame]:
+    """The frames of the next so many seconds where ``port`` is one that :class:`Gathers`; else none, at once."""
+    gather: Callable[[float], list[CanFrame]] | None = getattr(port, "gather", None)  # isinstance takes 20 us
+    return [] if gather is None else gather(seconds)
 
 
 class Edge(NamedTuple):

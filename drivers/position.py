@@ -31,7 +31,7 @@ class Position:
     def place(self, word: int) -> tuple[int, bool]:
         """Position with the 32 bits ``word`` (signed or not) nearest to the last one, and whether it is accepted."""
         before = self._nearest(word, self._zero) if self.at is None else self.at
-        position = self._nearest(word, before)
+        position = before + (word - before + _HALF) % _TURN - _HALF
         if abs(position - before) > self._counts:
             agrees = self._agreeing and abs(self._nearest(word, self._rejected) - self._rejected) <= self._counts
             self._agreeing = self._agreeing + 1 if agrees else 1

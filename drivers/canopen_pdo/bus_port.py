@@ -2,7 +2,7 @@
 
 from typing import Protocol, runtime_checkable
 
-from drivers.ports import CanFrame, CanPort, Gathers
+from drivers.ports import CanFrame, CanPort, gathered
 from drivers.records import Severity
 from drivers.reporter import Reporter
 
@@ -113,10 +113,8 @@ class BusPort:
 
     def gather(self, seconds: float) -> list[CanFrame]:
         """The frames of the next so many seconds, where the port can gather them; else none."""
-        if not isinstance(self._port, Gathers):
-            return []
         try:
-            return self._port.gather(seconds)
+            return gathered(self._port, seconds)
         except OSError as error:
             self._failed(error)
             return []

@@ -140,11 +140,12 @@ class PdoChannel(ABC):
             return None
 
     def _append(self, host_ns: int, tick: int, sample: Sample, sync_counter: int) -> None:
-        status = sample.status
+        value_raw, device_status, status = sample
         if self._after_reset:
             status |= SampleStatus.AFTER_RESET
             self._after_reset = False
-        data = self.data
-        value = sample.value_raw, data.scale, data.unit
-        self._rows.append((self._next, host_ns, tick, *value, sync_counter, sample.device_status, int(status)))
-        self._next += 1
+        data, number = self.data, self._next
+        self._rows.append(
+            (number, host_ns, tick, value_raw, data.scale, data.unit, sync_counter, device_status, int(status))
+        )
+        self._next = number + 1

@@ -61,10 +61,9 @@ class SyncChannel(PdoChannel):
         """Assign the TPDOs held between SYNC ``tick`` (arrived at ``sync_ns``) and the next one seen, ``next_tick``."""
         answers = next_tick - tick
         held = self._held
-        lowest = max(0, self._last_tick + 1 - tick) if self.started else 0
+        lowest = max(0, self._last_tick + 1 - tick) if self._next else 0
         if answers == 1 and len(held) == 1 and lowest == 0:
-            host_ns, data = held.pop()
-            self._answer(tick, host_ns, data)
+            self._answer(tick, *held.pop())
             return
         for place, (host_ns, data) in enumerate(held):
             if lowest >= answers:

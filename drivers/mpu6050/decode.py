@@ -14,6 +14,7 @@ PACKET_BYTES = 14
 TEMPERATURE_JUMP = 400  # counts, 1.2 degC: above any die's change in one sample period
 
 _ACCEL, _TEMPERATURE, _GYRO = slice(0, 3), 3, slice(4, 7)
+_HIGHEST, _LOWEST = b"\x7f\xff", b"\x80\x00"  # words, as they are sent
 
 
 def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:
@@ -41,7 +42,7 @@ def decode_packets(data: bytes, config: Mpu6050Config) -> Rows:
     rows["temperature_raw"] = words[:, _TEMPERATURE]
     rows["filter_code"] = config.filter_code
     rows["sync"] = words[:, _TEMPERATURE] & 1
-    if len(words) and (words.max() == 32767 or words.min() == -32768):
+    if _HIGHEST in data or _LOWEST in data:  # or halves of two words that look like it
         at_limit = (words == 32767) | (words == -32768)
         at_limit[:, _TEMPERATURE] = False
         rows["status"] = at_limit.any(axis=1) * np.uint8(SampleStatus.SATURATED)
@@ -58,7 +59,11 @@ def first_misaligned(temperature_raw: NDArray[np.int16], before: int | None) -> 
     Returns:
         Index of the first sample that differs by more than ``TEMPERATURE_JUMP`` from the one before; None if none.
     """
-    for place, word in enumerate(temperature_raw.tolist()):  # they are few: faster than through arrays
+    words = temperature_raw.tolist()  # they are few: faster than through arrays
+    every = words if before is None else [before, *words]
+    if every and max(every) - min(every) <= TEMPERATURE_JUMP:
+        return None
+    for place, word in enumerate(words):
         if before is not None and abs(word - before) > TEMPERATURE_JUMP:
             return place
         before = word

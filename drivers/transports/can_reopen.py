@@ -7,7 +7,7 @@ tty never works again. An interface that is only down keeps its socket, and work
 import errno
 from collections.abc import Callable
 
-from drivers.ports import CanFrame, CanPort, Gathers
+from drivers.ports import CanFrame, CanPort, gathered
 from drivers.transports.reopening import STILL_THERE, Reopening
 
 
@@ -37,7 +37,7 @@ class ReopeningCanPort(Reopening[CanPort]):
 
     def gather(self, seconds: float) -> list[CanFrame]:
         """See ``Gathers``; none by a port that does not. Raises OSError."""
-        return self._tried(lambda port: port.gather(seconds) if isinstance(port, Gathers) else [])
+        return self._tried(lambda port: gathered(port, seconds))
 
     def mute(self) -> None:
         """See ``CanPort``. Raises OSError."""

@@ -50,8 +50,8 @@ class UnixI2cPort:
         try:
             connection = self._connected()
             connection.sendall(_REQUEST.pack(operation, address, len(data), count) + data)
-            code, size = _REPLY.unpack(_receive(connection, _REPLY.size))
-            reply = _receive(connection, size)
+            reply = _receive(connection, count)
+            code, size = _REPLY.unpack_from(reply)
         except TimeoutError as error:
             self.close()
             raise OSError(errno.ETIMEDOUT, f"no reply on {self._path}") from error
@@ -62,7 +62,7 @@ class UnixI2cPort:
             raise OSError(code, os.strerror(code))
         if size != count:
             raise OSError(errno.EPROTO, f"{size} bytes where {count} were asked on {self._path}")
-        return reply
+        return reply[_REPLY.size :]
 
     def _connected(self) -> socket.socket:
         if self._socket is None:
@@ -77,11 +77,14 @@ class UnixI2cPort:
         return self._socket
 
 
-def _receive(connection: socket.socket, size: int) -> bytes:
-    data = b""
+def _receive(connection: socket.socket, asked: int) -> bytes:
+    """One reply, mostly at once: its head tells whether it is as long as was ``asked``."""
+    data, size = b"", _REPLY.size
     while len(data) < size:
-        piece = connection.recv(size - len(data))
+        piece = connection.recv(_REPLY.size + asked)
         if not piece:
             raise OSError(errno.ECONNRESET, "the other side closed the connection")
         data += piece
+        if len(data) >= _REPLY.size:
+            size = _REPLY.size + _REPLY.unpack_from(data)[1]
     return data

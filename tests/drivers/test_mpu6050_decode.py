@@ -48,6 +48,12 @@ def test_a_word_at_its_limit_saturates_the_sample_unless_it_is_the_temperature(w
     assert rows["status"].tolist() == [expected, SampleStatus.OK]
 
 
+@pytest.mark.parametrize("words", [(0x007F, -0x80), (0x0080, 0x00FF), (0x7FFE, -0x7FFF)])
+def test_two_words_whose_halves_look_like_a_limit_do_not_saturate(words):
+    rows = decode_packets(struct.pack(">7h", *words, 0, 0, 0, *words), CONFIG)
+    assert rows["status"].tolist() == [SampleStatus.OK]
+
+
 @given(st.binary(max_size=200))
 def test_any_bytes_give_rows_that_hold_them_or_a_frame_error(data):
     if len(data) % 14:

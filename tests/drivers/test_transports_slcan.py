@@ -160,6 +160,21 @@ def test_frames_are_gathered_for_some_time_with_the_stamp_of_their_reading(adapt
     port.close()
 
 
+def test_what_waits_is_gathered_without_asking_and_a_tty_that_is_gone_is_an_os_error(monkeypatch):
+    far_end = Adapter()
+    port = open_can(f"can+slcan://{far_end.path}?bitrate=500000", time.monotonic_ns)
+    far_end.read(7)
+    os.write(far_end.fd, b"t1811AA\r")
+    monkeypatch.setattr(select, "select", None)
+    assert [frame.data for frame in port.gather(0.001)] == [b"\xaa"]
+    monkeypatch.undo()
+    assert port.gather(0.001) == []
+    far_end.close()
+    with pytest.raises(OSError, match=r"."):
+        port.gather(0.001)
+    port.close()
+
+
 def test_python_can_and_our_port_understand_each_other(clock):
     """Two adapters back to back: python-can on one pty, we on another, bytes carried across by hand."""
     left, right = Adapter(), Adapter()

@@ -82,7 +82,7 @@ class Arming:
 
     def hear(self, device: Device, now_ns: int) -> list[Batch]:
         """Pass on segments that the estimation asks for to the device's player; an event for each that comes late."""
-        player = device.player if isinstance(device, Drives) and self._asked_at is not None else None
+        player = device.player if self._asked_at is not None and isinstance(device, Drives) else None
         if not isinstance(player, Player) or not player.is_active or now_ns < self._hear_ns:
             return []
         self._hear_ns = now_ns + HEAR_NS

@@ -165,9 +165,10 @@ def _pump_bus(acquisition: Acquisition, opened: "OpenDevices", its: _Bus) -> Non
             now_ns = time.monotonic_ns()
             if now_ns >= due_ns[device.name]:
                 acquisition.pump(device, now_ns, RECEIVE_TIMEOUT_S if device.period_ns == 0 else 0.0)
-                next_ns = due_ns[device.name] + device.period_ns
-                if device.period_ns and due_ns[device.name] and next_ns <= now_ns:
-                    missed[bus] += 1 + (now_ns - next_ns) // device.period_ns
+                period_ns = device.period_ns
+                next_ns = due_ns[device.name] + period_ns
+                if period_ns and due_ns[device.name] and next_ns <= now_ns:
+                    missed[bus] += 1 + (now_ns - next_ns) // period_ns
                 due_ns[device.name] = max(next_ns, now_ns)
         wait_ns = min(due_ns.values()) - time.monotonic_ns()
         if wait_ns > 0:
