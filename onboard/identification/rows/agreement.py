@@ -8,7 +8,8 @@ Per instrument, at the estimate of all rows:
   Student's t, corrected for the number of places tried, with the variance that the blocks' scores show and at least
   that of the stated noise, and of what is left over besides the step in the very blocks that tell of it: a few blocks
   at an end, alike by chance in what vibration leaves, are no step, and vibration of a fast sweep hides no step that a
-  slow one shows. A block that carries much of the step is given its leverage: one block of noise at an end is none.
+  slow one shows. What other instruments leave over counts too, as far as they tell of what takes up part of the step.
+  A block that carries much of the step is given its leverage: one block of noise at an end is none.
   Degrees of freedom are twice the blocks that tell of it, in effect ``(sum I_b)^2 / sum I_b^2`` by the information I_b
   of each (Kish, Survey Sampling, 1965): a block is two kernels long. After a release few tell of the rows without it.
   Rows that read nothing, those of a wrench known to be zero, have no gain.
@@ -98,6 +99,7 @@ def instrument_fits(
     every = prior + sum(H.sum(axis=0) for H in rows_of.values())
     body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
     found = []
+    judged = {part: _part(blocks, part, v, rows_of[part], correlation) for part in blocks.parts}
     for number, name in enumerate(blocks.instruments):
         parts, squares, worst, lost = list[_Part](), np.zeros(4), (False, 0.0, 0.0), np.zeros(2)
         for held, own in blocks.parts:
@@ -116,13 +118,12 @@ def instrument_fits(
             misfit = float(left.sum() / expected)
             worst = max(worst, (misfit * correlation > NOISE, float(unexplained), misfit))
             if readings.any():
-                scores = (noise - N)[:, :-2] @ v
-                noisy = left, correlation / N[:, -1, -1]
-                parts.append(_Part(blocks.times_s(held, number), rows_of[held, own], scores, *noisy))
+                parts.append(judged[held, own])
         rows, signal_sum, drawn_sum, read = squares.tolist()
         if rows:
             response = np.sqrt(signal_sum / drawn_sum) if drawn_sum > 0.0 and read > 0.0 else np.nan
-            step = _step(parts, body, every) if parts else None
+            beside = [part for (_, own), part in judged.items() if own != number]
+            step = _step(parts, beside, body, every) if parts else None
             still = float(lost[0] / lost[1]) if lost[1] else 0.0
             found.append(InstrumentFit(name, rows, worst[2], worst[1], float(response), still, step))
     return tuple(found)
@@ -144,7 +145,13 @@ class _Part(NamedTuple):
     of_noise: FloatArray  # what makes it one of their stated noise, (b,)
 
 
-def _step(parts: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step | None:
+def _part(blocks: RowBlocks, of: tuple[bool, int], v: FloatArray, H: FloatArray, correlation: float) -> _Part:
+    """One instrument's blocks, with the payload or without, at the estimate ``v``, (p + 2,)."""
+    N, noise = blocks.of(*of)
+    return _Part(blocks.times_s(*of), H, (noise - N)[:, :-2] @ v, _sums(N, v), correlation / N[:, -1, -1])
+
+
+def _step(parts: Sequence[_Part], others: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step | None:
     """The likeliest step of an instrument's gain; None where its blocks are too few to be cut.
 
     Readings after a cut k are predicted as ``(1 + g + G) Y body``, those before as ``(1 + G) Y body``. All parameters
@@ -158,6 +165,7 @@ def _step(parts: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step |
 
     Args:
         parts: its rows, with the payload and without.
+        others: those of the other instruments, which tell of the parameters that take up part of the step.
         body: the estimate's parameters of bodies, (p,).
         every: information of all rows and the prior, (p, p).
     """
@@ -184,6 +192,11 @@ def _step(parts: Sequence[_Part], body: FloatArray, every: FloatArray) -> Step |
         return None
     size = float(moved[k] / information[k])
     c = np.outer((np.arange(n) >= after[k]) - share[k], body) - (a[k] - share[k] * a[0])
+    if others:
+        _, of_others, *noisy = (np.concatenate(column) for column in zip(*others, strict=True))
+        c = np.concatenate([c, np.tile(share[k] * a[0] - a[k], (len(of_others), 1))])
+        H = np.concatenate([H, of_others])
+        scores, left, of_noise = (np.concatenate(pair) for pair in zip((scores, left, of_noise), noisy, strict=True))
     shares = np.einsum("bp,bpq,bq->b", c, H, c)
     told = np.einsum("bp,bp->b", c, scores)
     unexplained = np.maximum(1.0, (left - 2.0 * size * told + size**2 * shares) * of_noise)  # besides the step

@@ -101,6 +101,26 @@ def test_of_two_cells_one_that_jumps_at_the_release_is_seen(rng):
         assert any("from one time on" in said for said in judged_fit(fit, 1.0)[0])
 
 
+def two_cells(rng, noises):
+    """Fits of two healthy cells, stated to have a noise of 0.01, and a payload that goes in the middle."""
+    t = 0.01 * np.arange(2000)
+    held, one = t < 10.0, np.ones(t.size)
+    seen, rows = RowBlocks(4, 0.5, ("cell_1", "cell_2")), []
+    for number, noise in enumerate(noises):
+        Y = np.column_stack([np.sin(5.0 * t), held * np.sin(5.0 * t), one * (number == 0), one * (number == 1)])
+        y = Y @ [0.5, 0.8, 0.0, 0.0] + number + noise * rng.normal(size=t.size)
+        seen.add(t, held, np.full(t.size, number), Y, y, 0.01 * one, 0.01 * one, None)
+        rows.append((Y, y))
+    mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
+    return instrument_fits(seen, mean, mean, mean, np.arange(4) < 2, 1e-6 * np.eye(4), 1.0)
+
+
+def test_what_the_other_cell_leaves_over_is_no_step_of_this_one():
+    """A step at the release is told by the other cell alone: as well as that one fits, not as well as this one does."""
+    steps = [two_cells(np.random.default_rng(seed), (0.01, 0.2))[0].step for seed in range(40)]
+    assert min(step.chance for step in steps if step is not None) > 1e-3
+
+
 def test_a_step_that_a_released_payload_would_take_up_is_none(rng):
     """A twentieth of the readings, which hardly tells a gain, is another one after the release: no jump of the gain."""
     t = 0.01 * np.arange(2000)
