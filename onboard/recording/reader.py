@@ -159,7 +159,8 @@ class LogReader:
             ChannelError: the log has no such channel.
             OSError: the log cannot be read.
         """
-        joined = bytearray().join(batch.rows.tobytes() for batch in self.batches([channel]))
+        joined = bytearray().join(batch.rows.tobytes() for batch in self._batches([channel], None, None))
+        self._require([channel])  # known after that pass without one of its own
         return np.frombuffer(joined, self.channels[channel])
 
     def _require(self, channels: Collection[str]) -> None:

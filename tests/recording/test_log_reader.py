@@ -59,6 +59,16 @@ def test_selection_by_channel_and_time(small):
     assert sum(len(batch.rows) for batch in log.batches(end_ns=1)) == 1
 
 
+def test_reading_a_channel_first_is_the_pass_that_tells_of_the_whole_log(small, monkeypatch):
+    passes, real = [], LogReader._chunks
+    monkeypatch.setattr(LogReader, "_chunks", lambda self: passes.append(self) or real(self))
+    log = LogReader(small)
+    assert same_fields(log.read("label"), small_labels())
+    assert log.channels.keys() == {"reading", "label"}
+    assert log.complete
+    assert len(passes) == 1
+
+
 @pytest.mark.parametrize("ask", [lambda log: log.batches(["nobody"]), lambda log: log.read("nobody")])
 def test_a_channel_that_is_not_there_is_named(small, ask):
     with pytest.raises(ChannelError, match=r"nobody.*reading"):

@@ -284,19 +284,19 @@ class Identifier:
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
             return Findings(tuple(against), ())
         jackknife = self.block_jackknife()
-        found = [judged_fit(fit, self._inflation**2) for fit in self._fits()]
+        found = [judged_fit(fit, self._inflation**2) for fit in self._fits(jackknife.mean)]
         found += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
         for bad, doubt in (*found, (too_large(self.corrections), doubtful(self.corrections))):
             against += bad
             doubts += doubt
         return Findings(tuple(against), tuple(doubts))
 
-    def _fits(self) -> tuple[InstrumentFit, ...]:
-        """How each instrument's rows stand to the estimate of all; none where that forgets."""
+    def _fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:
+        """How each instrument's rows stand to the estimate of all, ``mean``; none where that forgets."""
         if self.memory != FOR_EVER:
             return ()
         if self._fitted is None or self._fitted[0] != self.rows_used:
-            mean, drawn = self.block_jackknife().mean, self.base.value(self.model.chi)
+            mean, drawn = self.block_jackknife().mean if mean is None else mean, self.base.value(self.model.chi)
             plain, prior = self.rls.solve().mean, self.rls.prior_equations()[0]
             fits = instrument_fits(self.seen, mean, plain, drawn, self._physical, prior, self._inflation**2)
             self._fitted = self.rows_used, fits
@@ -308,7 +308,7 @@ class Identifier:
 
     def _unstated(self, jackknife: JackknifeEstimate) -> FloatArray:
         """Sigma of all that is reported by errors that no key states, (r,): suspected steps, and off the drawing."""
-        steps = [self._weights @ fit.step.suspected for fit in self._fits() if fit.step is not None]
+        steps = [self._weights @ fit.step.suspected for fit in self._fits(jackknife.mean) if fit.step is not None]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.rls.prior_equations()[0]
         scales = np.abs(self._weights @ unstated(self.quantities, jackknife, self.seen, body, prior).T)
         return np.asarray(np.hypot.reduce([scales.max(axis=1, initial=0.0), *steps]), np.float64)

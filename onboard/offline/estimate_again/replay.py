@@ -19,6 +19,7 @@ from onboard import config
 from onboard.flight.estimate.estimator import Estimator
 from onboard.offline.tables.progress import follow
 from onboard.offline.tables.vehicle_file import vehicle_of
+from onboard.recording.errors import ChannelError
 from onboard.recording.reader import LogReader
 
 SEQUENCED = np.dtype([("sequence", "<u8"), ("host_ns", "<i8")])
@@ -161,8 +162,9 @@ def replay(path: Path, progress: Progress | None = None) -> Replay:
         ConfigError: it carries no vehicle that can be used.
     """
     log = LogReader(path)
+    restarts_ns = _restarts_ns(log)  # first: the vehicle then takes no pass of its own
     with tempfile.TemporaryDirectory() as directory:
-        return _replay(log, vehicle_of(log, Path(directory)), follow(progress, "replay", log))
+        return _replay(log, vehicle_of(log, Path(directory)), restarts_ns, follow(progress, "replay", log))
 
 
 class EstimatorStep(NamedTuple):
@@ -200,24 +202,30 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
         yield EstimatorStep(int(tick["host_ns"]), batches, 0 if tick["final"] else None, fresh, short, skipped_ns)
 
 
-def _published_before_each_restart(log: LogReader, outputs: Iterable[str]) -> deque[dict[str, int]]:
-    """Rows of each output before each estimator that began anew, in order."""
-    ticks = log.read("tick") if "tick" in log.channels else None
-    if ticks is None or "fresh" not in (ticks.dtype.names or ()) or not ticks["fresh"].any():
-        return deque()
-    times = {name: log.read(name)["host_ns"] for name in outputs}
-    anew_ns = ticks["host_ns"][ticks["fresh"] != 0].tolist()
-    return deque({name: int((at < now_ns).sum()) for name, at in times.items()} for now_ns in anew_ns)
+def _restarts_ns(log: LogReader) -> list[int]:
+    """When an estimator began anew in place of one that died."""
+    try:
+        ticks = log.read("tick")
+    except ChannelError:
+        return []
+    anew = ticks["fresh"] != 0 if "fresh" in (ticks.dtype.names or ()) else np.zeros(len(ticks), np.bool_)
+    return [int(at_ns) for at_ns in ticks["host_ns"][anew]]
 
 
-def _replay(log: LogReader, vehicle: config.Vehicle, tell: Callable[[], None]) -> Replay:
+def _published_before(log: LogReader, restarts_ns: Sequence[int], outputs: Iterable[str]) -> deque[dict[str, int]]:
+    """Rows of each output before each of the restarts."""
+    times = {name: log.read(name)["host_ns"] for name in outputs} if restarts_ns else {}
+    return deque({name: int((at < now_ns).sum()) for name, at in times.items()} for now_ns in restarts_ns)
+
+
+def _replay(log: LogReader, vehicle: config.Vehicle, restarts_ns: Sequence[int], tell: Callable[[], None]) -> Replay:
     estimator = Estimator(vehicle)
     outputs = estimator.outputs
     rows = Pass(log, [*estimator.inputs, "tick", *outputs])
     channels = {name: _Said(dtype) for name, dtype in outputs.items()}
     short = ""
     times_ns: deque[int] = deque([-1], maxlen=_UNANSWERED + 1)
-    begun = _published_before_each_restart(log, outputs)
+    begun = _published_before(log, restarts_ns, outputs)
     for name, channel in channels.items():
         channel.until = begun[0][name] if begun else None
     for step in steps(rows, estimator.inputs):

@@ -237,6 +237,16 @@ def test_batches_of_any_size_agree(rng):
         assert a.mean == pytest.approx(b.mean, rel=1e-3)
 
 
+def test_an_answer_takes_two_jackknifes_one_for_its_findings(rng, monkeypatch):
+    signals, held, _ = flight(rng)
+    who, taken, real = identifier(), [], Identifier.block_jackknife
+    feed(who, signals, held)
+    monkeypatch.setattr(Identifier, "block_jackknife", lambda self, *how: taken.append(how) or real(self, *how))
+    who.findings()
+    who.estimate()
+    assert len(taken) == 2
+
+
 def test_a_window_forgets_what_was_held_and_an_identifier_for_ever_does_not(rng):
     """4 s after the ejection a window of 3 s holds rows without the payload only: it cannot tell the payload."""
     signals, held, _ = flight(rng)
