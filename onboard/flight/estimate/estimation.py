@@ -29,7 +29,7 @@ from onboard.ring import RingReader, RingWriter
 SUFFIX = "_estimation"
 CHECKPOINT_TICKS = 20
 CHECKPOINT_NS = 2_000_000_000  # where a step takes longer than it should
-CHECKPOINT_CPU_NS = 120_000_000  # of steps, which a restart would have to do again; a checkpoint costs 4 to 7 ms
+CHECKPOINT_CPU_NS = 60_000_000  # of steps, which a restart would have to do again; a checkpoint costs 4 to 7 ms
 LONGEST_STEP_NS = 500_000_000  # of the devices' rows; a step of many seconds holds up the next
 
 
