@@ -25,3 +25,21 @@ PUCK: dict[str, tuple[str, ...]] = {
     "viscous_sigma_N_s_m": ("Drag in proportion to the slip, 1 sigma about none.", "a puck is worn or dry"),
     "coulomb_sigma_N": ("Drag that is the same at any slip, 1 sigma about none.", "as above"),
 }
+
+JOINT = {
+    "position_m": ("Place of the joint in the drawing, 1 sigma by coordinate.", "the arm was measured"),
+    "zero_rad": ("Zero of its encoder (m for a sliding joint), 1 sigma.", "the zero was calibrated, or never"),
+    "scale": ("Scale of its encoder, relative, 1 sigma.", "it is not an encoder's count"),
+    "delay_s": ("Of its samples, beyond what is known and taken off, 1 sigma.", "its filter was not measured"),
+    "stiffness_N_m_rad": (
+        "Torsional stiffness between its encoder, which is on the drive, and its link; stiff without. Known to the "
+        'method "exiddm" of a free base alone.',
+        "arm or payload swing on the drives",
+    ),
+    "stiffness_relative": ("How well that is known, relative, 1 sigma.", "it was measured, or guessed"),
+    "damping_N_m_s_rad": (
+        "Of that spring. Without: 2 % of the critical one of the joint's swing alone, nothing held.",
+        "a swing was seen to die away",
+    ),
+    "damping_relative": ("How well that is known, relative, 1 sigma.", "it was measured"),
+}

@@ -86,12 +86,26 @@ class Link(Section):
 
 
 class JointKeys(Section):
-    """Standard deviations of a joint's place in the drawing (each coordinate), and of its encoder's errors."""
+    """Standard deviations of a joint's place in the drawing (each coordinate), and of its encoder's errors.
+
+    With ``stiffness_N_m_rad`` the joint gives way between its encoder, which is on the drive, and its link.
+    """
 
     position_m: NotNegative = 0.001
     zero_rad: NotNegative = 0.001
     scale: NotNegative = 2e-4
     delay_s: NotNegative = 2e-4
+    stiffness_N_m_rad: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None  # noqa: N815
+    stiffness_relative: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    damping_N_m_s_rad: Annotated[float, Field(gt=0, le=1e5)] | None = None  # noqa: N815
+    damping_relative: Annotated[float, Field(gt=0, le=1)] = 1.0
+
+    @model_validator(mode="after")
+    def _of_a_spring(self) -> "JointKeys":
+        given = self.model_fields_set & {"stiffness_relative", "damping_N_m_s_rad", "damping_relative"}
+        if given and self.stiffness_N_m_rad is None:
+            raise ValueError(f"{', '.join(sorted(given))}: of a flexible joint; give stiffness_N_m_rad, or take it out")
+        return self
 
 
 class Prior(Section):

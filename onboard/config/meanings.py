@@ -5,7 +5,7 @@ The keys of devices are told by their own modules, in ``docs/devices.md``.
 
 from typing import NamedTuple
 
-from onboard.config.base_meanings import PARABOLA, PLANAR, PUCK
+from onboard.config.base_meanings import JOINT, PARABOLA, PLANAR, PUCK
 from onboard.config.drive import Drive
 from onboard.config.drive_meanings import DRIVE, MISSION
 from onboard.config.estimation import (
@@ -222,12 +222,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             'How well places and encoders of joints are known, for method "exiddm"; the defaults for joints not in it.'
         ),
     },
-    JointKeys: {
-        "position_m": _M("Place of the joint in the drawing, 1 sigma by coordinate.", "the arm was measured"),
-        "zero_rad": _M("Zero of its encoder (m for a sliding joint), 1 sigma.", "the zero was calibrated, or never"),
-        "scale": _M("Scale of its encoder, relative, 1 sigma.", "it is not an encoder's count"),
-        "delay_s": _M("Of its samples, beyond what is known and taken off, 1 sigma.", "its filter was not measured"),
-    },
+    JointKeys: {key: _M(*said) for key, said in JOINT.items()},
     MotorKeys: {
         "ratios": _M("Motor rate per joint rate, by joint; 1 where both are equal at the joint."),
         "presliding_rad": _M(

@@ -47,6 +47,29 @@ class BasePrediction(NamedTuple):
     d_momentum: FloatArray  # (n, 3, 3 + c)
     bodies: Bodies | None = None  # the links as they move
     displaced: Displaced | None = None  # what errors of the joints do to them
+    local: slice = slice(0)  # columns of errors at each tick by itself; if there are any, further ones are the last
+
+    @property
+    def at_first(self) -> slice:
+        """Columns of the local errors at the first tick, by the momentum that they make of the rate there."""
+        end = self.along.shape[2] - 3
+        return slice(end - (self.local.stop - self.local.start), end)
+
+    @property
+    def of_momentum(self) -> slice:
+        """Columns of a momentum at each tick by itself."""
+        return slice(self.along.shape[2] - 3, self.along.shape[2])
+
+    def turned_momentum(self, by_local: FloatArray, period_s: float) -> FloatArray:
+        """Derivative of the momentum by what local errors do to its direction, (n, 3, p).
+
+        Args:
+            by_local: derivative of the local errors at each tick, (n, local, p).
+            period_s: between ticks.
+        """
+        forcing = hat(self.momentum) @ (self.along[:, :3, self.local] @ by_local)
+        start, J = np.zeros((3, 3 + forcing.shape[2])), -self.by_wrench[:, 3:, 3:]
+        return _integrate_sensitivity(self.rate, self.momentum, J, forcing, start, period_s)[:, :, 3:]
 
     @property
     def d_rate(self) -> FloatArray:
@@ -102,7 +125,9 @@ def predict_base_from_rate(
     """As :func:`predict_base` from the base's rate w_0 at the first tick, (3,), rad/s; derivatives by (w_0, chi).
 
     With ``errors`` their columns (:mod:`onboard.dynamics.joint_errors`) come after those of chi, with ``push`` those of
-    its gains after these.
+    its gains after these. Local ones among them tell what an error at a tick does there; more columns at the end
+    what those at the first tick do later, as with them the rate w_0 belongs to another momentum, and what a momentum
+    at a tick does there.
 
     ``eta_0 = J^-1 (w_0 + k)``, with the equation above solved for the rate: ``w = J eta - k``. For the state of a
     filter: the gyro's bias adds to the rate itself, but to the momentum multiplied by every inertia, so that a filter
@@ -112,17 +137,33 @@ def predict_base_from_rate(
     return _predict(links, period_s, chi, rate, columns, errors, push, by_rate=True)
 
 
-def _predict(
+def bodies_from_rate(
+    links: Frames | Sequence[LinkMotion], period_s: float, chi: FloatArray, rate: FloatArray, push: Push | None = None
+) -> Bodies:
+    """The links as they move in :func:`predict_base_from_rate`, which has the arguments, without derivatives."""
+    return _move(links, period_s, chi, rate, push, by_rate=True).bodies
+
+
+class _Motion(NamedTuple):
+    """Of base and links, without derivatives."""
+
+    bodies: Bodies
+    inverse: FloatArray  # (n, 6, 6) of the composite inertia
+    momentum: FloatArray  # (n, 3)
+    slope: FloatArray  # (n, 6, 3) derivative of the wrench on all links by the rate of the base
+    thrust: FloatArray  # (n, 6) specific force and angular acceleration
+    pushed: "_Pushed | None"
+
+
+def _move(
     links: Frames | Sequence[LinkMotion],
     period_s: float,
     chi: FloatArray,
     start: FloatArray,
-    free: Columns,
-    errors: ErrorsAlong | None = None,
-    push: Push | None = None,
+    push: Push | None,
     *,
     by_rate: bool,
-) -> BasePrediction:
+) -> _Motion:
     frames = links if isinstance(links, Frames) else frames_of(links)
     n = len(frames.p)
     if n < 4:
@@ -136,11 +177,27 @@ def _predict(
     pushed = None if push is None else _Pushed(push, bodies.composite)
     eta = _integrate_momentum(from_eta[:, 3:], still, momentum, period_s, None if pushed is None else pushed.torque)
     bias, slope = bodies.moved(times(from_eta, eta) - times(inverse, mu))  # (n, 6), (n, 6, 3)
-    w = bodies.twist[:, 3:]
     if pushed is not None:
         bias = bias - pushed.wrench
     thrust = -times(inverse, bias)  # (n, 6) specific force and angular acceleration that cancel it
     bodies.pushed(thrust)
+    return _Motion(bodies, inverse, eta, slope, thrust, pushed)
+
+
+def _predict(
+    links: Frames | Sequence[LinkMotion],
+    period_s: float,
+    chi: FloatArray,
+    start: FloatArray,
+    free: Columns,
+    errors: ErrorsAlong | None = None,
+    push: Push | None = None,
+    *,
+    by_rate: bool,
+) -> BasePrediction:
+    n = len(links.p if isinstance(links, Frames) else links[0].p)
+    bodies, inverse, eta, slope, thrust, pushed = _move(links, period_s, chi, start, push, by_rate=by_rate)
+    from_eta, w = inverse[:, :, 3:], bodies.twist[:, 3:]
     c = 10 * len(free.links)
     own = c + (0 if errors is None else errors.columns)
     along = np.zeros((n, 9, 3 + own + (0 if push is None else len(push.gain))))
@@ -161,11 +218,19 @@ def _predict(
         along[:, 3:, 3 + own :] = -pushed.of_each
         forcing[:, :, own:] += pushed.torque_of_each
         forcing[:, :, :c] += pushed.by_centre(free, bodies.X)
+    local = slice(3 + own - (0 if errors is None else errors.local), 3 + own)
+    forcing[:, :, local.start - 3 : local.stop - 3] = 0.0
     d_eta = _integrate_sensitivity(w, eta, from_eta[:, 3:], forcing, d_start, period_s)
     np.matmul(from_eta[:, 3:], d_eta, out=along[:, :3])
-    along[:, :3, 3:] += at_fixed_eta
+    if local.start < local.stop:
+        more = np.zeros((n, 9, local.stop - local.start + 3))
+        more[:, :3, :-3], more[:, :3, -3:] = along[:, :3, local], from_eta[:, 3:]
+        along[:, :3, local] = 0.0
+        along = np.concatenate([along, more], axis=2)
+    along[:, :3, 3 : 3 + at_fixed_eta.shape[2]] += at_fixed_eta
     force, spin = thrust[:, :3], thrust[:, 3:]
-    return BasePrediction(w, spin, force, along, -(inverse @ slope), -inverse, eta, d_eta, bodies, displaced)
+    by_rate_of_base = -(inverse @ slope)
+    return BasePrediction(w, spin, force, along, by_rate_of_base, -inverse, eta, d_eta, bodies, displaced, local)
 
 
 def rate_of_momentum(

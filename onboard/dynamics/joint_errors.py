@@ -101,9 +101,9 @@ class JointErrors:
         each = np.arange(joints)
         self._of = np.concatenate([each, each, np.array(cyclic, np.intp)])  # joint of each error that is a function
 
-    def along(self, chain: Chain, readings: Readings) -> "ErrorsAlong":
-        """The errors of one motion of the vehicle's chain, and what its encoders read."""
-        return ErrorsAlong(self, chain, readings)
+    def along(self, chain: Chain, readings: Readings, local: int = 0) -> "ErrorsAlong":
+        """The errors of one motion of the vehicle's chain, and what its encoders read; see :class:`ErrorsAlong`."""
+        return ErrorsAlong(self, chain, readings, local)
 
     def functions(self, readings: Readings) -> FloatArray:
         """The functions of time, each in the rows of its joint, (n, 3 x joints, f): values, then two derivatives."""
@@ -168,6 +168,7 @@ class ErrorsAlong(NamedTuple):
     errors: JointErrors
     chain: Chain
     readings: Readings
+    local: int = 0  # so many of the last columns are errors at each tick by itself, not along the motion
 
     @property
     def columns(self) -> int:

@@ -9,7 +9,7 @@ from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior, SpringPrior
 
 
 def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
@@ -48,6 +48,7 @@ def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrio
 
     Raises:
         UnknownFrameError: a joint that the URDF does not have.
+        UrdfError: a stiffness of a joint that does not turn, or carries nothing.
     """
     stated, roles = vehicle.file.estimation.prior.joint, roles_of(vehicle)
     ripple = {joint.joint: roles.signals[joint.channel].ripple for joint in roles.joints}
@@ -60,5 +61,30 @@ def geometry_prior(vehicle: config.Vehicle, model: VehicleModel) -> GeometryPrio
             continue
         own = stated.get(name, config.JointKeys())
         cyclic = tuple(rms for _, rms in ripple.get(name, ()))
-        joints[name] = JointPrior(own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic)
+        joints[name] = JointPrior(
+            own.position_m, own.zero_rad, own.scale, own.delay_s, cyclic, _spring(model, name, own)
+        )
     return GeometryPrior(vehicle.file.estimation.imu_prior.position_m, joints)
+
+
+def _spring(model: VehicleModel, name: str, keys: config.JointKeys) -> SpringPrior | None:
+    if keys.stiffness_N_m_rad is None:
+        return None
+    if not model.joint(name).revolute:
+        raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: the joint slides; a spring is of one that turns")
+    if not model.distal_links(name):
+        raise UrdfError(f"prior.joint.{name}.stiffness_N_m_rad: no link with inertia lies beyond the joint")
+    known = keys.stiffness_relative, keys.damping_N_m_s_rad, keys.damping_relative
+    return SpringPrior(keys.stiffness_N_m_rad, *known)
+
+
+def check_springs(vehicle: config.Vehicle, why: str) -> None:
+    """Check that no joint is said to be flexible, where that is not known to the estimator.
+
+    Raises:
+        UrdfError: one is.
+    """
+    flexible = [name for name, own in vehicle.file.estimation.prior.joint.items() if own.stiffness_N_m_rad is not None]
+    if flexible:
+        text = f"prior.joint.{flexible[0]}.stiffness_N_m_rad: flexible joints are known to"
+        raise UrdfError(f'{text} the method "exiddm" of a free base alone, {why}; take it out')

@@ -18,10 +18,11 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.considered import of_bias, of_cell, of_motion
-from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
+from onboard.flight.estimate.exiddm_priors import check_springs, exiddm_prior, geometry_prior
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.flight.estimate.torques import torque_cell
+from onboard.identification.exiddm.flexible import require_stiff
 from onboard.identification.exiddm.further import (
     CellPrior,
     Further,
@@ -147,8 +148,12 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
         _check_joints(roles, model)
         covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
+        require_stiff(model, geometry)
         further = further_instruments(vehicle, model, imu_prior)
-        further += tracker_of(roles) if tracked else []
+        trackers = tracker_of(roles) if tracked else []
+        if trackers or vehicle.file.parabola is not None:
+            check_springs(vehicle, "without a pose tracker and not between hands")
+        further += trackers
         priors = covariance, imu_prior, geometry, further
         thrusters = [Thruster.of(model, t.name, t.frame, t.axis, t.scale_sigma) for t in roles.thrusters]
         predictor = ImuPredictor(model, roles.imu.frame, period_s, samples, *priors, roles.imu.channels[0], thrusters)
@@ -238,6 +243,7 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
         model = build_model(vehicle)
         _check_joints(roles, model)
         _check_thrusters(roles)
+        check_springs(vehicle, "not on a table")
         model.pose_in_base(roles.imu.frame)
         exiddm_prior(vehicle, model)
     except ModelError as error:
@@ -262,6 +268,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         model = build_model(vehicle)
         _check_joints(roles, model)
         _check_thrusters(roles)
+        check_springs(vehicle, "not to rows")
         rows: list[WrenchRow] = []
         considered: list[Considered] = []
         scales: dict[str, float] = {}

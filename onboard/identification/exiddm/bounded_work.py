@@ -18,13 +18,15 @@ from onboard.identification.exiddm.window import WindowSolve
 
 BATCH_TICKS = 10
 WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
+_FLEXIBLE = 7  # times the work of a tick is that of one with flexible joints, measured with five
+_FLEXIBLE_WORK = 80  # as WORK, of a vehicle that has some: three quarters of a core
 LAST_WORK_s = 10.0  # the same when a flight ends; a worker that has not ended 60 s after it was asked to is killed
 _TICK_s, _JOINT_s = 11e-6, 21e-6  # of a tick's prediction, and of each joint of it: measured with one and with five
-STEP_WORK = 50  # ticks in whose prediction's time a filter step is done
+STEP_WORK = 50  # ticks in whose prediction's time a filter step is done, without flexible joints
 
 
 def last_work(joints: int) -> int:
-    """Ticks that may be predicted when a flight ends, by the joints of the vehicle."""
+    """Ticks that may be predicted when a flight ends, by the joints of the vehicle, none of them flexible."""
     return int(LAST_WORK_s / (_TICK_s + _JOINT_s * joints))
 
 
@@ -33,13 +35,20 @@ class BoundedWork(ABC):
 
     Args:
         call_ticks: ticks of a call that does not come late.
+        flexible: some of the vehicle's joints are.
     """
 
-    def __init__(self, call_ticks: int) -> None:
+    def __init__(self, call_ticks: int, *, flexible: bool = False) -> None:
+        self._cost, self._work = (_FLEXIBLE, _FLEXIBLE_WORK) if flexible else (1, WORK)
         self._inbox: deque[Ticks | tuple[bool, float]] = deque()  # not yet processed: ticks, announcements
         self._call_ticks, self._due = call_ticks, 0  # due: ticks that may be predicted now; negative after an excess
         self._asked: tuple[Ticks, Trial] | None = None  # to be solved next
         self._solve: WindowSolve | None = None  # under way
+
+    @property
+    def _step_work(self) -> int:
+        """Ticks in whose prediction's time a filter step is done."""
+        return STEP_WORK * self._cost
 
     @property
     def solving(self) -> bool:
@@ -69,7 +78,7 @@ class BoundedWork(ABC):
             asked, self._asked = self._asked, None
             self._solve = self._posed(*asked)
         else:
-            self._due -= self._solve.advance()
+            self._due -= self._cost * self._solve.advance()
         if self._solve.over:
             solve, self._solve = self._solve, None
             self._end_of(solve)
@@ -88,8 +97,8 @@ class BoundedWork(ABC):
         known = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
         if known.any():
             self._inbox.append(ticks.part(known))
-        steps = STEP_WORK * len(ticks.time_s) // BATCH_TICKS  # of as many ticks as these
-        self._due += max(WORK * min(len(ticks.time_s), self._call_ticks), steps)
+        steps = self._step_work * len(ticks.time_s) // BATCH_TICKS  # of as many ticks as these
+        self._due += max(self._work * min(len(ticks.time_s), self._call_ticks), steps)
         self._do(max(self._due - steps, 0), solves=False)
 
     def told(self, held: bool, time_s: float) -> None:

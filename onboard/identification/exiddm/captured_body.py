@@ -143,6 +143,12 @@ class CapturedBody:
         assert touch is not None
         assert touch.ticks is not None
         self._used, self._next = exiddm.ticks_used, _AGAIN * exiddm.ticks_used
+        if exiddm.predictor.bends.size:
+            self._told, self._failure = (
+                None,
+                "the joints are flexible: their encoders do not tell how the gripper moves",
+            )
+            return
         if 0 in exiddm.fusion.left_out:
             self._told, self._failure = None, f"{exiddm.fusion.names[0]} is left out"
             return

@@ -191,3 +191,21 @@ class Thruster(NamedTuple):
         R_BF, p_BoFo_B = vehicle.pose_in_base(frame)
         force = R_BF @ (np.asarray(axis) / np.linalg.norm(axis))
         return Thruster(name, np.concatenate([force, np.cross(p_BoFo_B, force)]), scale_sigma)
+
+
+class PlacedImu(NamedTuple):
+    """An IMU, and where its unknowns stand among all."""
+
+    R_BS: FloatArray
+    p_BoSo_B: FloatArray  # noqa: N815
+    samples: int
+    errors: slice
+    place: slice
+
+
+class PlacedPose(NamedTuple):
+    """A tracker: its frame in the base, where its unknowns stand among all, and where what moves in the state."""
+
+    mount: tuple[FloatArray, FloatArray]  # quaternion, place
+    unknown: slice
+    motion: slice

@@ -11,21 +11,30 @@ would make the payload too light (errors in variables). Their functions come thr
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from onboard.dynamics.bodies import Bodies
 from onboard.dynamics.cut_wrench import CutWrench
-from onboard.dynamics.free_flight import BasePrediction, Push, predict_base_from_rate, sensor_in_base
-from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
+from onboard.dynamics.free_flight import sensor_in_base
+from onboard.dynamics.joint_errors import JointErrors, Readings
 from onboard.dynamics.kinematics import chain_motion, cross
 from onboard.dynamics.spatial import Columns, times
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.further import Further, FurtherCell, FurtherImu, FurtherPose, Thruster, blocks_of
+from onboard.identification.exiddm.flexible import FlexibleJoints
+from onboard.identification.exiddm.further import (
+    Further,
+    FurtherCell,
+    FurtherImu,
+    FurtherPose,
+    PlacedImu,
+    PlacedPose,
+    Thruster,
+    blocks_of,
+)
 from onboard.identification.exiddm.imu_errors import (
     SIZE,
     ImuPrior,
@@ -35,11 +44,13 @@ from onboard.identification.exiddm.imu_errors import (
     imu_reading,
     tick_mean,
 )
+from onboard.identification.exiddm.moving_base import MovingBase
 from onboard.identification.exiddm.parameters import (
     EXACT_GEOMETRY,
     Block,
     GeometryPrior,
     Layout,
+    Own,
     UncertainLinks,
     kept_of,
     named,
@@ -50,33 +61,6 @@ from onboard.identification.exiddm.ticks import Prediction, Ticks
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
 DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
 _POSTURE_TICKS = 10  # over which the arm's posture is constant in the effect of its noise
-
-
-class _Imu(NamedTuple):
-    """An IMU, and where its unknowns stand among all."""
-
-    R_BS: FloatArray
-    p_BoSo_B: FloatArray  # noqa: N815
-    samples: int
-    errors: slice
-    place: slice
-
-
-class _Own(NamedTuple):
-    """Where the unknowns of an instrument alone stand in the state, and among all that it has."""
-
-    errors: slice | IndexArray
-    of_errors: slice | IndexArray
-    place: slice | IndexArray = slice(0)
-    of_place: slice | IndexArray = slice(0)
-
-
-class _Pose(NamedTuple):
-    """A tracker: its frame in the base, where its unknowns stand among all, and where what moves in the state."""
-
-    mount: tuple[FloatArray, FloatArray]  # quaternion, place
-    unknown: slice
-    motion: slice
 
 
 class ImuPredictor:
@@ -110,6 +94,8 @@ class ImuPredictor:
         changing: where rate and biases stand, the only elements of the state that change from tick to tick; with a
             tracker also the base's attitude, and place and velocity of the centre of mass.
         moving: where these last stand; empty without a tracker.
+        bends: where the bends of flexible joints and their rates stand, which change, too.
+        anew_at: ``moving`` and ``bends``: what a window knows nothing of.
 
     Raises:
         UnknownFrameError: no payload link, or a name that the URDF does not have.
@@ -129,20 +115,21 @@ class ImuPredictor:
         thrusters: Sequence[Thruster] = (),
     ) -> None:
         self.vehicle, self.period_s, self.thrusters = vehicle, period_s, tuple(thrusters)
-        self._wrenches = np.array([one.wrench for one in thrusters]).reshape(-1, 6).T  # (6, k)
         self.further = tuple(sorted(further, key=lambda one: (FurtherImu, FurtherCell, FurtherPose).index(type(one))))
         self.instruments = (name, *(one.name for one in self.further))
         self.imu_frames = imu_frame, *(one.frame for one in self.further if isinstance(one, FurtherImu))
         self._links = UncertainLinks(vehicle, link_covariance)
         halves = [np.asarray(np.linalg.cholesky(block), np.float64) for block in self._links.covariances]
         self._basis = block_diag(*halves) if halves else np.zeros((0, 0))  # of the links, one sigma long each
-        r = len(self._basis)
+        r, bases = len(self._basis), [np.eye(10), *halves]
+        self._flexible = FlexibleJoints.of(vehicle, geometry, self._links.indices)
         blocks = {
             "start": Block(tuple(f"rate_{axis}" for axis in "xyz"), np.full(3, np.nan)),
             "payload": Block(self._links.payload_names, np.full(10, np.nan)),
             **imu_blocks(imu_prior._replace(clock_rate_error=0.0)),
             "links": Block(self._links.inertial_names, np.ones(r)),
             **geometry.blocks(vehicle),
+            **({} if self._flexible is None else self._flexible.blocks()),
             "thrusters": Block(
                 tuple(f"scale_{one.name}" for one in thrusters), np.array([one.scale_sigma for one in thrusters])
             ),
@@ -151,15 +138,18 @@ class ImuPredictor:
             blocks |= blocks_of(one)
         layout = Layout(blocks)
         self._layout, self.names, self.sigma = layout, layout.names, layout.sigma
-        of_cyclic = geometry.cyclic_joints(vehicle)
+        of_functions = geometry.cyclic_joints(vehicle) if self._flexible is None else self._flexible.placed(layout)
         self._imus = [
-            _Imu(
+            PlacedImu(
                 *vehicle.pose_in_base(imu_frame), samples, slice(PAYLOAD.stop, PAYLOAD.stop + SIZE), layout["imu_place"]
             )
         ]
         self._imus += [self._further_imu(one) for one in self.further if isinstance(one, FurtherImu)]
         self._cells = [
-            (one, CutWrench(vehicle, one.frame, np.array(one.projection, np.float64), self._links.indices, of_cyclic))
+            (
+                one,
+                CutWrench(vehicle, one.frame, np.array(one.projection, np.float64), self._links.indices, of_functions),
+            )
             for one in self.further
             if isinstance(one, FurtherCell)
         ]
@@ -170,8 +160,10 @@ class ImuPredictor:
             if isinstance(one, FurtherImu) and np.isfinite(one.delay_memory_s)
             for at in layout.estimated(f"delay_s {one.name}").tolist()
         ]
-        moving = [np.arange(one.motion.start, one.motion.stop) for one in self._poses]
-        self.moving: IndexArray = np.concatenate([np.zeros(0, np.intp), *moving]).astype(np.intp)
+        moving = [np.zeros(0), *(np.arange(one.motion.start, one.motion.stop) for one in self._poses)]
+        self.moving: IndexArray = np.concatenate(moving).astype(np.intp)
+        self.bends, in_springs = (self.moving[:0],) * 2 if self._flexible is None else self._flexible.places
+        self.anew_at: IndexArray = np.concatenate([self.moving, self.bends])
         self.of_each = [
             layout.estimated(*imu_blocks(imu_prior), "imu_place"),
             *(np.setdiff1d(named(layout, f"_{one.name}"), self.moving) for one in self.further),
@@ -182,13 +174,16 @@ class ImuPredictor:
         ]
         ends = np.cumsum([0, 6, *(one.width for one in self.further)]).tolist()
         self.lines = tuple(slice(a, b) for a, b in pairwise(ends))
-        self._joint_errors = JointErrors(vehicle, of_cyclic)
+        self._joint_errors, self._columns = JointErrors(vehicle, of_functions), Columns(self._links.indices, bases)
         self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
         in_thrusters = layout.estimated("thrusters")
-        self.of_bodies = np.concatenate([self._in_links, self._in_joints, in_thrusters])
-        self._columns = Columns(self._links.indices, [np.eye(10), *halves])
+        self.of_bodies = np.concatenate([self._in_links, self._in_joints, in_springs, in_thrusters])
         of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
-        columns = 13 + r + (self._joint_errors.columns if self._in_joints.size else 0)
+        moved = self._joint_errors if self._in_joints.size or self._flexible else None
+        self._base = MovingBase(
+            vehicle, layout, self._links, self._basis, self._columns, moved, self._flexible, thrusters
+        )
+        columns = 13 + r + (0 if moved is None else moved.columns)
         of_thrusters = columns + layout.kept[in_thrusters] - layout["thrusters"].start
         self._of_motion = [  # places in the state, and among what the base's motion depends on
             (slice(0, PAYLOAD.stop), slice(0, PAYLOAD.stop)),
@@ -198,32 +193,33 @@ class ImuPredictor:
         ]
         cells = len(self._imus) + len(self._cells)
         self._of_cells, self._of_poses = slice(len(self._imus), cells), slice(cells, None)
-        self._own = [_Own(*kept_of(layout, one.errors), *kept_of(layout, one.place)) for one in self._imus]
-        self._own += [_Own(*kept_of(layout, layout[cell.name])) for cell, _ in self._cells]
+        self._own = [Own(*kept_of(layout, one.errors), *kept_of(layout, one.place)) for one in self._imus]
+        self._own += [Own(*kept_of(layout, layout[cell.name])) for cell, _ in self._cells]
         self._samples = np.zeros((self.lines[-1].stop, 1))  # see tick_mean
-        self._own += [_Own(*kept_of(layout, one.unknown)) for one in self._poses]
+        self._own += [Own(*kept_of(layout, one.unknown)) for one in self._poses]
         samples_of = [samples, *(one.samples for one in self.further)]
         for own, count in zip(self.lines, samples_of, strict=True):
             self._samples[own] = (1.0 - 1.0 / count**2) / 24.0
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
-        self.changing = np.array([*range(3), *(at for at, _ in self.biases), *self.moving], np.intp)  # but random walks
+        # but random walks
+        self.changing = np.array([*range(3), *(at for at, _ in self.biases), *self.anew_at], np.intp)
         self.stated = self.sigma.copy()
         for bias_at, drift_at in self.biases:
             self.stated[bias_at] = np.hypot(self.sigma[bias_at], DRIFT_MEMORY_s * self.sigma[drift_at])
-        self.stated[self.moving] = np.nan
+        self.stated[self.anew_at] = np.nan
 
-    def _further_imu(self, one: FurtherImu) -> _Imu:
+    def _further_imu(self, one: FurtherImu) -> PlacedImu:
         at = self._layout[f"gyro_bias_rad_s {one.name}"].start
         errors, place = slice(at, at + SIZE), self._layout[f"place {one.name}"]
-        return _Imu(*self.vehicle.pose_in_base(one.frame), one.samples, errors, place)
+        return PlacedImu(*self.vehicle.pose_in_base(one.frame), one.samples, errors, place)
 
-    def _pose(self, one: FurtherPose) -> _Pose:
+    def _pose(self, one: FurtherPose) -> PlacedPose:
         layout, (R_BM, p_BoMo_B) = self._layout, self.vehicle.pose_in_base(one.frame)
         own = slice(layout[f"attitude {one.name}"].start, layout[f"delay_s {one.name}"].stop)
         begin = int(layout.estimated(f"attitude {one.name}")[0])
-        return _Pose((quaternion_of(R_BM), p_BoMo_B), own, slice(begin, begin + MOTION.stop))
+        return PlacedPose((quaternion_of(R_BM), p_BoMo_B), own, slice(begin, begin + MOTION.stop))
 
     @property
     def no_ticks(self) -> Ticks:
@@ -291,11 +287,12 @@ class ImuPredictor:
         """
         n, layout, m = len(q), self._layout, self.lines[-1].stop
         x = layout.whole(state)
-        readings = Readings.of(q, dq, ddq, self.period_s, self._functions(n, cyclic))
-        base = self._move(readings, x, self.period_s, thrust)
-        time_s = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64)
+        readings = Readings.of(q, dq, ddq, self.period_s, self._base.functions(n, cyclic))
+        base, bend = self._base.predict(readings, x, self.period_s, thrust)
+        if bend is not None and not np.isfinite(bend.b).all():
+            return Prediction.none(n - 2, m, len(state), len(self.changing))
+        time_s, jacobian = np.asarray(self.period_s * np.arange(n)[1:-1], np.float64), np.zeros((n - 2, m, len(state)))
         values, by_motion = np.empty((n - 2, m)), np.empty((n, m, base.along.shape[2]))
-        jacobian = np.zeros((n - 2, m, len(state)))
         for imu, own, kept in zip(self._imus, self.lines, self._own, strict=False):
             true, gain, by_place = sensor_in_base(base, imu.R_BS, imu.p_BoSo_B + x[imu.place])
             E = gain_of(x[imu.errors])
@@ -325,6 +322,11 @@ class ImuPredictor:
         means += (1.0 - 2.0 * self._samples) * by_motion[1:-1]
         for here, there in self._of_motion:
             jacobian[:, :, here] = means[:, :, there]
+        told = self._of_motion, len(state)
+        bent = self._flexible.along(base, bend, x, self.period_s, *told) if self._flexible and bend else None
+        if bent is not None:
+            more = bent.added(by_motion)
+            jacobian += (more[2:] + more[:-2]) * self._samples + (1.0 - 2.0 * self._samples) * more[1:-1]
         carried, transition = state.copy(), (self.changing[:, None] == np.arange(len(state))).astype(np.float64)
         carried[RATE] = base.rate[-2]
         self._into(transition, base.d_rate[-2])
@@ -337,10 +339,17 @@ class ImuPredictor:
             transition[rows, kept.errors] = shown_pose.carried_by_own[:, kept.of_errors]
             for here, there in self._of_motion:
                 transition[rows, here] = shown_pose.carried_by_motion[:, there]
+        if bent is not None:
+            bent.carry(transition, carried)
         return Prediction(values, jacobian, carried, transition)
 
     def carried(
-        self, predicted: Prediction, start: FloatArray, state: FloatArray, covariance: FloatArray
+        self,
+        predicted: Prediction,
+        start: FloatArray,
+        state: FloatArray,
+        covariance: FloatArray,
+        joint_sigma: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """State, (p,), and covariance, (p, p), at the last predicted tick.
 
@@ -349,17 +358,21 @@ class ImuPredictor:
             start: the state that it was predicted from, (p,).
             state: as the batch's measurements have corrected it at the first tick, (p,).
             covariance: of that, (p, p).
+            joint_sigma: of the batch's joint rates and accelerations, (b + 2, 2, joints): bends are driven by the
+                latter as they are read; None: they are exact.
         """
         c, F, P = self.changing, predicted.transition, covariance.copy()
         P[c] = F @ covariance
         P[:, c] = P @ F.T
         carried = predicted.state + (state - start)
         carried[c] = predicted.state[c] + F @ (state - start)
+        if self._flexible is not None and joint_sigma is not None:
+            self._flexible.drive(P, joint_sigma[1:-1], self.period_s)
         return carried, self.aged(P, len(predicted.values))
 
     def anew(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A mean, (p,), and covariance, (p, p), with nothing known of the pose that a tracker sees."""
-        if not (at := self.moving).size:
+        """A mean, (p,), and covariance, (p, p), with nothing known of a tracker's pose and of bends."""
+        if not (at := self.anew_at).size:
             return mean, covariance
         mean, covariance = mean.copy(), covariance.copy()
         mean[at], covariance[at], covariance[:, at] = 0.0, 0.0, 0.0
@@ -389,36 +402,14 @@ class ImuPredictor:
             The state at the later tick, its derivative (p, p), and the rate's covariance, (3, 3), for a rotation of
             the momentum by 1 rad, one sigma.
         """
-        parts = q, dq, ddq, np.zeros_like(q), self._functions(2, cyclic)
+        parts = q, dq, ddq, np.zeros_like(q), self._base.functions(2, cyclic)
         readings = Readings(*(np.repeat(part, 2, axis=0) for part in parts))
-        base = self._move(readings, self._layout.whole(state), 0.0)
+        base, _ = self._base.predict(readings, self._layout.whole(state), 0.0)
         carried, transition = state.copy(), np.eye(len(state))
         carried[RATE] = base.rate[-1]
         self._into(transition, base.d_rate[-1])
         turned = np.linalg.norm(base.momentum[-1]) * base.d_rate[-1, :, :3] @ np.linalg.inv(base.d_momentum[-1, :, :3])
         return carried, transition, turned @ turned.T
-
-    def _move(
-        self, readings: Readings, x: FloatArray, period_s: float, thrust: FloatArray | None = None
-    ) -> BasePrediction:
-        """With all unknowns (every one, :meth:`Layout.whole`) as they are estimated."""
-        vehicle, at = self.vehicle, self._layout
-        push = None
-        if self.thrusters:
-            forces = np.zeros((len(readings.q), len(self.thrusters))) if thrust is None else thrust
-            push = Push(forces[:, None] * self._wrenches, 1.0 + x[at["thrusters"]])
-        chi = self._links.chi(x[PAYLOAD], self._basis @ x[at["links"]])
-        if not self._in_joints.size:
-            links = chain_motion(vehicle, *readings[:3]).links
-            return predict_base_from_rate(links, period_s, chi, x[RATE], self._columns, None, push)
-        own = x[at["joints"]].reshape(-1, PER_JOINT)
-        corrected = readings.corrected(own, x[at["cyclic"]], self._joint_errors.turns)
-        chain = chain_motion(vehicle, *corrected, own[:, :3])
-        errors = self._joint_errors.along(chain, readings)
-        return predict_base_from_rate(chain.links, period_s, chi, x[RATE], self._columns, errors, push)
-
-    def _functions(self, ticks: int, cyclic: FloatArray | None) -> FloatArray:
-        return np.zeros((ticks, 3, len(self._joint_errors.turns))) if cyclic is None else cyclic
 
     def _into(self, transition: FloatArray, d_rate: FloatArray) -> None:
         for here, there in self._of_motion:

@@ -26,6 +26,15 @@ class Block(NamedTuple):
     sigma: FloatArray  # (k,) before the flight, about zero; zero: certain; NaN: nothing is known
 
 
+class SpringPrior(NamedTuple):
+    """Prior on the spring of a joint that gives way between drive and link."""
+
+    stiffness_N_m_rad: float  # noqa: N815
+    stiffness_relative: float  # standard deviation
+    damping_N_m_s_rad: float | None  # noqa: N815 - None: that of a steel spring, see FlexibleJoints
+    damping_relative: float  # standard deviation
+
+
 class JointPrior(NamedTuple):
     """Prior on the errors of one joint: standard deviations; zero: exact."""
 
@@ -34,6 +43,7 @@ class JointPrior(NamedTuple):
     scale: float = 0.0  # of its encoder, relative
     delay_s: float = 0.0  # of its encoder
     cyclic: tuple[float, ...] = ()  # rms of each of its encoder's cyclic errors, of a cosine and a sine each
+    spring: SpringPrior | None = None  # None: it is stiff
 
 
 class GeometryPrior(NamedTuple):
@@ -63,6 +73,11 @@ class GeometryPrior(NamedTuple):
             "joints": Block(tuple(names), np.array(sigma, np.float64)),
             "cyclic": Block(tuple(cyclic), np.array(rms, np.float64)),
         }
+
+    def springs(self, vehicle: VehicleModel) -> dict[int, SpringPrior]:
+        """Of the joints that give way, by their places in the vehicle's joints."""
+        every = ((k, self.joints.get(joint.name, JointPrior()).spring) for k, joint in enumerate(vehicle.joints))
+        return {k: spring for k, spring in every if spring is not None}
 
     def cyclic_joints(self, vehicle: VehicleModel) -> list[int]:
         """The joint of each unknown of ``cyclic``, by its place in the vehicle's joints."""
@@ -157,6 +172,15 @@ class UncertainLinks:
         chi[self._payload] = payload
         chi[self._others] += deviations
         return chi
+
+
+class Own(NamedTuple):
+    """Where the unknowns of an instrument alone stand in the state, and among all that it has."""
+
+    errors: slice | IndexArray
+    of_errors: slice | IndexArray
+    place: slice | IndexArray = slice(0)
+    of_place: slice | IndexArray = slice(0)
 
 
 def named(layout: Layout, end: str) -> IndexArray:

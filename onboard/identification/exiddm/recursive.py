@@ -22,7 +22,7 @@ from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
-from onboard.identification.exiddm.bounded_work import BATCH_TICKS, STEP_WORK, BoundedWork
+from onboard.identification.exiddm.bounded_work import BATCH_TICKS, BoundedWork
 from onboard.identification.exiddm.claims import Claim, after_a_change, at_first, kind_of
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
@@ -79,7 +79,7 @@ class RecursiveExiddm(BoundedWork):
         known: Known | None = None,
         call_ticks: int = BATCH_TICKS,
     ) -> None:
-        super().__init__(call_ticks)
+        super().__init__(call_ticks, flexible=predictor.bends.size > 0)
         self.predictor = predictor
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
         self.held: bool | None = held if known is None else None
@@ -301,13 +301,14 @@ class RecursiveExiddm(BoundedWork):
             self.glitches += solved.glitches
             self._hypotheses, self._pending = (), ticks.part(slice(-2, None))
             self.unexplained.settle()
+            self.covariance = solved.kept
             self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
 
     # ------------------------------------------------------------------ a batch, as a step
 
     def _step(self) -> None:
         assert self.state is not None
-        ticks, self._due, self._window = self._pending, self._due - STEP_WORK, self._none
+        ticks, self._due, self._window = self._pending, self._due - self._step_work, self._none
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted = self._linearised.predict(ticks, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
@@ -339,7 +340,7 @@ class RecursiveExiddm(BoundedWork):
             W, e = innovation.W[:used], innovation.e[:used]
             state, covariance = state + W.T @ e, covariance - W.T @ W
             self.ticks_used += int(there[:, own.start].sum())
-        self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance)
+        self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)
@@ -393,7 +394,7 @@ class RecursiveExiddm(BoundedWork):
         fastest = self._pending.fastest(self.predictor.lines[self.fusion.reference])
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, self._prior)
-        elif gap_s > _LONGEST_HOLE_s or fastest is None or self.predictor.moving.size:
+        elif gap_s > _LONGEST_HOLE_s or fastest is None or self.predictor.anew_at.size:
             self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 0)
         else:
             both, now = self._pending.part(slice(0, 1)).and_then(after), (self.state, self.covariance)

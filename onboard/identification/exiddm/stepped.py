@@ -54,7 +54,8 @@ class Stepped:
         """
         length_s, held = 2.0 * float(ticks.time_s[-1] - ticks.time_s[0]), solved.hypothesis is not Hypothesis.NOTHING
         well = solved.hypothesis is Hypothesis.SAME or (not held and _knows_zeros(predictor, known))
-        if well or length_s > 1.01 * _LONGEST_s:
+        # noise drives the bends of flexible joints: steps count that, a window does not
+        if well or length_s > 1.01 * _LONGEST_s or predictor.bends.size:
             return None
         return Stepped(ticks, max(_FIRST_s if held else 0.0, length_s), held=held, first=held and not grown)
 

@@ -21,6 +21,12 @@ class Prediction(NamedTuple):
     state: FloatArray  # (p,) propagated to tick b
     transition: FloatArray  # (c, p) derivative of those of its elements that change: ``ImuPredictor.changing``
 
+    @staticmethod
+    def none(ticks: int, lines: int, size: int, changing: int) -> "Prediction":
+        """No motion follows from the state: NaN."""
+        shapes = (ticks, lines), (ticks, lines, size), (size,), (changing, size)
+        return Prediction(*(np.full(shape, np.nan) for shape in shapes))
+
     @property
     def moderate(self) -> bool:
         """Whether no square of it overflows; else the joints' signals are nonsense."""

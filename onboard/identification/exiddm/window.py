@@ -43,6 +43,7 @@ _NEAR = 1e-5  # damping of the first step from a minimum of other ticks or other
 _UNTOLD = 0.05  # share of information that is the ticks' in what they do not tell
 _AWAY = 0.7  # prior sigmas from where that belongs; 0.2 by chance
 _BEGUN = 0.5  # relative sigma of the payload's mass below which a window grows: what it has told is not thrown away
+_DRIVEN = 100.0  # times the information of a window of flexible joints that it has in truth: noise drives their bends
 _GROWTH, _LONGEST = 1.5, 4.0  # of such a window
 
 
@@ -74,6 +75,7 @@ class Solved(NamedTuple):
     strained: float  # squares of the deviations from the prior, and what the residuals' exceed chance by
     cost: float  # squares of residuals and of deviations from the prior; of what was left out the least it can be
     residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
+    kept: FloatArray  # (p, p) covariance with which a filter goes on
 
     @property
     def mass_sigma(self) -> float:
@@ -294,7 +296,9 @@ class WindowSolve:
 
     def _check(self, fitted: Fit, whole: Pieces) -> None:
         """Remove the worst outlier, which distorts the fit, and fit again; without one the fit is a result."""
-        if self._leaves_out(whole):
+        if not np.isfinite(whole.normal.squares):  # the last prediction, near the result, has no motion
+            self._failed(nearly=False)
+        elif self._leaves_out(whole):
             self._settle(self._problem.state(fitted.x))
         elif (near := self._taken_back(fitted, whole)) is not None:
             self._settle(self._problem.state(near))
@@ -333,7 +337,12 @@ class WindowSolve:
         end = whole.state + F @ (fitted.x - self._at)
         cost = fitted.residual_sum + glitches * float(chdtri(1.0, _GLITCH))
         residual = whole.residual[:, self._own].copy()
-        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained, cost, residual)
+        kept = covariance
+        if self._predictor.bends.size:  # what drives them is not exact: hardly a window's period counts
+            active = self._problem.active
+            told = whole.normal.information / _DRIVEN + self._problem.information[np.ix_(active, active)]
+            kept = F @ np.asarray(np.linalg.inv(told), np.float64) @ F.T
+        self.found = Solved(self._hypothesis, start, end, covariance, used, glitches, strained, cost, residual, kept)
         self.over, self._descent = True, None
 
     def _guessed(self) -> Iterator[FloatArray]:

@@ -60,6 +60,7 @@ from onboard.offline.estimate_again.residuals import by_axis
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
+_FLEXIBLE = "it does not know flexible joints, the filter on board does; see heft replay"
 _STAGES_s = (4.0,)  # part of each segment that is fitted first
 
 
@@ -130,6 +131,8 @@ class _Flight:
         """Estimates and verdict of the flight."""
         kept = Kept(log, payload, self._ticks, self._period_s, refused, {})
         seen = int(np.isfinite(self._ticks.measured).sum())
+        if self._online.exiddm.predictor.bends.size:
+            return no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
         failure = ""
         best: Tested | None = None
         for known in self._starts(log):

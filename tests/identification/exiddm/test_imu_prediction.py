@@ -9,7 +9,7 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.identification.exiddm.imu_errors import CERTAIN
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
 
@@ -34,21 +34,35 @@ def test_over_a_gap_of_the_joints_the_rate_follows_from_the_momentum(held):
 
 
 def test_derivatives_of_the_prediction_are_finite_differences(held):
-    links = ["link_4", "base"]
     one, other = JointPrior(1e-3, 1e-3, 1e-3, 1e-3), JointPrior(zero=1e-3, cyclic=(1e-4, 1e-4))
     some = GeometryPrior(3e-3, {"joint_2": one, "joint_5": other})
-    recursive = online(held, imu_prior=PRIOR, links=links, geometry=some)
-    predictor, ticks = recursive.predictor, ticks_of(held).part(slice(300, 324))
+    recursive = online(held, imu_prior=PRIOR, links=["link_4", "base"], geometry=some)
+    assert len(recursive.predictor.names) == 3 + 10 + 25 + 20 + 3 + 6 + 1 + 4
+    check_derivatives(recursive.predictor, held, np.zeros(0))
+
+
+def test_derivatives_of_a_flexible_arm_are_finite_differences(held, monkeypatch):
+    monkeypatch.setattr("onboard.dynamics.compliance._SETTLED_rad_s2", 1e-11)
+    one = JointPrior(1e-3, 1e-3, 1e-3, 1e-3, spring=SpringPrior(20.0, 0.1, 0.05, 0.5))
+    other = JointPrior(zero=1e-3, cyclic=(1e-4, 1e-4), spring=SpringPrior(0.7, 0.1, None, 0.5))
+    some = GeometryPrior(3e-3, {"joint_2": one, "joint_5": other})
+    recursive = online(held, imu_prior=PRIOR, links=["link_4", "base"], geometry=some)
+    assert len(recursive.predictor.names) == 3 + 10 + 25 + 20 + 3 + 6 + 1 + 4 + 4 + 4
+    check_derivatives(recursive.predictor, held, np.array([0.01, 0.02, -0.05, 0.1]))
+
+
+def check_derivatives(predictor, held, bends):
+    ticks = ticks_of(held).part(slice(300, 324))
     motion, waves = (ticks.q, ticks.dq, ticks.ddq), np.random.default_rng(2).normal(size=(24, 3, 4))
     p = len(predictor.names)
-    assert p == 3 + 10 + 25 + 20 + 3 + 6 + 1 + 4
     x = np.nan_to_num(predictor.sigma) * np.random.default_rng(1).normal(size=p) * 0.1
     x[:13] = [0.1, -0.2, 0.3, 5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
+    x[predictor.bends] = bends
     found = predictor.predict(*motion, x, waves)
     transition = np.eye(p)
     transition[predictor.changing] = found.transition
     for k in range(p):
-        size = 1e-4 if k < 13 else 1e-2 * predictor.sigma[k]
+        size = 1e-4 if k < 13 else 1e-3 * predictor.sigma[k] if k in predictor.bends else 1e-2 * predictor.sigma[k]
         step = size * np.eye(p)[k]
         up, down = predictor.predict(*motion, x + step, waves), predictor.predict(*motion, x - step, waves)
         slope = (up.values - down.values) / (2.0 * size)

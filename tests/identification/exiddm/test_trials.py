@@ -11,7 +11,9 @@ HYPOTHESES = (Hypothesis.SAME,)
 
 
 def solved(strained: float) -> Solved:
-    return Solved(Hypothesis.SAME, np.zeros(3), np.zeros(3), np.eye(3), 100, 0, strained, 0.0, np.zeros((98, 6)))
+    return Solved(
+        Hypothesis.SAME, np.zeros(3), np.zeros(3), np.eye(3), 100, 0, strained, 0.0, np.zeros((98, 6)), np.eye(3)
+    )
 
 
 @pytest.mark.parametrize(
@@ -51,7 +53,9 @@ def test_none_is_chosen_where_none_explains_the_window() -> None:
 def of_payload(hypothesis: Hypothesis, cost: float, mass_kg: float = 0.5) -> Solved:
     state = np.zeros(PAYLOAD.stop)
     state[PAYLOAD.start] = mass_kg
-    return Solved(hypothesis, state, state, np.eye(PAYLOAD.stop), 100, 0, 0.0, cost, np.zeros((98, 6)))
+    return Solved(
+        hypothesis, state, state, np.eye(PAYLOAD.stop), 100, 0, 0.0, cost, np.zeros((98, 6)), np.eye(PAYLOAD.stop)
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,92 @@
+"""Motion of a free base from all unknowns of a flight: payload, links, the joints' errors and bends, thrusters."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from onboard.dynamics.compliance import Bend, Moved
+from onboard.dynamics.free_flight import BasePrediction, Push, bodies_from_rate, predict_base_from_rate
+from onboard.dynamics.joint_errors import PER_JOINT, JointErrors, Readings
+from onboard.dynamics.kinematics import chain_motion
+from onboard.dynamics.spatial import Columns
+from onboard.dynamics.vehicle import VehicleModel
+from onboard.estimation.arrays import FloatArray
+from onboard.identification.exiddm.flexible import FlexibleJoints
+from onboard.identification.exiddm.further import Thruster
+from onboard.identification.exiddm.parameters import Layout, UncertainLinks
+
+
+class MovingBase:
+    """Predicts the base.
+
+    Args:
+        vehicle: the model.
+        layout: of all unknowns.
+        links: the uncertain ones.
+        basis: of their deviations, one sigma long each.
+        columns: of payload and links.
+        joint_errors: of the joints; None: they are exact.
+        flexible: joints that give way, if there are any.
+        thrusters: whose forces are known.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleModel,
+        layout: Layout,
+        links: UncertainLinks,
+        basis: FloatArray,
+        columns: Columns,
+        joint_errors: JointErrors | None,
+        flexible: FlexibleJoints | None,
+        thrusters: Sequence[Thruster],
+    ) -> None:
+        self._vehicle, self._layout, self._links, self._basis = vehicle, layout, links, basis
+        self._columns, self._joint_errors, self._flexible = columns, joint_errors, flexible
+        self._wrenches = np.array([one.wrench for one in thrusters]).reshape(-1, 6).T  # (6, k)
+
+    def predict(
+        self, readings: Readings, x: FloatArray, period_s: float, thrust: FloatArray | None = None
+    ) -> tuple[BasePrediction, Bend | None]:
+        """With all unknowns (every one, :meth:`Layout.whole`) as they are estimated; and bends of flexible joints.
+
+        Args:
+            readings: of the encoders, with the functions of :meth:`functions`.
+            x: all unknowns.
+            period_s: between ticks.
+            thrust: forces of the thrusters, (n, k) N; None: zero.
+        """
+        vehicle, at, flexible = self._vehicle, self._layout, self._flexible
+        rate, push = x[at["start"]], None
+        if self._wrenches.size:
+            forces = np.zeros((len(readings.q), self._wrenches.shape[1])) if thrust is None else thrust
+            push = Push(forces[:, None] * self._wrenches, 1.0 + x[at["thrusters"]])
+        chi = self._links.chi(x[at["payload"]], self._basis @ x[at["links"]])
+        if self._joint_errors is None:
+            links = chain_motion(vehicle, *readings[:3]).links
+            return predict_base_from_rate(links, period_s, chi, rate, self._columns, None, push), None
+        own, bend, local = x[at["joints"]].reshape(-1, PER_JOINT), None, 0
+        if flexible is None:
+            corrected = readings.corrected(own, x[at["cyclic"]], self._joint_errors.turns)
+        else:
+            local = len(flexible.compliance.functions)
+            plain = readings.corrected(own, np.append(x[at["cyclic"]], np.zeros(local)), self._joint_errors.turns)
+
+            def bent(bend: Bend) -> Moved:
+                chain = chain_motion(vehicle, *flexible.compliance.added(plain, bend), own[:, :3])
+                return Moved(bodies_from_rate(chain.links, period_s, chi, rate, push), chain.screws)
+
+            bend = flexible.follow(x, period_s, len(readings.q), bent)
+            corrected = flexible.compliance.added(plain, bend)
+        chain = chain_motion(vehicle, *corrected, own[:, :3])
+        errors = self._joint_errors.along(chain, readings, local)
+        return predict_base_from_rate(chain.links, period_s, chi, rate, self._columns, errors, push), bend
+
+    def functions(self, ticks: int, cyclic: FloatArray | None) -> FloatArray:
+        """Of the joints' errors that vary in time, (n, 3, m): cyclic ones, zero for None, then those of bends."""
+        count = 0 if self._joint_errors is None else len(self._joint_errors.turns)
+        if self._flexible is None:
+            return np.zeros((ticks, 3, count)) if cyclic is None else cyclic
+        own = self._flexible.compliance.unit_functions(ticks)
+        plain = np.zeros((ticks, 3, count - own.shape[2])) if cyclic is None else cyclic
+        return np.concatenate([plain, own], axis=2)
