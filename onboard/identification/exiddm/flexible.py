@@ -18,7 +18,7 @@ from onboard.identification.exiddm.parameters import Block, GeometryPrior, Layou
 
 _DAMPING_RATIO = 0.02  # of a joint's swing alone, unladen, where no damping is stated
 _SOFTEST_Hz = 9.0  # of a joint's swing alone, unladen: rehearsed flights of softer ones told wrong numbers
-_STIFFEST_Hz = 50.0  # of the same: far stiffer ones are not found to be at rest, half the ticks' rate
+_STIFFEST_Hz = 25.0  # of the same: of 40 Hz a flight was refused for its damping, of 2 kHz no motion is found
 _COLOURED = 10.0  # times the variance of their noise that errors of joint accelerations have where joints swing
 _TORQUE_N_m = 5.0  # of a joint that a bend may begin with, one sigma
 _LARGEST = 1.0  # sigma of a bend, rad, and of its rate, rad/s
@@ -171,7 +171,7 @@ def require_stiff(vehicle: VehicleModel, geometry: GeometryPrior) -> None:
     flexible = FlexibleJoints.of(vehicle, geometry, ())
     for name, swings_Hz in ({} if flexible is None else flexible.swings_Hz).items():
         if not _SOFTEST_Hz <= swings_Hz <= _STIFFEST_Hz:
-            why = "such an arm gets no answer without" if swings_Hz < _SOFTEST_Hz else "it is as good as stiff"
+            why = "such an arm gets no answer without" if swings_Hz < _SOFTEST_Hz else "it is taken for stiff then"
             raise SignalError(
                 f"prior.joint.{name}.stiffness_N_m_rad: with nothing held the joint swings at {swings_Hz:.2g} Hz; "
                 f"answers hold from {_SOFTEST_Hz:g} to {_STIFFEST_Hz:g} Hz, so take it out: {why}"

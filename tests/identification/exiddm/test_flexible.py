@@ -95,7 +95,7 @@ def vehicle_with(name, **joint_1):
 def test_a_joint_of_a_vehicle_file():
     stiff = build_exiddm(config.load(config.packaged("dymaflex")))[0].exiddm.predictor
     assert not stiff.bends.size
-    given = {"stiffness_N_m_rad": 4700.0, "stiffness_relative": 0.2, "damping_N_m_s_rad": 3.0, "damping_relative": 0.3}
+    given = {"stiffness_N_m_rad": 2000.0, "stiffness_relative": 0.2, "damping_N_m_s_rad": 3.0, "damping_relative": 0.3}
     predictor = build_exiddm(vehicle_with("dymaflex", **given))[0].exiddm.predictor
     own = ["stiffness_joint_1", "damping_joint_1", "bend_joint_1", "bend_rate_joint_1"]
     assert sorted(set(predictor.names) - set(stiff.names)) == sorted(own)
@@ -109,8 +109,8 @@ def test_a_joint_of_a_vehicle_file():
         ("dymaflex", {"stiffness_relative": 0.1}, "stiffness_relative: of a flexible joint; give stiffness_N_m_rad"),
         ("dymaflex", {"stiffness_N_m_rad": -4700.0}, "stiffness_N_m_rad"),
         ("dymaflex", {"stiffness_N_m_rad": 4700.0, "stiffness_relative": 2.0}, "stiffness_relative"),
-        ("dymaflex", {"stiffness_N_m_rad": 300.0}, "swings at 7.4 Hz; answers hold from 9 to 50 Hz"),
-        ("dymaflex", {"stiffness_N_m_rad": 1e6}, "swings at 4.3e.02 Hz.*it is as good as stiff"),
+        ("dymaflex", {"stiffness_N_m_rad": 300.0}, "swings at 7.4 Hz; answers hold from 9 to 25 Hz"),
+        ("dymaflex", {"stiffness_N_m_rad": 1e6}, "swings at 4.3e.02 Hz.*it is taken for stiff then"),
         ("dymaflex_air_bearing", {"stiffness_N_m_rad": 4700.0}, "not on a table; take it out"),
         ("rocksat", {"stiffness_N_m_rad": 4700.0}, "not to rows; take it out"),
     ],
