@@ -13,7 +13,9 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 
-_LIGHT = 1e-4  # damping that hardly shortens a step
+_LIGHTER = 0.1  # damping after a step that has lowered the sum of squares, relative to that before
+_HEAVIEST = 1e9  # damping
+_BACK = 1e3  # damping of these, relative to that of the step: back to the floor of a valley, hardly along it
 _MILD = 0.1  # damping that shortens steps along well determined directions by a tenth at most
 
 
@@ -76,6 +78,11 @@ def inverse_of(information: FloatArray) -> FloatArray:
 class Descent:
     """Levenberg-Marquardt iteration on ``|r(x)|^2 + (x - x0)' L (x - x0)``, one prediction at a time.
 
+    It ends where the step without damping promises less than the tolerance: a damped step promises little in a narrow
+    valley long before its end. In a bent valley a long step ends on the wall, and the next one leads back to the floor,
+    further down. A step that does not lower the sum of squares is therefore followed by more from where it ends, as
+    long as each lowers it; only where these end above the start is it taken back and the damping raised.
+
     Whoever runs it predicts at ``at`` and hands the result to :meth:`take` until there is ``found``. Its attributes are
     values, so that it can be written to a checkpoint between two predictions.
 
@@ -83,9 +90,11 @@ class Descent:
         start: where to begin, (p,).
         prior_mean: x0, (p,).
         prior_information: L, (p, p), positive semi-definite.
-        iterations: at most.
-        tolerance: predicted decrease of the whitened sum of squares below which the iteration stops.
+        iterations: predictions after the first, at most.
+        tolerance: decrease of the whitened sum of squares, predicted for a step without damping, below which the
+            iteration stops.
         damping: of the first step, relative to the information's diagonal.
+        beyond: steps, at most, from the end of one that has not lowered the sum of squares.
 
     Attributes:
         at: (p,) where the next prediction is wanted.
@@ -102,13 +111,16 @@ class Descent:
         iterations: int = 50,
         tolerance: float = 1e-4,
         damping: float = 1e-3,
+        beyond: int = 4,
     ) -> None:
         self.at: FloatArray = np.asarray(start, np.float64).copy()
         self.found: Fit | None = None
-        self._mean, self._prior = prior_mean, prior_information
+        self._mean, self._prior, self._most_beyond = prior_mean, prior_information, beyond
         self._iterations, self._tolerance = iterations, tolerance
         self.best, self._now = self.at, Normal(prior_information, np.zeros_like(self.at), np.inf)
-        self.iteration, self._damping, self._promised = 0, damping, np.inf
+        self.iteration, self._tries, self._damping, self._promised = 0, 0, damping, np.inf
+        self._beyond, self._wall = 0, np.inf  # steps since the one that did not lower it, and the sum of squares there
+        self._newton = self.at  # step without damping from the best point
 
     @property
     def squares(self) -> float:
@@ -121,17 +133,16 @@ class Descent:
 
         Minus infinity where the damping is so large that the next step says little about those after it.
         """
-        left = self._iterations - self.iteration
+        left = self._iterations - self._tries
         return self._now.squares - left * self._promised if self._damping <= _MILD else -np.inf
 
     def short_of_the_minimum(self) -> Fit:
-        """The best point so far as a result: the step that is promised from there is part of its covariance.
+        """The best point so far as a result: the step without damping from there is part of its covariance.
 
         Raises:
             SingularError: as :func:`inverse_of`.
         """
-        step = self.at - self.best
-        covariance = inverse_of(self._now.information) + np.outer(step, step)
+        covariance = inverse_of(self._now.information) + np.outer(self._newton, self._newton)
         return Fit(self.best, covariance, self._now.squares, self.iteration)
 
     def take(self, predicted: Normal) -> None:
@@ -146,52 +157,72 @@ class Descent:
             away = self.at - self._mean
             toward = self._prior @ away
             tried = predicted.plus(Normal(self._prior, toward, float(away @ toward)))
+        lower = self._now.squares - tried.squares
+        self._tries += 1
         if not self.iteration:
             if not np.isfinite(tried.squares):
                 raise RowError("the prediction from the starting values is not finite; check signals and sigmas")
             self._next(tried)
-        elif self._now.squares - tried.squares >= 0.1 * self._promised:
-            self._damping = max(self._damping * 0.1, 1e-12)
-            if self._promised < self._tolerance:
-                self._end(self.at, tried, tried.squares)
-            else:
-                self._next(tried)
-        elif self._promised < self._tolerance:
-            self._end(self.best, self._now, self._now.squares)
+        elif lower >= 0.1 * (min(self._promised, self._tolerance) if self._beyond else self._promised):
+            self._damping = max(self._damping * _LIGHTER, 1e-12)
+            self._next(tried)
+        elif self._beyond < self._most_beyond and tried.squares < self._wall:
+            self._beyond, self._wall = self._beyond + 1, tried.squares
+            self._step(tried, _BACK * self._damping)
         else:
-            self._damping *= 10.0
-            self._step()
-
-    def _next(self, now: Normal) -> None:
-        """The next iteration, from ``at``."""
-        self.best, self._now = self.at, now
-        over = self.iteration == self._iterations
-        self.iteration += not over
-        self._step()
-        if over and self.found is None:
+            self._back()
+        if self.found is None and self._tries > self._iterations:
             text = f"not converged after {self._iterations} iterations; the motion may not determine the parameters"
             raise ConvergenceError(text)
 
-    def _step(self) -> None:
-        scale = np.sqrt(np.diag(self._now.information))
+    def _next(self, now: Normal) -> None:
+        """The next iteration, from ``at``."""
+        self.best, self._now, self._beyond, self._wall = self.at, now, 0, np.inf
+        self.iteration += 1
+        scale = self._scale(now)
+        try:
+            factor = cho_factor(now.information / np.outer(scale, scale))
+            self._newton = -cho_solve(factor, now.gradient / scale) / scale
+            promised = -float(now.gradient @ self._newton)
+        except (LinAlgError, ValueError):
+            promised = np.inf
+        if abs(promised) < self._tolerance:
+            x = self.best + self._newton
+            self.found = Fit(x, inverse_of(now.information), now.squares - promised, self.iteration)
+            return
+        self._promised = self._step(now, self._damping)
+
+    def _back(self) -> None:
+        """Take the step from the best point back, and try a shorter one."""
+        scale = self._scale(self._now)
+        least = np.linalg.eigvalsh(self._now.information / np.outer(scale, scale))[0]
+        self._damping = max(self._damping * 10.0, 10.0 * float(least))
+        self.at, self._beyond, self._wall = self.best, 0, np.inf
+        if self._damping > _HEAVIEST:
+            raise ConvergenceError("no step, however short, lowers the sum of squares")
+        self._promised = self._step(self._now, self._damping)
+
+    @staticmethod
+    def _scale(now: Normal) -> FloatArray:
+        scale = np.sqrt(np.diag(now.information))
         if not (scale > 0.0).all():
             raise SingularError(f"nothing measured depends on parameter {np.flatnonzero(~(scale > 0.0))}; leave it out")
+        return scale
+
+    def _step(self, now: Normal, damping: float) -> float:
+        """Go on from ``at``, where these are the normal equations; the decrease under the linear model."""
+        scale = self._scale(now)
         with np.errstate(invalid="ignore"):
-            scaled, downhill = self._now.information / np.outer(scale, scale), -self._now.gradient / scale
+            scaled, downhill = now.information / np.outer(scale, scale), -now.gradient / scale
             try:
-                step = np.linalg.solve(scaled + self._damping * np.eye(scale.size), downhill)
+                step = np.linalg.solve(scaled + damping * np.eye(scale.size), downhill)
             except np.linalg.LinAlgError as error:
                 raise SingularError("the rows do not determine all parameters; give a prior, or move more") from error
-            # decrease under the linear model
-            self._promised = float(2.0 * downhill @ step - step @ scaled @ step)
-        if not np.isfinite(self._promised):
+            promised = float(2.0 * downhill @ step - step @ scaled @ step)
+        if not np.isfinite(promised):
             raise ConvergenceError("the derivative of the prediction is not finite; check the signals")
-        self.at = self.best + step / scale
-        if self._promised < self._tolerance and self._damping < _LIGHT:
-            self._end(self.at, self._now, self._now.squares - self._promised)
-
-    def _end(self, x: FloatArray, now: Normal, residual_sum: float) -> None:
-        self.found = Fit(x, inverse_of(now.information), residual_sum, self.iteration)
+        self.at = self.at + step / scale
+        return promised
 
 
 def fit(
@@ -222,8 +253,8 @@ def fit_normal(
         start: where to begin, (p,).
         prior_mean: x0, (p,).
         prior_information: L, (p, p), positive semi-definite.
-        iterations: at most.
-        tolerance: predicted decrease of the whitened sum of squares below which the iteration stops.
+        iterations: predictions after the first, at most.
+        tolerance: decrease of the whitened sum of squares, predicted for a step without damping, below which it stops.
         damping: of the first step, relative to the information's diagonal.
 
     Raises:

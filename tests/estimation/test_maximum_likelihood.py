@@ -62,22 +62,41 @@ def run(descent, predict):
         descent.take(predict(descent.at))
 
 
+@pytest.mark.parametrize("damping", [1e-12, 1e-9, 1e-5])
+def test_a_narrow_bent_valley_is_followed_to_its_end(damping):
+    """A damped step promises little there long before the end, and one without damping ends on the wall."""
+    predictions = []
+
+    def predict(x):
+        predictions.append(x)
+        return (
+            np.array([x[0], 1e5 * (x[1] - np.sin(x[0]))]),
+            np.array([[1.0, 0.0], [-1e5 * np.cos(x[0]), 1e5]]),
+        )
+
+    start = np.array([2.5, np.sin(2.5)])
+    descent = Descent(start, np.zeros(2), np.zeros((2, 2)), 60, 1e-2, damping)
+    run(descent, lambda x: Normal.of(*predict(x)))
+    np.testing.assert_allclose(descent.found.x, 0.0, atol=0.1)  # of its sigma, 1
+    assert len(predictions) < 40
+
+
 def test_what_is_short_of_the_minimum_is_as_uncertain_as_the_step_that_is_left_is_long():
-    """From (2, 0), two iterations at most, in a valley along y = x^3 / 3 that falls towards (0, 0)."""
+    """From (2, 8 / 3), one more prediction at most, in a valley along y = x^3 / 3 that falls towards (0, 0)."""
 
     def predict(x):
         residual = np.array([10.0 * x[0], 100.0 * (x[1] - x[0] ** 3 / 3.0)])
         return Normal.of(residual, np.array([[10.0, 0.0], [-100.0 * x[0] ** 2, 100.0]]))
 
-    descent = Descent(np.array([2.0, 8.0 / 3.0]), np.zeros(2), np.zeros((2, 2)), 2)
+    descent = Descent(np.array([2.0, 8.0 / 3.0]), np.zeros(2), np.zeros((2, 2)), 1)
     with pytest.raises(ConvergenceError, match="not converged"):
         run(descent, predict)
     short = descent.short_of_the_minimum()
     np.testing.assert_array_equal(short.x, descent.best)
-    step = descent.at - descent.best
-    assert np.abs(step).max() > 0.0
-    there = np.linalg.inv(predict(short.x).information)
-    np.testing.assert_allclose(short.covariance, there + np.outer(step, step), rtol=1e-6)
+    there = predict(short.x)
+    step = -np.linalg.solve(there.information, there.gradient)  # without damping
+    assert np.abs(step).max() > 1.0
+    np.testing.assert_allclose(short.covariance, np.linalg.inv(there.information) + np.outer(step, step), rtol=1e-6)
     assert short.residual_sum == pytest.approx(predict(short.x).squares)
 
 

@@ -60,8 +60,8 @@ class BoundedWork(ABC):
         """Take in an announcement."""
 
     @abstractmethod
-    def _take(self) -> None:
-        """Take ticks from the inbox, up to the next piece of work, and do or begin it."""
+    def _take(self, ticks: Ticks) -> None:
+        """Take the oldest ticks of the inbox, up to the next piece of work, and do or begin it."""
 
     @abstractmethod
     def _posed(self, ticks: Ticks, trial: Trial) -> WindowSolve:
@@ -121,12 +121,14 @@ class BoundedWork(ABC):
 
     def _do(self, least_due: float, *, solves: bool) -> None:
         while self.solving or self._inbox:
-            if not self.solving and not isinstance(told := self._inbox[0], Ticks):
+            oldest = None if self.solving else self._inbox[0]
+            if oldest is not None and not isinstance(oldest, Ticks):
                 self._inbox.popleft()
-                self._announced(*told)
+                self._announced(*oldest)
             elif self._due <= least_due or (self.solving and not solves):
                 return
-            elif self.solving:
+            elif oldest is None:
                 self._go_on()
             else:
-                self._take()
+                self._inbox.popleft()
+                self._take(oldest)

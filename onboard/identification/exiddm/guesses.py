@@ -37,6 +37,24 @@ def guesses(rough: Callable[[], RigidBody]) -> Iterator[RigidBody]:
     yield from GUESSES
 
 
+def first_state(predictor: ImuPredictor, ticks: Ticks, state: FloatArray, imu: int = 0) -> FloatArray | None:
+    """A state, (p,), with the rate and the pose at the first tick by the first readings; None if it predicts no number.
+
+    Args:
+        predictor: of the instruments.
+        ticks: in succession, :data:`FIRST_TICKS` + 2 of them at least.
+        state: (p,).
+        imu: whose readings.
+    """
+    state = state.copy()
+    try:
+        state[RATE] = first_rate(predictor, ticks, state, imu)
+        state[predictor.moving] = first_pose(predictor, ticks, state)
+    except np.linalg.LinAlgError:
+        return None
+    return state
+
+
 def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray, imu: int = 0) -> FloatArray:
     """Rate of the base at the first tick, (3,), by least squares on the first gyro readings, with all else of a state.
 

@@ -25,6 +25,7 @@ from onboard.identification.change import Change
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS, BoundedWork
 from onboard.identification.exiddm.claims import Claim, after_a_change, at_first, kind_of
 from onboard.identification.exiddm.fusion import Accusation, Fusion
+from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.linearised import Linearised
@@ -109,8 +110,8 @@ class RecursiveExiddm(BoundedWork):
 
     def settled(self) -> bool:
         """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
-        first = self._stepped is not None and self._stepped.first
-        return (not self._hypotheses or self._grown > 1.0) and not first and not self.solving
+        replaced = self._stepped is not None and self._stepped.first
+        return (not self._hypotheses or self._grown > 1.0) and not (replaced or self.solving)
 
     @property
     def confirmed(self) -> bool:
@@ -131,13 +132,11 @@ class RecursiveExiddm(BoundedWork):
             self.changes.append(Change("capture" if held else "ejection", time_s, time_s, np.nan))
             self._reopen(self._claim.make(held, self.estimate() is not None), 0)
 
-    def _take(self) -> None:
-        """Take ticks from the inbox up to the next filter step or window, and do or begin it."""
-        ticks = self._inbox.popleft()
-        assert isinstance(ticks, Ticks)
+    def _take(self, ticks: Ticks) -> None:
+        """Take ticks up to the next filter step or window, and do or begin it; the others go back to the inbox."""
         if len(self._pending.time_s):
-            gap_s = ticks.time_s[0] - self._pending.time_s[-1]
-            if abs(gap_s - self.predictor.period_s) > 0.5 * self.predictor.period_s:
+            late_s = ticks.time_s[0] - self._pending.time_s[-1] - self.predictor.period_s
+            if abs(late_s) > 0.5 * self.predictor.period_s:
                 self._bridge(ticks.part(slice(0, 1)))
         breaks = np.flatnonzero(np.abs(np.diff(ticks.time_s) / self.predictor.period_s - 1.0) > 0.5)
         last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
@@ -286,22 +285,23 @@ class RecursiveExiddm(BoundedWork):
         self.held = hypothesis is not Hypothesis.NOTHING
         self.state, self.covariance, self._start = solved.state, solved.covariance, solved.start
         self.lines.begin(solved.residual)
-        self.ticks_used, self._hypotheses, self.unexplained.wait = solved.used, (hypothesis,), 0
+        self.ticks_used, self._hypotheses, self.unexplained.wait, self._pending = solved.used, (hypothesis,), 0, ticks
         if hypothesis is Hypothesis.NEW and self._solves + 1 < len(SOLVED_AT_s):
             self._solves += 1
-            self._pending = ticks  # without what was waited out
         elif hypothesis is Hypothesis.NEW and solved.mass_sigma >= DETERMINED:
-            self._start, self._grown = solved.growth(self._grown)
-            if self._claim.held and self._grown == 1.0:  # is anything held at all?
+            told, grown = solved.growth(self._grown, float(self.payload_sigma[0]))
+            whole, self._grown, self._start = grown > self._grown, grown, solved.start if told else None
+            if self._claim.held and not solved.tells_mass:  # is anything held at all?
                 self._hypotheses = (Hypothesis.NOTHING,)
                 self._begin_window()
-            else:
-                self._pending = ticks.part(slice(len(ticks.time_s) // 2, None)) if self._start is None else ticks
+            elif not whole:
+                self._pending = ticks.part(slice(len(ticks.time_s) // 2, None))
+                if told:
+                    self._start = first_state(self.predictor, self._pending, solved.start, self.fusion.imus[0])
         else:
             self.glitches += solved.glitches
-            self._hypotheses, self._pending = (), ticks.part(slice(-2, None))
+            self._hypotheses, self._pending, self.covariance = (), ticks.part(slice(-2, None)), solved.kept
             self.unexplained.settle()
-            self.covariance = solved.kept
             self._stepped = Stepped.since(ticks, solved, self.predictor, self._prior, grown=self._grown > 1.0)
 
     # ------------------------------------------------------------------ a batch, as a step
@@ -381,8 +381,8 @@ class RecursiveExiddm(BoundedWork):
 
     def _alarm(self, score: float, batches: int) -> None:
         now_s, back_s = float(self._pending.time_s[-1]), batches * BATCH_TICKS * self.predictor.period_s
-        self._claim.held = None
-        self._before, self._suspected = bool(self.held), Change("change", now_s, now_s - back_s, score)
+        suspected = Change("change", now_s, now_s - back_s, score)
+        self._claim.held, self._before, self._suspected = None, bool(self.held), suspected
         self.changes.append(self._suspected)
         back, earlier = (batches, None) if self.held else self._snapshots.since_rest(batches)
         self._reopen(after_a_change(bool(self.held)), back + 1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
-from onboard.identification.exiddm.guesses import first_pose, first_rate
+from onboard.identification.exiddm.guesses import first_state
 from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import Trial
@@ -86,12 +86,7 @@ class Before(NamedTuple):
         covariance[PAYLOAD, PAYLOAD] = now[1][PAYLOAD, PAYLOAD]
         start = self.known[0].copy()
         start[PAYLOAD] = now[0][PAYLOAD]
-        try:
-            start[RATE] = first_rate(predictor, seen, start, imu)
-            start[predictor.moving] = first_pose(predictor, seen, start)
-        except np.linalg.LinAlgError:  # a prediction that is not finite
-            return (mean, covariance), None
-        return (mean, covariance), start
+        return (mean, covariance), first_state(predictor, seen, start, imu)
 
 
 class _Kept(NamedTuple):

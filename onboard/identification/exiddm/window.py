@@ -22,7 +22,7 @@ from onboard.dynamics.payload import standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 from onboard.estimation.maximum_likelihood import Descent, Fit
-from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_pose, first_rate, guesses
+from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.exiddm.imu_prediction import (
     PAYLOAD,
     RATE,
@@ -32,19 +32,21 @@ from onboard.identification.exiddm.pieces import Pieces
 from onboard.identification.exiddm.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
-_ITERATIONS = 40
-_SETTLING = 6  # iterations to a minimum that the ticks determine take half as many
+_ITERATIONS = 40  # predictions
+_ROUGHLY = 5.0  # decrease of the squares, promised where the iteration from a guess ends: those to the minimum follow
+_SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
 _GOOD_FIT = 1e-2  # chance probability of the misfit above which no further guess is tried
 _GLITCH = 1e-9  # chance probability of a tick's residual below which it is an outlier
 _FEW = 0.03  # largest share of outliers
 _EXPLAINED = 1e-6  # chance probability of the misfit below which a window is not explained
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
-_NEAR = 1e-5  # damping of the first step from a minimum of other ticks or other sigmas
+_NEAR = 1e-9  # damping of the first step from a minimum of other ticks or other sigmas
 _UNTOLD = 0.05  # share of information that is the ticks' in what they do not tell
 _AWAY = 0.7  # prior sigmas from where that belongs; 0.2 by chance
-_BEGUN = 0.5  # relative sigma of the payload's mass below which a window grows: what it has told is not thrown away
+_BEGUN = 0.02  # of the prior's sigma of the payload's mass, below which a window grows: what it has told is kept
+_GROWTH, _LONGEST = 1.5, 8.0  # of such a window
+_TOLD = 0.5  # relative sigma of the payload's mass below which ticks tell a payload
 _DRIVEN = 100.0  # times the information of a window of flexible joints that it has in truth: noise drives their bends
-_GROWTH, _LONGEST = 1.5, 4.0  # of such a window
 
 
 class Hypothesis(Enum):
@@ -83,17 +85,25 @@ class Solved(NamedTuple):
         mass, variance = self.state[PAYLOAD.start], self.covariance[PAYLOAD.start, PAYLOAD.start]
         return float(np.sqrt(variance) / mass) if mass > 0.0 else np.inf
 
-    def growth(self, length: float) -> tuple[FloatArray | None, float]:
-        """After a window that does not determine the mass: where the next begins if it keeps all ticks, and its length.
+    @property
+    def tells_mass(self) -> bool:
+        """The payload's mass is known so well that there is one."""
+        return self.mass_sigma < _TOLD
+
+    def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:
+        """After a window that does not determine the mass: whether what it has told is kept, and the next one's length.
+
+        That must hardly depend on the mass that it tells: where only windows that told a large one were kept, payloads
+        of 0.1 to 0.2 kg became one sigma heavier.
 
         Args:
             length: of this one, in a length at which nothing has grown.
+            unknown_kg: sigma of the mass of a payload of which nothing is known.
         """
-        if self.mass_sigma >= _BEGUN:  # the arm is at rest
-            return None, 1.0
-        if length < _LONGEST:
-            return self.start, min(_GROWTH * length, _LONGEST)
-        return None, 0.5 * _GROWTH * _LONGEST  # half of the ticks are kept
+        sigma_kg = float(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]))
+        if sigma_kg >= _BEGUN * unknown_kg and not self.tells_mass:  # the arm is at rest
+            return False, 1.0
+        return True, min(_GROWTH * length, _LONGEST) if length < _LONGEST else 0.5 * _GROWTH * _LONGEST
 
 
 class WindowSolve:
@@ -158,7 +168,7 @@ class WindowSolve:
             descent.take(whole.normal)
         except (ConvergenceError, SingularError, RowError) as error:
             nearly = isinstance(error, ConvergenceError)
-            if nearly and self._stage is not _Stage.SETTLE and self._explains(descent.squares):
+            if nearly and self._explains(descent.squares):
                 self._stopped(descent, whole)
             else:
                 self._failed(nearly=nearly)
@@ -177,7 +187,7 @@ class WindowSolve:
     def _give_up(self, descent: Descent, whole: Pieces) -> None:
         """Go on without the worst outlier, which may be why, or with the next guess and all ticks."""
         if self._leaves_out(whole):
-            self._descend(_Stage.GUESS, self._problem.state(descent.best), 1.0)
+            self._descend(_Stage.GUESS, self._problem.state(descent.best), _ROUGHLY)
         else:
             self._use, self._glitches = np.isfinite(self._ticks.measured[1:-1]), 0
             self._failed(nearly=False)
@@ -223,19 +233,15 @@ class WindowSolve:
 
     def _next_guess(self) -> None:
         """Fit from the next guess, stopping at a good fit; settle on the best one."""
-        if self._best is not None and chdtrc(float(self._use.sum()), self._best.residual_sum) > _GOOD_FIT:
+        best = self._best or self._stopped_at
+        if best is not None and chdtrc(float(self._use.sum()), best.residual_sum) > _GOOD_FIT:
             self._guesses.clear()
         if self._guesses:
             x = self._problem.mean.copy()
             x[PAYLOAD] = self._guesses.pop(0)
-            try:
-                x[RATE] = first_rate(self._predictor, self._ticks, x, self._imu)
-                x[self._predictor.moving] = first_pose(self._predictor, self._ticks, x)
-            except np.linalg.LinAlgError:  # a prediction that is not finite
-                self._next_guess()
-            else:
-                self._descend(_Stage.GUESS, x, 1.0)
-        elif (best := self._best or self._stopped_at) is not None:
+            start = first_state(self._predictor, self._ticks, x, self._imu)
+            self._next_guess() if start is None else self._descend(_Stage.GUESS, start, _ROUGHLY)
+        elif best is not None:
             self._settle(self._problem.state(best.x))
         else:
             self._begin()
@@ -251,12 +257,18 @@ class WindowSolve:
         prior = self._problem.information[np.ix_(active, active)]
         noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
         self._sigma = np.hypot(self._ticks.sigma, noise)
-        self._descent = Descent(start[active], self._problem.mean[active], prior, iterations, tolerance, damping)
+        beyond = 0 if stage is _Stage.GUESS else 4  # far from a minimum a step that leads up leads nowhere
+        self._descent = Descent(
+            start[active], self._problem.mean[active], prior, iterations, tolerance, damping, beyond
+        )
         self._predict(self._descent.at)
 
     def _failed(self, *, nearly: bool) -> None:
         """The iteration that was under way has no result; ``nearly``: it was still descending."""
         if self._stage is _Stage.GUESS:
+            self._next_guess()
+        elif nearly and self._given is not None:  # the ticks since then contradict it
+            self._given, self._guesses = None, list(self._guessed())
             self._next_guess()
         elif self._stage is _Stage.SETTLE and nearly:
             assert self._descent is not None
@@ -270,7 +282,8 @@ class WindowSolve:
             self._check(fitted, whole)
             return
         if self._best is None or fitted.residual_sum < self._best.residual_sum:
-            self._best = fitted
+            assert self._descent is not None
+            self._best = fitted._replace(x=self._descent.best)  # the last step is long
         self._next_guess()
 
     def _stopped(self, descent: Descent, whole: Pieces) -> None:
@@ -308,7 +321,7 @@ class WindowSolve:
     def _taken_back(self, fitted: Fit, whole: Pieces) -> FloatArray | None:
         """Where to go on from, once, if the ticks tell a payload and the iteration moved what they do not tell."""
         mass, variance = fitted.x[PAYLOAD.start], fitted.covariance[PAYLOAD.start, PAYLOAD.start]
-        if self._checked or self._hypothesis is not Hypothesis.NEW or not np.sqrt(variance) < _BEGUN * mass:
+        if self._checked or self._hypothesis is not Hypothesis.NEW or not np.sqrt(variance) < _TOLD * mass:
             return None
         self._checked = True
         return self._problem.as_stated(fitted.x, whole.normal.information)

@@ -8,7 +8,7 @@ from onboard.identification.exiddm import pieces
 from onboard.identification.exiddm import window as windows
 from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.pieces import Pieces
-from onboard.identification.exiddm.window import Hypothesis, WindowSolve, _Problem
+from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve, _Problem
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.exiddm.recorded_flights import PRIOR, WIDE, online, recorded, ticks_of
 
@@ -75,8 +75,8 @@ def test_an_iteration_that_stops_short_of_a_minimum_but_explains_the_window_is_a
     best = solved(predictor, window, Hypothesis.NEW)[0].found
 
     def cut(at_most):
-        def descent(start, mean, prior, iterations, tolerance, damping):
-            return Descent(start, mean, prior, min(iterations, at_most), 1e-12, damping)
+        def descent(start, mean, prior, iterations, tolerance, damping, beyond):
+            return Descent(start, mean, prior, min(iterations, at_most), 1e-12, damping, beyond)
 
         return descent
 
@@ -104,3 +104,25 @@ def test_what_the_ticks_do_not_tell_goes_back_to_its_prior_mean():
     assert after < before - 1.6
     assert problem.as_stated(near, told) is None
     assert problem.as_stated(np.array([-0.5, 1.5, 0.9]), told) is None  # by chance
+
+
+@pytest.mark.parametrize("mass_kg", [-0.2, 0.01, 0.2, 0.5, 5.0])
+def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg):
+    """Kept where the mass came out large, a light payload became heavier."""
+    state, covariance, none = np.zeros(13), np.eye(13), np.zeros((0, 6))
+    state[PAYLOAD.start] = mass_kg
+    for sigma_kg, kept in ((0.13, True), (30.0, False)):
+        covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
+        found = Solved(Hypothesis.NEW, np.ones(13), state, covariance, 398, 0, 0.0, 2000.0, none, covariance)
+        for length, grown in ((1.0, 1.5), (8.0, 6.0)):
+            assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
+
+
+def test_a_start_that_later_ticks_contradict_is_replaced_by_guesses(held):
+    predictor, window = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 300))
+    best = solved(predictor, window, Hypothesis.NEW)[0].found
+    far = best.start.copy()
+    far[PAYLOAD] = -3.0 * far[PAYLOAD]
+    again = solved(predictor, window, Hypothesis.NEW, far)[0].found
+    assert again is not None
+    assert again.cost == pytest.approx(best.cost, abs=1.0)
