@@ -26,7 +26,7 @@ from hil_sim.plants.planned import default_plan, planned, room_for_motion
 from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.identification import build_model
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.offline.foresee.plan import plan_of
 from onboard.offline.planning.bound import TICK_HZ, FreeBound, Outcome
 from onboard.offline.planning.criteria import Criterion

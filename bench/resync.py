@@ -24,7 +24,7 @@ from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit
 from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.timebase.resync import ResyncError
 

@@ -23,7 +23,7 @@ from onboard.dynamics.payload import BodyEstimate, standard_covariance, standard
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.verdict import Level
 from onboard.offline.campaign.results import Answer

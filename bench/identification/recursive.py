@@ -18,10 +18,10 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursive import RecursiveExiddm, SOLVED_AT_s
-from onboard.identification.exiddm.ticks import Ticks
 from onboard.offline.campaign.results import FlightResult
 
 Floats = NDArray[np.float64]

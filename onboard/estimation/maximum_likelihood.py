@@ -15,6 +15,7 @@ from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 
 _LIGHTER = 0.1  # damping after a step that has lowered the sum of squares, relative to that before
 _HEAVIEST = 1e9  # damping
+BEYOND = 4  # steps, at most, from the end of one that has not lowered the sum of squares
 _BACK = 1e3  # damping of these, relative to that of the step: back to the floor of a valley, hardly along it
 _MILD = 0.1  # damping that shortens steps along well determined directions by a tenth at most
 
@@ -94,7 +95,7 @@ class Descent:
         tolerance: decrease of the whitened sum of squares, predicted for a step without damping, below which the
             iteration stops.
         damping: of the first step, relative to the information's diagonal.
-        beyond: steps, at most, from the end of one that has not lowered the sum of squares.
+        beyond: steps, at most, from the end of one that has not lowered it.
 
     Attributes:
         at: (p,) where the next prediction is wanted.
@@ -111,7 +112,7 @@ class Descent:
         iterations: int = 50,
         tolerance: float = 1e-4,
         damping: float = 1e-3,
-        beyond: int = 4,
+        beyond: int = BEYOND,
     ) -> None:
         self.at: FloatArray = np.asarray(start, np.float64).copy()
         self.found: Fit | None = None
@@ -172,7 +173,7 @@ class Descent:
         else:
             self._back()
         if self.found is None and self._tries > self._iterations:
-            text = f"not converged after {self._iterations} iterations; the motion may not determine the parameters"
+            text = f"not converged after {self._iterations} predictions; the motion may not determine the parameters"
             raise ConvergenceError(text)
 
     def _next(self, now: Normal) -> None:

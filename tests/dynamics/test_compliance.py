@@ -10,9 +10,9 @@ from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.dynamics.inertia import RigidBody
 from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.identification.exiddm.imu_errors import CERTAIN
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import BOX, URDF
 
 TICK_s, TICKS = 0.01, 40

@@ -10,8 +10,15 @@ from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.identification import build_model
-from onboard.identification.exiddm.further import CellPrior, Friction, FurtherCell, FurtherImu, FurtherPose, PosePrior
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.further import (
+    CellPrior,
+    Friction,
+    FurtherCell,
+    FurtherImu,
+    FurtherPose,
+    PosePrior,
+)
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.regressor.rows import joint_torque_row
 from tests.dynamics.free_flyer_twin import twin
 

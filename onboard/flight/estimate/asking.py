@@ -22,8 +22,8 @@ from onboard.dynamics.payload import body_jacobian, body_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.flight.estimate.identification import build_exiddm
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.identification.online import OnlineIdentifier

@@ -8,8 +8,8 @@ from onboard.dynamics.payload import standard_covariance
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.roles import roles_of
-from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 
 
 def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:

@@ -22,8 +22,9 @@ from onboard.flight.estimate.exiddm_priors import check_springs, exiddm_prior, g
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.flight.estimate.torques import torque_cell
-from onboard.identification.exiddm.flexible import require_stiff
-from onboard.identification.exiddm.further import (
+from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.flexible import require_stiff
+from onboard.identification.exiddm.prediction.further import (
     CellPrior,
     Further,
     FurtherCell,
@@ -32,9 +33,8 @@ from onboard.identification.exiddm.further import (
     PosePrior,
     Thruster,
 )
-from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Quantity, Tolerance, mass_quantities

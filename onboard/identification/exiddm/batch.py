@@ -29,7 +29,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, covariance_of, fit
 from onboard.identification.exiddm.guesses import guesses
-from onboard.identification.exiddm.imu_errors import (
+from onboard.identification.exiddm.prediction.imu_errors import (
     BIASES,
     CERTAIN,
     ImuPrior,
@@ -39,7 +39,7 @@ from onboard.identification.exiddm.imu_errors import (
     tick_mean,
     whitened,
 )
-from onboard.identification.exiddm.parameters import Block, Layout, UncertainLinks
+from onboard.identification.exiddm.prediction.parameters import Block, Layout, UncertainLinks
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.prediction import HeldOutFit
 
@@ -103,7 +103,7 @@ class Exiddm:
         base: predicts the base's motion.
         imu_frame: the IMU's frame S, fixed in the base B.
         payload_sigma: wide prior: standard deviations of the payload's standard parameters about zero, (10,).
-        link_covariance: see :class:`onboard.identification.exiddm.parameters.UncertainLinks`.
+        link_covariance: see :class:`onboard.identification.exiddm.prediction.parameters.UncertainLinks`.
         imu_prior: on instrument errors.
 
     Attributes:

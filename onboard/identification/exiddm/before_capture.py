@@ -27,8 +27,8 @@ from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.spatial import hat
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.guesses import FIRST_TICKS, first_rate
-from onboard.identification.exiddm.imu_prediction import RATE, ImuPredictor
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 
 ANNOUNCED_s: Final = 0.05  # the touch may be so far from the time of an announced capture
 _ZERO_s: Final = 0.5  # before the first touch, in which the accelerometer's zero is told

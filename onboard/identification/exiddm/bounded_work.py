@@ -12,7 +12,7 @@ from collections import deque
 
 import numpy as np
 
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.trials import Trial
 from onboard.identification.exiddm.window import WindowSolve
 

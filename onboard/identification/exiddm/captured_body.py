@@ -22,9 +22,9 @@ from onboard.identification.exiddm.before_capture import (
     before_capture,
     margins_s,
 )
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursive import RecursiveExiddm
-from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
 
 NAMES: Final = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")
@@ -144,10 +144,8 @@ class CapturedBody:
         assert touch.ticks is not None
         self._used, self._next = exiddm.ticks_used, _AGAIN * exiddm.ticks_used
         if exiddm.predictor.bends.size:
-            self._told, self._failure = (
-                None,
-                "the joints are flexible: their encoders do not tell how the gripper moves",
-            )
+            self._told = None
+            self._failure = "the joints are flexible: their encoders do not tell how the gripper moves"
             return
         if 0 in exiddm.fusion.left_out:
             self._told, self._failure = None, f"{exiddm.fusion.names[0]} is left out"

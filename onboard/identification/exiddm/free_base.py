@@ -13,8 +13,8 @@ from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.exiddm.batch import Exiddm, Schedule, checked
 from onboard.identification.exiddm.guesses import ROUGH_WIDTH_s
-from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
-from onboard.identification.exiddm.parameters import Block
+from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.exiddm.prediction.parameters import Block
 from onboard.regressor.free_rows import rough_payload
 
 FIRST_TICKS = 10  # for the initial momentum

@@ -9,8 +9,8 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.inertia import RigidBody
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.exiddm.imu_prediction import RATE, ImuPredictor
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.imu_prediction import RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 
 ROUGH_WIDTH_s = 0.3  # of the kernel that smooths the base's motion for a least squares on rows
 FIRST_TICKS = 10  # for the initial rate

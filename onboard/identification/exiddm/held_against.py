@@ -7,7 +7,7 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.corrections import Together, together, told
 from onboard.identification.exiddm.fusion import Fusion
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 
 
 class Told(NamedTuple):

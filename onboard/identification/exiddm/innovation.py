@@ -8,11 +8,11 @@ from scipy.linalg.lapack import dtrtrs
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
-from onboard.identification.exiddm.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.fusion import Accusation, Fusion
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.misfit import InnovationMisfit
-from onboard.identification.exiddm.ticks import Prediction
+from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Prediction
 
 _SCALES = ("gyro_scale", "accelerometer_scale")
 _FREE = 1e3  # stated sigmas of an error that may be of any size

@@ -17,8 +17,8 @@ newest estimate from there on.
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.ticks import Prediction, Ticks
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
 _MOVED = 1.0  # rms change of a batch's prediction, in sigmas of a tick, beyond which it is linearised anew
 

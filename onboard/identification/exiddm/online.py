@@ -18,11 +18,11 @@ from onboard.identification.corrections import DOUBTFUL, contradicted, too_large
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.bounded_work import last_work
 from onboard.identification.exiddm.captured_body import CapturedBody
-from onboard.identification.exiddm.further import Further, FurtherCell, FurtherPose
 from onboard.identification.exiddm.held_against import HeldAgainst, Told
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.further import Further, FurtherCell, FurtherPose
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.exiddm.recursive import DETERMINED, RecursiveExiddm
-from onboard.identification.exiddm.ticks import Ticks, ticks_of
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,

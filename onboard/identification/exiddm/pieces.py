@@ -11,8 +11,8 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 
 PIECE = 80  # ticks predicted at once, about: fewer cost more each, more take longer
 

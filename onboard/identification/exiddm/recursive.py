@@ -26,14 +26,14 @@ from onboard.identification.exiddm.bounded_work import BATCH_TICKS, BoundedWork
 from onboard.identification.exiddm.claims import Claim, after_a_change, at_first, kind_of
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.guesses import first_state
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.exiddm.innovation import Batch, Innovation, Innovations
 from onboard.identification.exiddm.linearised import Linearised
 from onboard.identification.exiddm.lines import InnovationLines, Unexplained
 from onboard.identification.exiddm.misfit import InnovationMisfit
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.snapshots import Before, Known, Snapshots, bridged, initially
 from onboard.identification.exiddm.stepped import Stepped
-from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.exiddm.trials import CellTrials, Choice, Trial, Trials, trials_of
 from onboard.identification.exiddm.window import Hypothesis, Solved, WindowSolve
 

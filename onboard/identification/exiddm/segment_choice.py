@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 
 LEAST = 0.01  # information that counts, in units of what is known before the flight
 REPEATED = 100.0  # times that each motion is repeated, for what is left in the end

@@ -16,8 +16,8 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
 from onboard.identification.exiddm.guesses import first_state
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.trials import Trial
 from onboard.identification.exiddm.window import Hypothesis
 

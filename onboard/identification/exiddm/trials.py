@@ -17,7 +17,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from onboard.identification.exiddm.fusion import Fusion
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.window import Hypothesis, Solved
 
 _CLEARLY = 20.0  # squares by which a fit must be less strained than any other: exp(10) times as likely

@@ -1,8 +1,8 @@
 """Batch fit of a short window of ticks: initialises the recursive filter, and classifies a detected change.
 
 The maximum likelihood of :mod:`onboard.identification.exiddm.batch` on the state of
-:mod:`onboard.identification.exiddm.imu_prediction`, from several guesses, with the current estimate of the other
-unknowns as prior.
+:mod:`onboard.identification.exiddm.prediction.imu_prediction`, from several guesses, with the current estimate of the
+other unknowns as prior.
 
 A window that nothing explains takes hundreds of predictions, seconds of CPU time. A solve is therefore an object that
 predicts one piece of the window at a time and can be written to a checkpoint in between.
@@ -21,15 +21,15 @@ from scipy.special import chdtrc, chdtri
 from onboard.dynamics.payload import standard_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
-from onboard.estimation.maximum_likelihood import Descent, Fit
+from onboard.estimation.maximum_likelihood import BEYOND, Descent, Fit
 from onboard.identification.exiddm.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
-from onboard.identification.exiddm.imu_prediction import (
+from onboard.identification.exiddm.pieces import Pieces
+from onboard.identification.exiddm.prediction.imu_prediction import (
     PAYLOAD,
     RATE,
     ImuPredictor,
 )
-from onboard.identification.exiddm.pieces import Pieces
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.regressor.free_rows import rough_payload
 
 _ITERATIONS = 40  # predictions
@@ -257,7 +257,7 @@ class WindowSolve:
         prior = self._problem.information[np.ix_(active, active)]
         noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, start)
         self._sigma = np.hypot(self._ticks.sigma, noise)
-        beyond = 0 if stage is _Stage.GUESS else 4  # far from a minimum a step that leads up leads nowhere
+        beyond = 0 if stage is _Stage.GUESS else BEYOND  # far from a minimum a step that leads up leads nowhere
         self._descent = Descent(
             start[active], self._problem.mean[active], prior, iterations, tolerance, damping, beyond
         )

@@ -29,8 +29,8 @@ from onboard.estimation.errors import ConvergenceError, EstimationError
 from onboard.estimation.maximum_likelihood import Descent, Fit, Normal, fit
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, Schedule, checked
 from onboard.identification.exiddm.guesses import GUESSES, ROUGH_WIDTH_s
-from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
-from onboard.identification.exiddm.parameters import EXACT_GEOMETRY, Block, GeometryPrior
+from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY, Block, GeometryPrior
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.regressor.free_rows import measured_base
 

@@ -27,8 +27,8 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal, fit_normal
 from onboard.identification.exiddm.guesses import first_rate
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.whole_flight.blocks import Block, apart, misfit_by_instrument, total_of
 
 INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU

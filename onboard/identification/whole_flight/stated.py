@@ -20,8 +20,8 @@ import numpy as np
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.further import OF_FRICTION, FurtherCell
-from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 

@@ -14,7 +14,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import METHODS, build_model
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.change import Change
-from onboard.identification.exiddm.ticks import Ticks, ticks_of
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.table.run import TableRun
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.likelihood_log import EXIDDM, runs_of

@@ -33,10 +33,10 @@ from onboard.identification.exiddm.before_capture import (
     before_capture,
 )
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
-from onboard.identification.exiddm.further import Further
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.ticks import Ticks, ticks_of
+from onboard.identification.exiddm.prediction.further import Further
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
 from onboard.identification.whole_flight.fit import Segment, WholeFlight

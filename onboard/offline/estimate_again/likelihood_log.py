@@ -21,7 +21,7 @@ from onboard.estimation.rls import Observability
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import contradicted
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit, held_out
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.rows.held_out import HeldOut

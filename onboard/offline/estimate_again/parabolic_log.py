@@ -18,7 +18,7 @@ from onboard.estimation.errors import EstimationError
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.identification import build_exiddm
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
 from onboard.identification.verdict import WORST_MISFIT, Level
 from onboard.identification.whole_flight.fit import Segment, WholeFlight

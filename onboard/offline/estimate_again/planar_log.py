@@ -18,7 +18,7 @@ from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior, 
 from onboard.flight.estimate.identification import build_planar, samples_per_tick
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.batch import PayloadFit
-from onboard.identification.exiddm.ticks import Ticks, ticks_of
+from onboard.identification.exiddm.prediction.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.table.air_bearing import (
     AirBearingPrior,

@@ -22,9 +22,9 @@ from onboard.flight.estimate.identification import build_exiddm, channels_of
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import CYCLIC_LEFT, kernel_of
 from onboard.flight.estimate.torques import TorqueLines
-from onboard.identification.exiddm.further import Further
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.exiddm.online import ExiddmIdentifier, rows_of
+from onboard.identification.exiddm.prediction.further import Further
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.offline.foresee.plan import Foreseen, JointNoise, Plan, axes_words, body_values, expected
 
 _BATCH_TICKS, _PART_TICKS = 50, 10  # of a prediction; of a gain, whose work grows with the cube of its readings

@@ -18,7 +18,7 @@ from onboard.dynamics.payload import standard_of
 from onboard.dynamics.vehicle import BaseKind, VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.flight.estimate.identification import build_model
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.quantities import BODY
 from onboard.offline.foresee.foresee import foresee
 from onboard.offline.foresee.free import Noise, body_covariance, fly

@@ -23,7 +23,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.smoothing import smooth
 from onboard.identification.exiddm.batch import Exiddm, PayloadFit
 from onboard.identification.exiddm.guesses import GUESSES
-from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.timebase.resync import ResyncError, Stream, align, candidates
 
 PEAK_HZ = 1.0

@@ -25,7 +25,7 @@ from onboard.dynamics.vehicle import VehicleModel as Model
 from onboard.flight.estimate.roles import roles_of
 from onboard.identification.exiddm.batch import Exiddm
 from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.offline.rescue.fit_clocks import Recorded, coarse_clocks, rescue
 from onboard.offline.rescue.sampled import sampled
 from onboard.recording.reader import LogReader

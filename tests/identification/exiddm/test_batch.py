@@ -10,7 +10,7 @@ from onboard.dynamics.ticks import tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.imu_errors import CERTAIN, ImuPrior
+from onboard.identification.exiddm.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.regressor.free_rows import measured_base, rough_payload, zero_wrench_rows
 from tests.dynamics.free_flyer_twin import PAYLOAD, URDF, twin
 

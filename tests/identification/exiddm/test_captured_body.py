@@ -9,7 +9,7 @@ from hil_sim.plants import free_flyer
 from onboard.identification.change import Change
 from onboard.identification.exiddm.before_capture import Payload
 from onboard.identification.exiddm.captured_body import NAMES, CapturedBody
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from tests.identification.exiddm.captures import LARGE, Case
 
 CAPTURE_s, END_s, BATCH = 3.0, 9.0, 10

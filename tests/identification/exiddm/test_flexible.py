@@ -8,9 +8,9 @@ import pytest
 from hil_sim.plants import free_flyer
 from onboard import config
 from onboard.flight.estimate.identification import build_exiddm, build_online
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from onboard.identification.verdict import Level, standing
 from tests.dynamics.free_flyer_twin import BOX
 from tests.dynamics.test_compliance import flown

@@ -7,9 +7,9 @@ from onboard.dynamics.errors import UnknownFrameError
 from onboard.dynamics.free_flight import predict_base
 from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
-from onboard.identification.exiddm.imu_errors import CERTAIN
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.identification.exiddm.prediction.imu_errors import CERTAIN
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.linearised import Linearised
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from tests.identification.exiddm.recorded_flights import PRIOR, online, ticks_of
 
 LINKS = ["base", *(f"link_{k}" for k in range(1, 6))]

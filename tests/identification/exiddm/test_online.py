@@ -9,10 +9,10 @@ from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian, body_of
 from onboard.identification.corrections import contradicted, told
 from onboard.identification.exiddm import held_against
-from onboard.identification.exiddm.further import CellPrior, FurtherCell
 from onboard.identification.exiddm.fusion import Fusion
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.further import CellPrior, FurtherCell
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 
 SIGMA, SCALE_AT = 0.0025, 13
 CELL = FurtherCell("cell", "wrist", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 5, CellPrior(0.0, 0.0, SIGMA, 0.0))

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from onboard.identification.exiddm.imu_errors import CERTAIN, SIZE, ImuPrior, imu_blocks, imu_reading, tick_mean
-from onboard.identification.exiddm.parameters import Block, Layout
+from onboard.identification.exiddm.prediction.imu_errors import (
+    CERTAIN,
+    SIZE,
+    ImuPrior,
+    imu_blocks,
+    imu_reading,
+    tick_mean,
+)
+from onboard.identification.exiddm.prediction.parameters import Block, Layout
 
 
 def test_what_is_certain_is_left_out_and_stays_zero():

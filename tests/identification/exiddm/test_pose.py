@@ -8,11 +8,11 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.tracked_pose import left, product, quaternion_of, right, rotation
 from onboard.flight.estimate.exiddm_priors import exiddm_prior, geometry_prior
 from onboard.flight.estimate.identification import build_model
-from onboard.identification.exiddm.further import FurtherPose, PosePrior
 from onboard.identification.exiddm.fusion import Fusion
 from onboard.identification.exiddm.guesses import first_pose
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.further import FurtherPose, PosePrior
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
+from onboard.identification.exiddm.prediction.ticks import Ticks
 
 PERIOD_s = 0.01
 PRIOR = PosePrior(1e-3, 0.02, 3e-3, 1e-3, 1e-3)

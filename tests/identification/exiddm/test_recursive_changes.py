@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.online import ExiddmIdentifier
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.snapshots import Before
 from onboard.identification.quantities import Findings
 from tests.dynamics.free_flyer_twin import BOX

@@ -9,10 +9,10 @@ import pytest
 from hil_sim.plants import free_flyer
 from onboard.dynamics.tracked_pose import LINES
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS
-from onboard.identification.exiddm.further import FurtherPose, PosePrior
 from onboard.identification.exiddm.fusion import Fusion
-from onboard.identification.exiddm.imu_prediction import ImuPredictor
-from onboard.identification.exiddm.parameters import EXACT_GEOMETRY
+from onboard.identification.exiddm.prediction.further import FurtherPose, PosePrior
+from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
+from onboard.identification.exiddm.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.exiddm.recursive import RecursiveExiddm
 from onboard.identification.exiddm.trials import CellTrials, Trial, Trials, trials_of
 from onboard.identification.exiddm.window import Hypothesis

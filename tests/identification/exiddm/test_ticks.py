@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import Ticks
 
 
 def test_a_flight_by_the_second_imu_needs_nothing_of_an_instrument_that_is_silent() -> None:

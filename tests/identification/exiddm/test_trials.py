@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.identification.exiddm.imu_prediction import PAYLOAD
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD
 from onboard.identification.exiddm.trials import CellTrials, Trial, Trials
 from onboard.identification.exiddm.window import Hypothesis, Solved
 

@@ -20,8 +20,8 @@ from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.exiddm.batch import Exiddm
-from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table import air_bearing
 from onboard.identification.table.air_bearing import (
     AirBearingPrior,

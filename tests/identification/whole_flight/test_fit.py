@@ -11,9 +11,9 @@ from onboard.dynamics.vehicle import BaseKind, VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import FARTHEST, doubtful
-from onboard.identification.exiddm.imu_errors import ImuPrior
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, ImuPredictor
-from onboard.identification.exiddm.parameters import GeometryPrior, JointPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.exiddm.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import apart, total_of
 from onboard.identification.whole_flight.fit import INSTRUMENTS, Segment, WholeFlight

@@ -17,8 +17,8 @@ from onboard import channels, cli, config
 from onboard.dynamics.payload import standard_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.change import Change
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.identification.exiddm.recursive import RecursiveExiddm
-from onboard.identification.exiddm.ticks import Ticks
 from onboard.identification.verdict import Level
 from onboard.identification.whole_flight import witnesses
 from onboard.offline.estimate_again.identify import identify

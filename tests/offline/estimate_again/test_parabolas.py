@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.config.parabola import Parabola
-from onboard.identification.exiddm.ticks import Ticks
+from onboard.identification.exiddm.prediction.ticks import Ticks
 from onboard.offline.estimate_again.parabolas import Stage, cut, stages
 
 PERIOD_s, SIGMA_m_s2 = 0.01, 0.028

@@ -20,7 +20,7 @@ from onboard.flight.estimate.identification import build_exiddm
 from onboard.flight.estimate.roles import roles_of
 from onboard.flight.estimate.signals import kernel_of
 from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.verdict import Level
 from onboard.offline.foresee.contingency import foresee_without
 from onboard.offline.foresee.foresee import foresee

@@ -17,7 +17,7 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.exiddm_priors import exiddm_prior
 from onboard.flight.estimate.identification import build_exiddm, build_identifier
 from onboard.identification.exiddm.free_base import free_exiddm
-from onboard.identification.exiddm.imu_errors import ImuPrior
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
 from onboard.identification.verdict import Level
 from onboard.offline.foresee.foresee import foresee
 from onboard.offline.foresee.plan import plan_of

@@ -13,7 +13,7 @@ from onboard.config.segments import Library, read, to_bytes
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.estimator import Estimator
 from onboard.identification.change import Change
-from onboard.identification.exiddm.imu_prediction import PAYLOAD, RATE
+from onboard.identification.exiddm.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.exiddm.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.offline.tables import truth
 from onboard.offline.tables.vehicle_file import vehicle_of

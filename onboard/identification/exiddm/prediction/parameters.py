@@ -2,9 +2,9 @@
 
 Unknowns come in named blocks: the motion's state at the first tick (``start``), the payload's standard parameters
 (``payload``), deviations of other links from the drawing (``links``), further ones of a base (``drag``, ``tilt``), the
-IMU's errors (:mod:`onboard.identification.exiddm.imu_errors`) and its place (``imu_place``), and errors of the joints
-(``joints``, ``cyclic``, :mod:`onboard.dynamics.joint_errors`). An unknown with sigma zero is exact: it stays zero and
-is not estimated.
+IMU's errors (:mod:`onboard.identification.exiddm.prediction.imu_errors`) and its place (``imu_place``), and errors of
+the joints (``joints``, ``cyclic``, :mod:`onboard.dynamics.joint_errors`). An unknown with sigma zero is exact: it stays
+zero and is not estimated.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ class SpringPrior(NamedTuple):
 
     stiffness_N_m_rad: float  # noqa: N815
     stiffness_relative: float  # standard deviation
-    damping_N_m_s_rad: float | None  # noqa: N815 - None: that of a steel spring, see FlexibleJoints
+    damping_N_m_s_rad: float | None  # noqa: N815 - None: 2 % of critical, see FlexibleJoints
     damping_relative: float  # standard deviation
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from onboard.dynamics.spatial import hat
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.identification.exiddm.parameters import Block
+from onboard.identification.exiddm.prediction.parameters import Block
 
 
 class ImuPrior(NamedTuple):

@@ -14,7 +14,7 @@ from onboard.dynamics.errors import SignalError
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.parameters import Block, GeometryPrior, Layout, SpringPrior
+from onboard.identification.exiddm.prediction.parameters import Block, GeometryPrior, Layout, SpringPrior
 
 _DAMPING_RATIO = 0.02  # of a joint's swing alone, unladen, where no damping is stated
 _SOFTEST_Hz = 9.0  # of a joint's swing alone, unladen: rehearsed flights of softer ones told wrong numbers

@@ -11,9 +11,9 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.spatial import Columns
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.flexible import FlexibleJoints
-from onboard.identification.exiddm.further import Thruster
-from onboard.identification.exiddm.parameters import Layout, UncertainLinks
+from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
+from onboard.identification.exiddm.prediction.further import Thruster
+from onboard.identification.exiddm.prediction.parameters import Layout, UncertainLinks
 
 
 class MovingBase:

@@ -2,7 +2,7 @@
 
 The state has the unknowns of a free flight: current rate of the base, payload, current IMU biases and their drifts,
 scale, misalignment and delay, uncertain links, the IMU's place, errors of the joints' places and encoders, and the
-errors of further IMUs and load cells (:mod:`onboard.identification.exiddm.further`). All but the rate
+errors of further IMUs and load cells (:mod:`onboard.identification.exiddm.prediction.further`). All but the rate
 (:mod:`onboard.dynamics.free_flight`) and the biases are constant.
 
 Cyclic errors of an encoder behind a gear are functions of its angle (eccentricity, transmission error); as noise they
@@ -24,8 +24,8 @@ from onboard.dynamics.spatial import Columns, times
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.identification.exiddm.flexible import FlexibleJoints
-from onboard.identification.exiddm.further import (
+from onboard.identification.exiddm.prediction.flexible import FlexibleJoints
+from onboard.identification.exiddm.prediction.further import (
     Further,
     FurtherCell,
     FurtherImu,
@@ -35,7 +35,7 @@ from onboard.identification.exiddm.further import (
     Thruster,
     blocks_of,
 )
-from onboard.identification.exiddm.imu_errors import (
+from onboard.identification.exiddm.prediction.imu_errors import (
     SIZE,
     ImuPrior,
     drift_of,
@@ -44,8 +44,8 @@ from onboard.identification.exiddm.imu_errors import (
     imu_reading,
     tick_mean,
 )
-from onboard.identification.exiddm.moving_base import MovingBase
-from onboard.identification.exiddm.parameters import (
+from onboard.identification.exiddm.prediction.moving_base import MovingBase
+from onboard.identification.exiddm.prediction.parameters import (
     EXACT_GEOMETRY,
     Block,
     GeometryPrior,
@@ -56,7 +56,7 @@ from onboard.identification.exiddm.parameters import (
     named,
     together,
 )
-from onboard.identification.exiddm.ticks import Prediction, Ticks
+from onboard.identification.exiddm.prediction.ticks import Prediction, Ticks
 
 RATE, PAYLOAD = slice(0, 3), slice(3, 13)  # of the state: unknown, so always estimated
 DRIFT_MEMORY_s = 20.0  # correlation time of a bias drift: that of a chip that warms up
@@ -71,7 +71,7 @@ class ImuPredictor:
         imu_frame: the first IMU's frame S, fixed in the base B.
         period_s: between ticks.
         samples: of that IMU in each tick's mean.
-        link_covariance: see :class:`onboard.identification.exiddm.parameters.UncertainLinks`.
+        link_covariance: see :class:`onboard.identification.exiddm.prediction.parameters.UncertainLinks`.
         imu_prior: on instrument errors; the clock rate error is taken for none.
         geometry: prior on places of IMU and joints, and on encoder errors.
         further: instruments besides that IMU.

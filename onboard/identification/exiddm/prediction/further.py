@@ -1,8 +1,9 @@
 """Instruments besides the first IMU that the recursive ExIDDM predicts: further IMUs, load cells, a tracker.
 
 A load cell shows ``(1 + scale) (u - delay du/dt) + bias + drift t``, u its component of the wrench through its cut
-(:mod:`onboard.dynamics.cut_wrench`): the IMU's error model (:mod:`onboard.identification.exiddm.imu_errors`) for one
-axis. A clock without marks wanders, so a delay may be a random walk as well.
+(:mod:`onboard.dynamics.cut_wrench`): the IMU's error model
+(:mod:`onboard.identification.exiddm.prediction.imu_errors`) for one axis. A clock without marks wanders, so a delay may
+be a random walk as well.
 
 The torque of a joint is a cell whose cut is that joint. Measured on the motor's side of its gear it has friction and
 the rotor's inertia in it: ``u + Fc sign(dq) + Fv dq + Ia ddq`` in place of u (Limparis 2.112). What the joints' noise
@@ -17,8 +18,8 @@ import numpy as np
 from onboard.dynamics.tracked_pose import LINES
 from onboard.dynamics.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.exiddm.imu_errors import ImuPrior, imu_blocks, tick_mean
-from onboard.identification.exiddm.parameters import Block
+from onboard.identification.exiddm.prediction.imu_errors import ImuPrior, imu_blocks, tick_mean
+from onboard.identification.exiddm.prediction.parameters import Block
 
 _ANYWHERE_m, _ANY_m_s = 20.0, 1.0  # 1 sigma of the centre of mass in a tracker's axes, and of its velocity
 OF_FRICTION = ("Fc", "Fv", "Ia")
