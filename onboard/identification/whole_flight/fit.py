@@ -106,7 +106,8 @@ class WholeFlight:
 
     Attributes:
         names: of the p parameters: those of the predictor without the rate, rates, kinks of biases.
-        sigma: (p,) before the flight; NaN where nothing is known.
+        stated: standard deviations (p,) before the flight; NaN where nothing is known.
+        sigma: those that the fit takes: as stated, or wider by :meth:`widen`, (p,).
         segments: those that are fitted.
         time_s: of all their ticks, (n,).
         further: the predictor's instruments besides the first IMU, be they left out or not.
@@ -136,17 +137,16 @@ class WholeFlight:
         self._begin_s = min((float(one.ticks.time_s[0]) for one in self.segments), default=0.0)
         end_s = max((float(one.ticks.time_s[-1]) for one in self.segments), default=0.0)
         self._kinks_s = np.arange(1, int((end_s - self._begin_s) / KINK_s)) * KINK_s
-        constant = slice(PAYLOAD.start, None)
         walk = np.sqrt(2.0 * KINK_s / DRIFT_MEMORY_s)
         drifts = [drift_at for _, drift_at in predictor.biases]
         self.constants = len(predictor.names) - PAYLOAD.start
         self.of_bodies = predictor.of_bodies - PAYLOAD.start
         self.names: tuple[str, ...] = (
-            *predictor.names[constant],
+            *predictor.names[PAYLOAD.start :],
             *(f"{name}_{k}" for k in range(len(self.segments)) for name in predictor.names[RATE]),
             *(f"{predictor.names[at]}_kink_{k}" for k in range(len(self._kinks_s)) for at in drifts),
         )
-        self.sigma = np.concatenate(
+        self.stated = np.concatenate(
             [
                 payload_sigma,
                 predictor.sigma[PAYLOAD.stop :],
@@ -154,6 +154,7 @@ class WholeFlight:
                 np.tile(walk * predictor.sigma[drifts], len(self._kinks_s)),
             ]
         )
+        self.sigma = self.stated.copy()
         pairs, kinks = len(drifts), len(self._kinks_s)
         first = self.constants + 3 * len(self.segments)
         self._of_lines: list[IndexArray] = [

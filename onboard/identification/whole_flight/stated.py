@@ -20,8 +20,10 @@ import numpy as np
 from onboard.dynamics.inertia import elements
 from onboard.dynamics.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.exiddm.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.exiddm.prediction.imu_errors import ImuPrior
+from onboard.identification.whole_flight.blocks import total_of
 from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import FlightFit, WholeFlight
 
@@ -133,6 +135,25 @@ def freely(flight: WholeFlight, found: FlightFit, kinds: Sequence[Kind]) -> Flig
         return found
     flight.widen(np.concatenate(unlikely), _FREE)
     return flight.fit_again(found)
+
+
+def bound_of(flight: WholeFlight, found: FlightFit) -> FloatArray:
+    """Cramér-Rao: the least sigmas of the payload's ten numbers at the noise and the sigmas that are stated, (10,).
+
+    By the information of all rows that were used, at the estimate. Where a kind was fitted freely, the sigmas of the
+    fit are wider than that.
+
+    Args:
+        flight: that was fitted.
+        found: its fit.
+
+    Raises:
+        SingularError: rows and stated sigmas leave a parameter undetermined.
+    """
+    rows = total_of(found.blocks, len(found.names)).information
+    covariance = inverse_of(rows + np.diag(np.nan_to_num(1.0 / flight.stated**2)))
+    D = body_jacobian(found.chi)
+    return np.asarray(np.sqrt(np.diag(D @ covariance[:10, :10] @ D.T)), np.float64)
 
 
 def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:

@@ -41,7 +41,7 @@ from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Evidence
 from onboard.identification.whole_flight.fit import Segment, WholeFlight
 from onboard.identification.whole_flight.parts import halves
-from onboard.identification.whole_flight.stated import freely, leans_on
+from onboard.identification.whole_flight.stated import bound_of, freely, leans_on
 from onboard.identification.whole_flight.witnesses import HARDLY, Tested, tested, without_each
 from onboard.offline.estimate_again.feed import feed
 from onboard.offline.estimate_again.identified import Identified
@@ -325,6 +325,7 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> Fitted
         found.payload,
         found.chi,
         found.chi_covariance,
+        bound_of(flight, found),
         sum(block.rows for block in found.blocks),
         found.misfit,
         max(1.0, found.misfit, *found.by_instrument.values()),

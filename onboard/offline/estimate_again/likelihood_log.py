@@ -63,6 +63,7 @@ class Fitted(NamedTuple):
     payload: BodyEstimate
     chi: FloatArray  # (10,) standard parameters of the payload
     chi_covariance: FloatArray  # (10, 10)
+    bound: FloatArray  # (10,) Cramér-Rao: least sigmas of the payload's numbers, at what is stated
     rows_used: int
     misfit: float  # of all rows
     wider: float  # factor of the variances
@@ -107,7 +108,8 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
         except (EstimationError, ModelError) as error:
             unchecked = half_too_short(error)
     corrections = _corrections(exiddm, corrected, kept.payload) | joints.in_stated_sigmas
-    numbers = corrected.payload, corrected.chi, corrected.chi_covariance
+    bound = np.sqrt(np.diag(corrected.payload.covariance))
+    numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
     left = by_axis(ticks.time_s, exiddm.residuals_by_tick(found.fit.x), kept.period_s)
     against = Findings(contradicted(joints.in_told_sigmas), ())
     fit = Fitted(*numbers, used, corrected.misfit, wider, corrections, halves, unchecked, left, judged, against)
@@ -132,7 +134,7 @@ def told(kept: Kept, found: Fitted) -> Identified:
     log, names, judged = kept.log, _names(kept), found.judged
     link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
     body = found.payload._replace(body=link.body or found.payload.body)
-    of_payload = body_answers(names, *body, found.wider)
+    of_payload = body_answers(names, *body, found.wider, found.bound)
     of_payload = tuple(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True))
     answers = (*of_payload, *judged.answers)
     if judged.reason:
@@ -232,11 +234,20 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
     return [Run(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
 
 
-def body_answers(names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float) -> tuple[Answer, ...]:
-    """Each is supported if its sigma is at most a fifth of the body's own scale."""
+def body_answers(
+    names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float, bound: FloatArray
+) -> tuple[Answer, ...]:
+    """Each is supported if its sigma is at most a fifth of the body's own scale.
+
+    Args:
+        names: of the ten numbers.
+        body: their values.
+        covariance: of these, (10, 10).
+        wider: factor of the variances.
+        bound: least sigmas, (10,).
+    """
     values = np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
-    bound = np.sqrt(np.diag(covariance))
-    sigma = bound * np.sqrt(wider)
+    sigma = np.sqrt(wider * np.diag(covariance))
     half = float(ndtri(0.5 + 0.5 * LEVEL)) * sigma
     fine = sigma <= SUPPORTED_SHRINKAGE * _size(body)
     return tuple(

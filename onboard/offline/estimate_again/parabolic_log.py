@@ -174,6 +174,7 @@ def _fitted(found: Pooled, doubts: tuple[str, ...]) -> Fitted:
         found.payload,
         found.chi,
         found.chi_covariance,
+        np.sqrt(np.diag(found.payload.covariance)),
         found.rows,
         found.misfit,
         max(1.0, found.misfit, *found.by_instrument.values()),

@@ -62,7 +62,7 @@ def foresee_planar(vehicle: config.Vehicle, plan: Plan) -> Foreseen:
             one.standing.level if one.supported else Level.WEAK,
             one.standing.why if one.supported else UNDETERMINED,
         )
-        for one in body_answers(names, *body, 1.0)
+        for one in body_answers(names, *body, 1.0, np.sqrt(np.diag(body.covariance)))
     ]
     sigma, stated = np.sqrt(np.diag(covariance)), exiddm.layout.sigma
     drag = []

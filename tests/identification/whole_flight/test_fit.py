@@ -18,7 +18,7 @@ from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import apart, total_of
 from onboard.identification.whole_flight.fit import INSTRUMENTS, Segment, WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
-from onboard.identification.whole_flight.stated import KINDS, UNLIKELY, bodies_of, freely, kinds_of, leans_on
+from onboard.identification.whole_flight.stated import KINDS, UNLIKELY, bodies_of, bound_of, freely, kinds_of, leans_on
 from tests.dynamics.free_flyer_twin import BOX, URDF
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.exiddm.recorded_flights import BIASED, WIDE, recorded, ticks_of
@@ -256,6 +256,26 @@ def test_a_scale_of_all_axes_is_found_and_fitted_freely(ticks, predictor, fitted
     off, wrong = (np.abs(one.chi - standard_of(TRUTH))[0] for one in (free, stated))
     assert off < 2.0 * np.sqrt(free.chi_covariance[0, 0])
     assert off < 0.5 * wrong
+
+
+def test_the_bound_is_that_of_what_is_stated_and_the_truth_gives_the_same(ticks, predictor, fitted):
+    """Where a kind was fitted freely too, which widens the interval of the mass."""
+    flight, whole = fitted
+    bound = bound_of(flight, whole)
+    np.testing.assert_allclose(bound, np.sqrt(np.diag(whole.payload.covariance)), rtol=1e-6)
+    at = whole.fit.x.copy()
+    at[:10] = standard_of(TRUTH)
+    true = WholeFlight(predictor, WIDE, segments(ticks))
+    true.weigh(at)
+    there = whole._replace(chi=at[:10], blocks=tuple(true.blocks(at)))
+    np.testing.assert_allclose(bound, bound_of(true, there), rtol=0.02)
+    flight = WholeFlight(predictor, WIDE, scaled(ticks, [3, 4, 5], 0.93))
+    stated = flight.fit(whole.fit.x)
+    free = freely(flight, stated, kinds_of(flight, stated))
+    wider = np.sqrt(np.diag(free.payload.covariance)) / bound_of(flight, free)
+    assert (wider >= 1.0).all()
+    assert wider[0] > 1.1
+    np.testing.assert_allclose(bound_of(flight, free), bound_of(flight, stated), rtol=0.05)
 
 
 def test_the_chi_squared_of_a_kind_is_what_the_fit_gains_without_its_sigmas(ticks, predictor, fitted):

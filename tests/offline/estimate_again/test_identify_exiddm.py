@@ -152,6 +152,24 @@ def test_a_link_that_the_flight_contradicts_is_a_doubt(
         assert found.verdict.reasons == reasons
 
 
+def test_a_correction_that_is_fitted_freely_widens_the_interval_and_not_the_bound(
+    flown: Twin, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The accelerometer reads 8 % too much of everything; the bound stays that of the stated sigmas."""
+    plain = answered(write(tmp_path / "plain.mcap", flown, rng), tmp_path / "answered.mcap", standard_of(PAYLOAD))
+    with LogWriter.create(tmp_path / "scaled.mcap", durable=False) as writer:
+        for name, rows in LogReader(plain).batches():
+            if name == "imu_base":
+                rows["accel_raw"] = np.rint(1.08 * rows["accel_raw"])
+            writer.register(name, rows.dtype)
+            writer.write(name, rows)
+    (healthy,), (found,) = (identify(VEHICLE, [log]).logs for log in (plain, tmp_path / "scaled.mcap"))
+    assert "accelerometer_scale of the IMU, common to its axes, is not as stated" in found.verdict.text
+    assert found.answers[0].bound == pytest.approx(healthy.answers[0].bound, rel=0.05)
+    assert found.answers[0].sigma > 1.1 * found.answers[0].bound
+    assert healthy.answers[0].sigma < 1.05 * healthy.answers[0].bound
+
+
 def test_an_hour_without_a_recording_is_left_out(
     flown: Twin, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
