@@ -1,14 +1,16 @@
 """What the campaign of ``bench/plans/honesty.toml`` shows: does a wrong answer ever look like a right one?
 
-Run ``heft campaign bench/plans/honesty.toml -o DIR``, then ``python bench/honesty.py DIR``. Each seed is a short
-mission of its own; vehicle, faults and model errors are drawn from it (``bench/honest_flights/drawn.py``). Counted are
+Run ``heft campaign bench/plans/honesty.toml -o DIR``, then ``python bench/honesty.py DIR...`` (of a campaign flown in
+parts: each part's). Each seed is a short mission of its own; vehicle, faults and model errors are drawn from it
+(``bench/honest_flights/drawn.py``). Counted are
 
 - *confident nonsense*: a quantity that the flight supports while its truth lies outside its 99.9 % interval,
 - the same under a fault that no instrument on board can see (``Drawn.invisible``): there the answer leans on a
   calibration, which it names,
 - flights with a harmless fault (samples are missing, none is false) that still answer,
 - healthy flights of which some answer is not to be used,
-- faults on an instrument that another one stands beside, and whether an event names it.
+- faults on an instrument that another one stands beside, and whether an event names it,
+- all numbers told: how many lie outside their 95 % and 99.9 % intervals, and the rms of their errors in sigmas.
 
 Exit code 1: confident nonsense.
 """
@@ -18,11 +20,15 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from bench.honest_flights.drawn import HARMLESS, REDUNDANT
 from onboard.identification.verdict import Level
-from onboard.offline.campaign.results import Outcome
+from onboard.offline.campaign.results import WIDER, Outcome
 from onboard.offline.campaign.statistics import share_of
 from onboard.offline.campaign.store import Store
+
+_SIGMAS = 1.9600  # of the half width of a 95 % interval
 
 
 class Flight(NamedTuple):
@@ -93,7 +99,21 @@ def counts(flights: list[Flight]) -> list[str]:
         f"{_share(sum(row['low'] <= row['truth'] <= row['high'] for row in shown), len(shown))}",
         f"faulty redundant instrument named: "
         f"{_share(sum(one.names(' '.join(one.rows[0]['events'])) for one in beside), len(beside))}",
+        _told([row for one in flights if not one.rows[0]["unseen"] for row in one.rows if row["supported"]]),
     ]
+
+
+def _told(rows: list[dict[str, Any]]) -> str:
+    """Numbers told, and their errors beside their intervals: of exact ones 0.1 % lie beyond that of 99.9 %."""
+    off = np.array([(row["value"] - row["truth"]) / (row["high"] - row["value"]) for row in rows])
+    off = np.abs(off[np.isfinite(off)])
+    if not off.size:
+        return "numbers told: none"
+    inside, beyond = f"{100.0 * (off <= 1.0).mean():.1f} %", int((off > WIDER).sum())
+    return (
+        f"numbers told: {off.size}; inside 95 %: {inside}; beyond 99.9 %: {beyond}, "
+        f"worst {off.max() / WIDER:.2f} of its half width; rms {_SIGMAS * np.sqrt(np.mean(off * off)):.2f} sigmas"
+    )
 
 
 def _share(part: int, whole: int) -> str:
@@ -102,13 +122,16 @@ def _share(part: int, whole: int) -> str:
 
 def main() -> int:
     """Print the counts."""
-    store = Store(Path(sys.argv[1]))
-    content = store.content()
     flights: dict[str, Flight] = {}
-    for row in store.rows(content.items):
-        flights.setdefault(row["flight"], Flight([])).rows.append(row)
+    failures = 0
+    for directory in sys.argv[1:]:
+        store = Store(Path(directory))
+        items = store.content().items
+        failures += len(store.failures(items))
+        for row in store.rows(items):
+            flights.setdefault(row["flight"], Flight([])).rows.append(row)
     print("\n".join(counts(list(flights.values()))))
-    print(f"failed programs: {len(store.failures(content.items))}")
+    print(f"failed programs: {failures}")
     return int(any(one.has(Outcome.NONSENSE) for one in flights.values()))
 
 
