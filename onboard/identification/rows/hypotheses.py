@@ -4,10 +4,11 @@ Each redundant instrument (two cells about one axis) is left out by one identifi
 with the payload released, and still held. Rules:
 
 - An identifier is *contradicted* when its own findings refuse its estimate.
-- While the one with all instruments, as reported, is not contradicted, it is selected; but where two that each leave
-  one instrument out differ by more than five sigmas of the stated errors, all are contradicted (*do not use*).
+- While the one with all instruments, as reported, is not contradicted, it is selected. Where two that each leave one
+  instrument out differ by more than 3.3 sigmas of the stated errors it is doubtful, and from 5 on all are contradicted
+  (*do not use*). This stays so when they draw nearer: the rows of the one that lies are not forgotten.
 - Where either is so and of exactly one of the others nothing is doubtful, that one is selected and its left-out
-  instrument named.
+  instrument named. It stays left out while two contradict each other, until of exactly one other nothing is doubtful.
 - A release is accepted when the model with the payload held is contradicted, and rejected when only the model without
   it is, or when the payload's estimated mass is near zero (the arm moves as before), if the one with it leaves little
   of any instrument's readings over: a body so large that its noise would explain them contradicts nothing. Where an
@@ -32,7 +33,7 @@ from onboard.regressor.signals import Signals
 
 _JUDGED_ROWS = 50  # between decisions
 _FEWEST_ROWS = 100  # after a reported release, before the decision
-_APART = 5.0  # sigmas between two answers that contradict each other
+_APART, _DOUBTFUL_APART = 5.0, 3.3  # sigmas between two answers that contradict each other
 _NOTHING = 0.2  # of the payload's mass in the drawing: not released
 
 
@@ -61,6 +62,7 @@ class Hypotheses:
         self._judged = 0
         self._told_rows: int | None = None  # rows used when a release was told that is not judged yet
         self._released = False  # a release was accepted: what was released does not come back
+        self._contradiction = ""  # between two that leave one instrument out each: it stays
         self._news: list[Change] = []
 
     @property
@@ -161,15 +163,22 @@ class Hypotheses:
         as_told = findings[_AS_TOLD]
         others = [member for member in findings if member.left_out and not member.still_held]
         clean = [member for member in others if self._is_clean(member, findings[member])]
-        apart = self._contradiction([member for member in self._members if member.left_out])
+        sigmas, apart = self._apart([member for member in self._members if member.left_out])
+        if sigmas > _APART:
+            self._contradiction = apart
         chosen, said = _AS_TOLD, as_told
-        if (as_told.against or apart) and len(clean) == 1:
+        if (as_told.against or self._contradiction) and len(clean) == 1:
             chosen = clean[0]
+        elif self._contradiction and self._chosen in clean:
+            chosen = self._chosen
+        if chosen.left_out:
             said = findings[chosen]._replace(
                 doubts=(*findings[chosen].doubts, f"without {chosen.left_out}, which contradicts the others")
             )
-        elif apart:
-            said = Findings((apart, *as_told.against), as_told.doubts)
+        elif self._contradiction:
+            said = Findings((self._contradiction, *as_told.against), as_told.doubts)
+        elif sigmas > _DOUBTFUL_APART:
+            said = as_told._replace(doubts=(*as_told.doubts, apart))
         if chosen != self._chosen:
             name = chosen.left_out or self._chosen.left_out
             self._note("left_out" if chosen.left_out else "taken_back", name)
@@ -208,6 +217,8 @@ class Hypotheses:
             del findings[member]
         findings |= {member: identifier.findings() for member, identifier in kept.items()}
         self._members, self._told_rows, self._released = kept, None, accepted
+        if not accepted:
+            self._contradiction = ""  # of answers that took it for true
 
     def _agrees_held(self, member: Member, findings: dict[Member, Findings]) -> bool:
         """Whether nothing is doubtful where the same instruments hold the payload still."""
@@ -224,18 +235,18 @@ class Hypotheses:
                 return float(found.mean / (quantity.weights @ drawn))
         return np.nan
 
-    def _contradiction(self, members: Sequence[Member]) -> str:
-        """Two that leave one instrument out each, and whose answers lie apart; empty if there are none."""
+    def _apart(self, members: Sequence[Member]) -> tuple[float, str]:
+        """Sigmas between the answers of two that leave one instrument out each, where most, and what they say."""
         estimates = {one: self._members[one].stated_estimate() for one in members if not one.still_held}
+        most = 0.0, ""
         for k, (one, first) in enumerate(estimates.items()):
             for other, second in list(estimates.items())[k + 1 :]:
                 for a, b in zip(first.quantities, second.quantities, strict=True):
-                    if a.supported and b.supported and abs(a.mean - b.mean) > _APART * np.hypot(a.sigma, b.sigma):
-                        return (
-                            f"{one.left_out} and {other.left_out} contradict each other: {a.name} is {b.mean:.4g} or "
-                            f"{a.mean:.4g} {a.unit}"
-                        )
-        return ""
+                    sigmas = abs(a.mean - b.mean) / float(np.hypot(a.sigma, b.sigma))
+                    if a.supported and b.supported and sigmas > most[0]:
+                        told = f"{one.left_out} and {other.left_out} contradict each other: {a.name} is "
+                        most = sigmas, told + f"{b.mean:.4g} or {a.mean:.4g} {a.unit}"
+        return most
 
     def _note(self, kind: str, what: str) -> None:
         self._news.append(Change(kind, np.nan, np.nan, np.nan, what))

@@ -320,6 +320,35 @@ def test_two_cells_of_different_scales_contradict_each_other_and_nobody_knows_wh
     assert any("contradict each other" in said for said in found.findings().against)
 
 
+@pytest.mark.parametrize("lies", ["cell_1", "cell_2"])
+def test_a_cell_that_contradicted_the_other_makes_no_good_answer_again(rng, lies):
+    """It reads 2 % too much for four seconds: these rows stay in, also when the later ones have scattered them."""
+    found, contradicted = Hypotheses(identifier, ("cell_1", "cell_2")), list[bool]()
+
+    def scale(t):
+        said = found.findings()
+        contradicted.append(any("contradict" in one for one in (*said.against, *said.doubts)))
+        return [1.02 if t < 4.0 and name == lies else 1.0 for name in ("cell_1", "cell_2")]
+
+    fly(found, rng, told_s=99.0, gone_s=99.0, scale=scale)
+    assert True in contradicted
+    assert all(contradicted[contradicted.index(True) :])
+
+
+def test_two_cells_that_differ_by_a_little_are_doubted_before_they_are_refused(rng):
+    found, said = Hypotheses(identifier, ("cell_1", "cell_2")), list[Findings]()
+
+    def scale(_):
+        said.append(found.findings())
+        return 1.0, 1.003
+
+    fly(found, rng, told_s=99.0, gone_s=99.0, scale=scale)
+    first = next(one for one in said if one != Findings())
+    assert not first.against
+    assert first.doubts[0].startswith("cell_1 and cell_2 contradict each other")
+    assert any("contradict each other" in one for one in said[-1].against)
+
+
 @pytest.mark.parametrize(("lies", "scale"), [("cell_1", 1.2), ("cell_2", 1.2), ("cell_2", 0.75)])
 def test_of_two_cells_of_different_scales_the_drawn_arm_tells_which_is_wrong(rng, lies, scale):
     """The mean of both is half as far off the drawing as the wrong one alone: that is no reason to refuse it."""
