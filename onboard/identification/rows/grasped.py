@@ -71,7 +71,7 @@ class GraspedPayload:
         standard = jackknife.combination(self._w)
         shrinkage = standard.sigma / self._before
         weak = (shrinkage > SUPPORTED_SHRINKAGE) | (standard.degrees_of_freedom < SUPPORTED_FREEDOM)
-        why = self._contradiction(jackknife, used, refused)
+        why = self._refused(used, refused) or self.contradiction(jackknife)
         if not why and (weak[0] or standard.low[0] <= 0.0):
             why = "the data do not determine a mass apart from zero; move more, or against gravity"
         if why:
@@ -99,10 +99,14 @@ class GraspedPayload:
             )
         )
 
-    def _contradiction(self, jackknife: JackknifeEstimate, used: int, refused: int) -> str:
-        """Reason why rows, or rows and prior, contradict each other; empty if they do not."""
+    def _refused(self, used: int, refused: int) -> str:
+        """Reason why rows contradict each other; empty if they do not."""
         if refused > MOST_REFUSED * (used + refused):
             return f"{refused} of {used + refused} rows contradict the others; check the sensors against each other"
+        return ""
+
+    def contradiction(self, jackknife: JackknifeEstimate) -> str:
+        """Reason why rows and prior contradict each other, of all parameters; empty if they do not."""
         moved = np.abs(jackknife.mean - self._prior) / self._prior_sigma
         worst = int(moved.argmax())
         if moved[worst] > FARTHEST:

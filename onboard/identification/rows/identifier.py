@@ -39,7 +39,7 @@ from onboard.identification.rows.grasped import grasped_payload
 from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.prediction import prediction
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.scales import fill_scales
+from onboard.identification.rows.scales import estimated_scales, fill_scales
 from onboard.identification.rows.whitening import NoisyRows, Whitening
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
@@ -277,8 +277,7 @@ class Identifier:
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
         against, doubts = list[str](), list[str]()
-        residual = self.refused[GateReason.RESIDUAL]
-        share = residual / max(self.rows_used + residual, 1)
+        share = (residual := self.refused[GateReason.RESIDUAL]) / max(self.rows_used + residual, 1)
         if share > MOST_CONTRADICTED:
             against.append(f"{share:.0%} of the rows contradict the others; check the sensors against each other")
         if self.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
@@ -286,9 +285,12 @@ class Identifier:
         jackknife = self.block_jackknife()
         found = [judged_fit(fit, self._inflation**2) for fit in self._fits(jackknife.mean)]
         found += [judged_drawing(quantity, jackknife, self.considered) for quantity in self.quantities]
-        for bad, doubt in (*found, (too_large(self.corrections), doubtful(self.corrections))):
+        scales = estimated_scales(self.base.names, self._scales, jackknife.mean, self._prior_covariance)
+        for bad, doubt in (*found, *((too_large(one), doubtful(one)) for one in (self.corrections, scales))):
             against += bad
             doubts += doubt
+        if self._payload and not too_large(scales) and (why := self._payload.contradiction(jackknife)):
+            against.append(why)
         return Findings(tuple(against), tuple(doubts))
 
     def _fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:

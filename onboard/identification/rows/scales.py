@@ -1,4 +1,4 @@
-"""Columns of the scales of load cells that are estimated: what each cell should read."""
+"""Scales of load cells that are estimated: their columns are what each cell should read."""
 
 from collections.abc import Sequence
 
@@ -41,3 +41,18 @@ def fill_scales(
         predicted = unscaled @ [*trial.solve().mean, 1.0]  # (t, rows)
         for row, column in scales:
             Y[:, row, column] = predicted[:, row]
+
+
+def estimated_scales(
+    names: Sequence[str], scales: Sequence[tuple[int, int]], mean: FloatArray, prior_covariance: FloatArray
+) -> dict[str, float]:
+    """The scales by name, in sigmas of their prior.
+
+    Args:
+        names: of the parameters, p.
+        scales: row and column of each.
+        mean: the estimate, (p,).
+        prior_covariance: of the parameters, (p, p).
+    """
+    sigma = np.sqrt(np.diag(prior_covariance))
+    return {names[column]: float(mean[column] / sigma[column]) for _, column in scales}

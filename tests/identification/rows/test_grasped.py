@@ -205,6 +205,24 @@ def test_a_gripper_that_is_not_what_it_was_weighed_as_is_said(run):
     assert all("contradict what was known" in note for note in found.notes)
 
 
+def test_what_contradicts_the_prior_is_held_against_all_parameters(run):
+    """Of the gripper's too: 3 % of its mass had been told as good beside a tool that was refused."""
+    who = identifier()
+    feed(who, run._replace(measured=3.0 * run.measured))
+    assert any("had to be corrected" in said or "was known" in said for said in who.findings().against)
+
+
+@pytest.mark.parametrize(("scale", "refused"), [(1.08, True), (1.015, False), (1.0, False)])
+def test_a_scale_that_had_to_be_corrected_far_beyond_its_sigma_is_told(run, scale, refused):
+    """Calibrated to 0.25 %."""
+    who, measured = identifier(), run.measured.copy()
+    measured[:, 3] *= scale
+    feed(who, run._replace(measured=measured))
+    said = who.findings()
+    assert any(one.startswith("scale_wrist_moment_x had to be corrected") for one in said.against) is refused
+    assert any(one.startswith("scale_wrist_moment_x had to be corrected") for one in said.doubts) is (scale == 1.015)
+
+
 def test_the_bound_is_not_above_the_sigma(run):
     who = identifier()
     feed(who, run)
