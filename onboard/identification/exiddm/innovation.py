@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.errors import SingularError
 from onboard.identification.corrections import DOUBTFUL, FARTHEST, told
 from onboard.identification.exiddm.fusion import Accusation, Fusion
 from onboard.identification.exiddm.misfit import InnovationMisfit
@@ -15,6 +16,7 @@ from onboard.identification.exiddm.prediction.imu_prediction import ImuPredictor
 from onboard.identification.exiddm.prediction.ticks import Prediction
 
 _SCALES = ("gyro_scale", "accelerometer_scale")
+_LARGEST = 1e12  # element of S: rounding errors of larger ones are not small beside the 1 of a measurement's own noise
 _FREE = 1e3  # stated sigmas of an error that may be of any size
 
 
@@ -80,7 +82,13 @@ class Innovations:
             there: which lines are to be used, (b, lines).
             order: of the instruments.
             covariance: of the state, (p, p).
+
+        Raises:
+            SingularError: no motion follows from the state, or the noise of the measurements is lost in the rounding of
+                what its covariance makes of them.
         """
+        if not batch.predicted.moderate:
+            raise SingularError("the joints' signals are nonsense; no motion follows")
         rows, p = self._fusion.rows(order, len(there)), len(covariance)
         r, H = (
             (batch.measured - batch.predicted.values) / batch.sigma,
@@ -94,6 +102,8 @@ class Innovations:
         known[:, p], known[:, p + 1 :] = r.ravel()[rows], H[:, self._scales]
         S = HP @ H.T
         S.flat[:: len(S) + 1] += 1.0
+        if not S.diagonal().max() < _LARGEST:  # as with NaN
+            raise SingularError("the state says nothing of what is measured; it is to be found anew")
         L = np.asarray(np.linalg.cholesky(S), np.float64)
         solved = dtrtrs(L.T, known, lower=False, trans=True)[0]
         return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))

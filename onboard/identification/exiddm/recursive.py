@@ -21,6 +21,7 @@ import numpy as np
 from onboard.dynamics.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.change import ChangeDetector
+from onboard.estimation.errors import SingularError
 from onboard.identification.change import Change
 from onboard.identification.exiddm.bounded_work import BATCH_TICKS, BoundedWork
 from onboard.identification.exiddm.claims import Claim, after_a_change, at_first, kind_of
@@ -98,8 +99,7 @@ class RecursiveExiddm(BoundedWork):
         self.fusion = Fusion(predictor.instruments, predictor.lines)
         self._detector = ChangeDetector(false_alarms_per_hour, 3600.0 / (BATCH_TICKS * predictor.period_s), 6)
         self._snapshots, self._innovations = Snapshots(predictor.period_s), Innovations(predictor, self.fusion)
-        self._linearised = Linearised(predictor)
-        self._initial = initially(predictor, known)
+        self._linearised, self._initial = Linearised(predictor), initially(predictor, known)
         self._open(at_first(held, known is not None), self._initial)
 
     @property
@@ -312,14 +312,15 @@ class RecursiveExiddm(BoundedWork):
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted = self._linearised.predict(ticks, self.state)
             noise = self.predictor.joint_noise(ticks.q, ticks.joint_sigma, self.state)
-        if not predicted.moderate:
-            self.glitches += BATCH_TICKS
-            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
-            return
         batch = Batch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1])
         state, covariance = self.state, self.covariance
         there, suspect, used = self.fusion.whole(batch.measured), False, 0
-        innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
+        try:
+            innovation = self._innovations.of(batch, there, self.fusion.order, covariance)
+        except SingularError:
+            self.glitches += BATCH_TICKS
+            self._reopen((Hypothesis.SAME if self.held else Hypothesis.NOTHING,), 1)
+            return
         own = self.predictor.lines[self.fusion.reference]
         base = np.flatnonzero(there[:, own.start])  # ticks with the reference
         if base.size:
@@ -371,9 +372,8 @@ class RecursiveExiddm(BoundedWork):
         times = float(self._pending.time_s[-1]), float(self._pending.time_s[0]) - back_s
         self._accused, self._suspected = None, Change("change", *times, np.nan)
         self.changes.append(self._suspected)
-        changed = None if self._trials is None else self._trials.changed
-        if changed is not None:
-            self._explained(changed)
+        if self._trials is not None and self._trials.changed is not None:
+            self._explained(self._trials.changed)
             return
         self._solves = 0
         self._hypotheses = after_a_change(bool(self._before), self._prior[0] is not self._initial[0])

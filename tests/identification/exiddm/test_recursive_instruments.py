@@ -55,6 +55,19 @@ def test_missing_joints_widen_the_momentum_and_nothing_else(held, lost):
     assert found.covariance[0, 0] < before[3]
 
 
+def test_a_rate_of_which_nothing_is_known_begins_a_window_and_the_payload_is_found_again(held):
+    ticks, recursive = ticks_of(held), online(held)
+    recursive.update(ticks.part(slice(0, 502)))
+    recursive.covariance[RATE, RATE] = 1e12 * np.eye(3)  # as by steps along a motion that no such vehicle makes
+    recursive.update(ticks.part(slice(502, 514)))
+    assert recursive.estimate() is None
+    assert recursive.glitches == BATCH_TICKS
+    recursive.update(ticks.part(slice(514, None)))
+    assert recursive.changes == []
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.covariance[0, 0])
+
+
 def test_a_glitch_is_left_out_and_no_alarm(held):
     ticks, clean = ticks_of(held), online(held)
     clean.update(ticks)
