@@ -114,6 +114,12 @@ class BoundedWork(ABC):
         self._do(0, solves=True)
         self._due = min(self._due, 0)
 
+    @property
+    def lets_go(self) -> bool:
+        """A release is announced that is not taken in yet, and no capture after it."""
+        told = [held for held, _ in (one for one in self._inbox if not isinstance(one, Ticks))]
+        return bool(told) and not told[-1]
+
     def finish(self, most: float = np.inf) -> bool:
         """Do all that is left to be done, or so many ticks' predictions; True if that was all."""
         self._do(min(self._due, 0) - most, solves=True)

@@ -4,6 +4,7 @@ An announcement is a claim that the motion can contradict: a release, if the pay
 window and nothing held does not; a capture, if nothing held explains the window and it determines no payload.
 """
 
+from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
 from onboard.identification.exiddm.window import Hypothesis
 
@@ -49,10 +50,12 @@ class Claim:
 
     Attributes:
         held: what was announced; None if nothing waits to be settled.
+        unseen: the joints were not known for a while before or in the window, so a change may not have been seen.
     """
 
     def __init__(self) -> None:
         self.held: bool | None = None
+        self.unseen = False
 
     def make(self, held: bool, known: bool) -> tuple[Hypothesis, ...]:
         """The hypotheses to be tried after an announcement; ``known``: there is an estimate of what was held."""
@@ -61,8 +64,25 @@ class Claim:
             return (Hypothesis.NEW,)
         return (Hypothesis.NOTHING, Hypothesis.SAME) if known else (Hypothesis.NOTHING,)
 
+    def otherwise(
+        self, tried: tuple[Hypothesis, ...], window_s: FloatArray
+    ) -> tuple[tuple[Hypothesis, ...], Change | None]:
+        """The hypotheses of the window after one that those tried do not explain, and a change that was not seen.
+
+        Args:
+            tried: that it stays as it was, or that it changed.
+            window_s: times of the window's ticks, (n,).
+        """
+        if self.held:
+            return (Hypothesis.NEW,), None
+        if not self.unseen or tried not in ((Hypothesis.NOTHING,), (Hypothesis.SAME,)):
+            return tried, None
+        change = Change("change", float(window_s[-1]), float(window_s[0]), float("nan"))
+        return after_a_change(tried == (Hypothesis.SAME,)), change
+
     def settle(self, hypothesis: Hypothesis, now_s: float) -> list[Change]:
         """What is to be said of the announcement when a hypothesis explains the window after it."""
+        self.unseen = False
         if self.held is None or (self.held and hypothesis is Hypothesis.NEW):
             return []  # a capture may still be not determined
         rejected = []

@@ -84,8 +84,7 @@ class RecursiveExiddm(BoundedWork):
         super().__init__(call_ticks, flexible=predictor.bends.size > 0)
         self.predictor = predictor
         self.payload_sigma = np.asarray(payload_sigma, np.float64)
-        self.held: bool | None = held if known is None else None
-        self._before = self.held
+        self.held = self._before = held if known is None else None
         self._suspected: Change | None = None  # not yet classified
         self._claim = Claim()
         self._left: FloatArray | None = None  # by the last one
@@ -105,8 +104,7 @@ class RecursiveExiddm(BoundedWork):
     @property
     def holds(self) -> bool:
         """A payload is held and its state known, and no release of it is announced, be it taken in or not."""
-        told = [held for held, _ in (one for one in self._inbox if not isinstance(one, Ticks))]
-        return self.state is not None and bool(self.held) and not (told and not told[-1])
+        return self.state is not None and bool(self.held) and not self.lets_go
 
     def settled(self) -> bool:
         """What is known only gets better: no window is open but one that grows, none will replace the last steps."""
@@ -265,8 +263,10 @@ class RecursiveExiddm(BoundedWork):
         Args:
             between: which instruments contradict each other, if it is explained without either of them.
         """
-        if self._claim.held:
-            self._hypotheses = (Hypothesis.NEW,)
+        self._hypotheses, unseen = self._claim.otherwise(self._hypotheses, self._window.time_s)
+        if unseen is not None:
+            self._before, self._suspected = Hypothesis.SAME in self._hypotheses, unseen
+            self.changes.append(unseen)
         # a window that has grown contradicts none before it: they determined nothing
         longer = self._solves > 0 and self._grown == 1.0
         self.unexplained.add(float(self._window.time_s[-1]), self._left, longer=longer, between=between)
@@ -391,7 +391,7 @@ class RecursiveExiddm(BoundedWork):
     def _bridge(self, after: Ticks) -> None:
         """Propagate over a gap of the joints that ends at a tick: the momentum's direction in base axes is unknown."""
         gap_s = float(after.time_s[0] - self._pending.time_s[0])
-        fastest = self._pending.fastest(self.predictor.lines[self.fusion.reference])
+        fastest, self._claim.unseen = self._pending.fastest(self.predictor.lines[self.fusion.reference]), True
         if self._hypotheses or self.state is None:
             self._open(self._hypotheses, self._prior)
         elif gap_s > _LONGEST_HOLE_s or fastest is None or self.predictor.anew_at.size:

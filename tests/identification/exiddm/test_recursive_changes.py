@@ -158,6 +158,26 @@ def test_a_capture_that_is_told_and_was_none_is_rejected_when_the_payload_comes(
 LINKS = "base", *(f"link_{k}" for k in range(1, 6))  # as drawn within their sigmas
 
 
+def test_a_capture_and_a_release_while_the_joints_are_not_known_are_found_after_it(rng):
+    flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
+    capture = free_flyer.Capture(BOX, 3.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
+    free_flyer.fly_with_capture(flight, capture, 14.0)
+    flight.release()
+    flight.advance(round(4.0 / flight.step_s))
+    signals = recorded(flight.history, rng)
+    ticks, recursive = ticks_of(signals), online(signals, held=False)
+    for change_s in (3.0, 14.0):
+        ticks.q[np.abs(ticks.time_s - change_s) < 0.6] = np.nan
+    released = int(np.searchsorted(ticks.time_s, 14.0))
+    recursive.update(ticks.part(slice(0, released)))
+    assert [change.kind for change in recursive.changes] == ["change", "capture"]
+    found = recursive.estimate()
+    assert abs(found.body.mass_kg - BOX.mass_kg) < 4.0 * np.sqrt(found.covariance[0, 0])
+    recursive.update(ticks.part(slice(released, None)))
+    assert [change.kind for change in recursive.changes] == ["change", "capture", "change", "ejection"]
+    assert recursive.estimate() is None
+
+
 def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
     flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
     capture = free_flyer.Capture(BOX, 4.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
