@@ -73,9 +73,10 @@ class Claim:
             tried: that it stays as it was, or that it changed.
             window_s: times of the window's ticks, (n,).
         """
+        unseen, self.unseen = self.unseen, False
         if self.held:
             return (Hypothesis.NEW,), None
-        if not self.unseen or tried not in ((Hypothesis.NOTHING,), (Hypothesis.SAME,)):
+        if not unseen or tried not in ((Hypothesis.NOTHING,), (Hypothesis.SAME,)):
             return tried, None
         change = Change("change", float(window_s[-1]), float(window_s[0]), float("nan"))
         return after_a_change(tried == (Hypothesis.SAME,)), change

@@ -222,7 +222,7 @@ class RecursiveExiddm(BoundedWork):
             return
         if self._trials is not None:
             self._trials.take(found)
-        elif found is not None or self._grown > 1.0:
+        elif found is not None or self._grown > 1.0 or self._claim.unseen:  # a change before a wrong instrument
             self._not_explained() if found is None else self._explained(found)
             return
         else:
